@@ -1,0 +1,1 @@
+"""One whole node without input and output: autopilot bytes and neighbours' bytes in, frames out."""

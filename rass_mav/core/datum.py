@@ -1,0 +1,87 @@
+"""The datum: one item of user data, its identity and its checksum."""
+
+from __future__ import annotations
+
+import enum
+import struct
+import zlib
+from typing import NamedTuple
+
+_CRC_HEAD = struct.Struct("<HIIB")
+
+#: Largest datum that may be created, in bytes of payload.
+MAX_PAYLOAD = 1 << 20
+
+
+class DatumId(NamedTuple):
+    """What names a datum everywhere, for ever."""
+
+    origin: int
+    """Node id of the node that created it, 0..65534."""
+    epoch: int
+    """Epoch of the origin's store (32 bits): drawn anew when a store is created, so ids are never used twice."""
+    sequence: int
+    """Number within the epoch, from 0 without holes (32 bits)."""
+
+    def __str__(self) -> str:
+        return f"{self.origin}-{self.epoch:08x}-{self.sequence}"
+
+
+class Kind(enum.IntEnum):
+    """What the payload of a datum holds."""
+
+    BYTES = 0
+    """Opaque bytes, for example a line that an operator handed in."""
+    MEASUREMENT = 1
+    """A position and a reading, see `rass_mav.wire.measurement`."""
+    FILE = 2
+    """A named file: one byte with the length of its name, the name in UTF-8, the content."""
+
+
+class Fate(enum.Enum):
+    """Why a datum, or a copy of it, is no longer held."""
+
+    DELIVERED = "delivered"
+    """A base has it (seen at that base), or says so in a receipt."""
+    PASSED_ON = "passed_on"
+    """Custody went to a neighbour, which said COMMITTED."""
+    CORRUPTED = "corrupted"
+    """Its checksum failed."""
+    OVERFLOW = "overflow"
+    """There was no room."""
+    EXPIRED = "expired"
+    """Its lifetime ran out."""
+    DIED = "died"
+    """All copies were on drones that died for good or were wiped."""
+    VANISHED = "vanished"
+    """Sent without custody and never received."""
+
+
+class Datum(NamedTuple):
+    """A datum with its bytes. Immutable; a hop makes a new one with `hops` raised."""
+
+    id: DatumId
+    kind: int
+    """A `Kind`; unknown values are carried along untouched."""
+    created: float
+    """When it was created, in seconds on the holder's timeline. On the wire it travels as an age."""
+    hops: int
+    """Hand-overs so far, 0 at the origin, at most 255."""
+    crc: int
+    """CRC-32 of id, kind and payload, computed once at the origin and carried to the base."""
+    payload: bytes
+
+    @property
+    def intact(self) -> bool:
+        """Whether the checksum made at the origin still fits."""
+        return datum_crc(self.id, self.kind, self.payload) == self.crc
+
+
+def datum_crc(id: DatumId, kind: int, payload: bytes) -> int:
+    """CRC-32 (IEEE 802.3) over `<HIIB` origin, epoch, sequence, kind and then the payload."""
+    return zlib.crc32(payload, zlib.crc32(_CRC_HEAD.pack(id[0], id[1], id[2], kind)))
+
+
+def make_datum(id: DatumId, kind: int, created: float, payload: bytes) -> Datum:
+    """A new datum at its origin, with its checksum."""
+    return Datum(id, kind, created, 0, datum_crc(id, kind, payload), payload)

@@ -1,0 +1,36 @@
+"""The errors that `rass_mav` raises on purpose.
+
+Everything that comes from the wire, a file or a person raises a `RassError`; anything else that escapes is a bug.
+"""
+
+
+class RassError(Exception):
+    """Base of all errors caused by the outside world, never by our own mistakes."""
+
+
+class MalformedError(RassError):
+    """Bytes from the wire or from a log that do not parse. Raised for malformed input, and nothing else is."""
+
+
+class StoreError(RassError):
+    """The durable store could not do what was asked (damaged database, disk error)."""
+
+
+class StoreFullError(StoreError):
+    """There is no room left, by items, by bytes or by quota; nothing was stored."""
+
+
+class ConfigError(RassError):
+    """A configuration, scenario or command line that does not make sense; names the file and the key."""
+
+
+class LogError(RassError):
+    """A recorded log without one valid record."""
+
+
+class LinkError(RassError):
+    """A port, socket or peer address that cannot be used."""
+
+
+class ControlError(RassError):
+    """The running node could not be reached, or refused a command."""

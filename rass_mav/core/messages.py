@@ -1,0 +1,196 @@
+"""What nodes say to each other. `rass_mav.wire` turns these into TUNNEL payloads and back.
+
+Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a message always fits the wire.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Union
+
+from .datum import Datum, DatumId
+
+#: As a target: every neighbour. Not a valid node id.
+BROADCAST = 0xFFFF
+#: As a hop count: no route.
+NO_ROUTE = 255
+#: Free items or potential of a node without bounds (a base).
+UNBOUNDED_FREE = 0xFFFF
+
+
+class Route(NamedTuple):
+    """A base's announcement as a node passes it on (Alg. 2, with the sequence numbers of Babel, RFC 8966)."""
+
+    base: int
+    """Node id of the base."""
+    base_epoch: int
+    """Epoch of the base's store (32 bits): a wiped base is another base."""
+    number: int
+    """The base's announcement number, 16 bits, compared by RFC 1982."""
+    hops: int
+    """Hops from the node that says this to the base, 0 (the base itself) .. 254."""
+
+
+class Beacon(NamedTuple):
+    """The one-hop broadcast, one a step."""
+
+    sender: int
+    epoch: int
+    """Epoch of the sender's store: tells two nodes with the same id apart, and a wiped node from its former self."""
+    number: int
+    """Beacon number, 16 bits, RFC 1982: an older or equal one is a duplicate."""
+    flags: int
+    """Bit 0: the sender is a base. Bit 1: `wanted_*` holds a request."""
+    base: int
+    base_epoch: int
+    route_number: int
+    hops: int
+    """The chosen route; `hops` NO_ROUTE: none, the other three are 0."""
+    wanted_base: int
+    wanted_number: int
+    """With flag bit 1: the sender needs an announcement of this base at least as new as this number."""
+    risk: int
+    """Local risk, 0..65535 for 0..1."""
+    free: int
+    """Items that can still be accepted, 0..65535 (65535: no bound). Mirrors count as free."""
+    policy: int
+    """Tag of the policy and its weights, 16 bits; potentials of different tags cannot be compared."""
+    potential: int
+    """The policy's potential (fitness phi) in fixed point, 32 bits; see `rass_mav.policy`."""
+    digest: int
+    """Digest of the receipts that the sender knows, 32 bits; equal digests: nothing to tell."""
+
+
+BEACON_BASE = 1
+BEACON_WANTED = 2
+
+
+class Handover(NamedTuple):
+    """One datum on its way to one neighbour."""
+
+    number: int
+    """Drawn by the sender (32 bits, not 0); 0: no custody is offered and no answer wanted."""
+    datum: Datum
+
+
+class Data(NamedTuple):
+    """Small data, whole, with their hand-over numbers; several to a frame where they fit."""
+
+    sender: int
+    target: int
+    handovers: tuple[Handover, ...]
+
+
+class Committed(NamedTuple):
+    """The receiver's answer: these hand-overs are on disk, custody has passed; those were refused."""
+
+    sender: int
+    target: int
+    committed: tuple[tuple[int, int], ...]
+    """(hand-over number, CRC-32 of the datum that is on disk)."""
+    refused: tuple[int, ...]
+    """Hand-over numbers that were not accepted (no room): the giver keeps custody."""
+
+
+class Offer(NamedTuple):
+    """A datum too large for one frame is offered before its chunks are sent."""
+
+    sender: int
+    target: int
+    number: int
+    id: DatumId
+    kind: int
+    created: float
+    hops: int
+    crc: int
+    size: int
+    """Bytes of payload, 1..1 MiB."""
+    chunk_size: int
+    """Bytes of payload in each chunk but the last, 1..255."""
+
+
+class Accept(NamedTuple):
+    """The receiver of an offer opens a transfer and names it."""
+
+    sender: int
+    target: int
+    number: int
+    """The hand-over number of the offer."""
+    handle: int
+    """Chosen by the receiver, 16 bits: the name of the transfer in its chunks."""
+    next_index: int
+    """First chunk still missing (a transfer is resumed after an interruption)."""
+
+
+class Chunk(NamedTuple):
+    """A piece of a datum."""
+
+    handle: int
+    index: int
+    """0..16383."""
+    poll: bool
+    """The sender wants a `Sack` now."""
+    data: bytes
+
+
+class Sack(NamedTuple):
+    """Selective acknowledgement of chunks."""
+
+    sender: int
+    target: int
+    handle: int
+    next_index: int
+    """All chunks below this one have been received."""
+    bitmap: int
+    """Bit i: chunk next_index + 1 + i has been received. 256 bits."""
+
+
+class ReceiptEntry(NamedTuple):
+    """What a base knows of one origin."""
+
+    origin: int
+    epoch: int
+    closed: int
+    """All sequence numbers below this one are closed (arrived, or told lost)."""
+    bitmap: int
+    """Bit i: sequence closed + 1 + i is closed too. 16 bits."""
+
+
+class Receipt(NamedTuple):
+    """A base's word that data have arrived, at most `RECEIPT_ENTRIES` origins a frame."""
+
+    base: int
+    base_epoch: int
+    entries: tuple[ReceiptEntry, ...]
+
+
+class LossNoteEntry(NamedTuple):
+    """A datum that is beyond repair."""
+
+    number: int
+    """Hand-over number of the note, as for data."""
+    id: DatumId
+    reason: int
+    """1 corrupted, 2 expired, 3 overflow; others are carried along."""
+
+
+class LossNote(NamedTuple):
+    """Word that data are lost; it percolates to the base like a datum and closes the hole there."""
+
+    sender: int
+    target: int
+    entries: tuple[LossNoteEntry, ...]
+
+
+class Put(NamedTuple):
+    """A virtual-stigmergy entry (Buzz): broadcast to all neighbours, kept by everybody with room, never answered."""
+
+    sender: int
+    lamport: int
+    """Lamport timestamp of the entry, 16 bits, from 1."""
+    writer: int
+    """Robot id (node id) of the last writer; breaks ties between equal timestamps."""
+    datum: Datum
+    """The entry: key = `datum.id`, value = its payload."""
+
+
+Message = Union[Beacon, Data, Committed, Offer, Accept, Chunk, Sack, Receipt, LossNote, Put]

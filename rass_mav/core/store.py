@@ -1,0 +1,83 @@
+"""What the algorithm asks of a store. `rass_mav.store` implements it in memory and in SQLite."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple, Protocol
+
+from .datum import Datum, DatumId, Fate
+
+
+class StoredInfo(NamedTuple):
+    """What the node keeps in memory about a datum whose bytes lie in the store."""
+
+    id: DatumId
+    kind: int
+    created: float
+    hops: int
+    crc: int
+    size: int
+    """Bytes of payload."""
+
+
+class Store(Protocol):
+    """Durable storage of one node. Not thread-safe, but for `write`.
+
+    Changes are buffered: they are visible to `get` at once, and durable after a commit. The driver commits, THEN
+    sends: `take` hands out what has changed since the last `take`, and `write` makes it durable in one transaction
+    (one fsync for a whole turn: group commit). `write` may run on another thread while this one goes on buffering; at
+    most one `write` is in flight.
+    """
+
+    @property
+    def epoch(self) -> int:
+        """32 bits, drawn when the store was created."""
+
+    @property
+    def fresh(self) -> bool:
+        """True if this opening created the store (as against finding an earlier life's data)."""
+
+    def next_sequence(self) -> int:
+        """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
+
+    def put(self, datum: Datum) -> None:
+        """Store a datum, or replace the one with its id. Raises `StoreFullError` over the quota: then nothing changes."""
+
+    def get(self, id: DatumId) -> Datum | None:
+        """The datum as its bytes are now (its checksum is not verified here), or None."""
+
+    def remove(self, id: DatumId, fate: Fate) -> None:
+        """Forget a datum. `CORRUPTED` and `EXPIRED` are written to the table of losses. Unknown ids are ignored."""
+
+    def lose(self, id: DatumId, fate: Fate) -> None:
+        """Note a loss elsewhere (a loss note that reached a base) in the table of losses."""
+
+    def count(self, name: str, amount: int = 1) -> None:
+        """Add to a named counter that survives restarts (the node's ledger)."""
+
+    def counters(self) -> dict[str, int]:
+        """All named counters."""
+
+    def held(self) -> Iterator[StoredInfo]:
+        """What is stored, least recently stored first (the order of eviction after a restart)."""
+
+    def ids(self) -> Iterable[DatumId]:
+        """The ids of what is stored, in no particular order, without reading payloads."""
+
+    def losses(self) -> Iterable[tuple[DatumId, Fate]]:
+        """The table of losses."""
+
+    def get_meta(self, key: str) -> int | None:
+        """A small number that survives restarts (for example a base's announcement number)."""
+
+    def set_meta(self, key: str, value: int) -> None:
+        """Set such a number; durable with the next commit."""
+
+    def take(self, *, force: bool = False) -> object | None:
+        """What has to be written now, or None. Removals alone wait for company (they need no sync), unless `force`."""
+
+    def write(self, batch: object) -> None:
+        """Make a batch durable. Blocking; may be called on another thread, one call at a time."""
+
+    def close(self) -> None:
+        """Write what is buffered and release the files."""
