@@ -76,6 +76,11 @@ class Datum(NamedTuple):
         """Whether the checksum made at the origin still fits."""
         return datum_crc(self.id, self.kind, self.payload) == self.crc
 
+    def arrived(self) -> Datum:
+        """The same datum one hand-over further."""
+        hops = self.hops
+        return Datum(self.id, self.kind, self.created, hops + 1 if hops < 255 else 255, self.crc, self.payload)
+
 
 def datum_crc(id: DatumId, kind: int, payload: bytes) -> int:
     """CRC-32 (IEEE 802.3) over `<HIIB` origin, epoch, sequence, kind and then the payload."""

@@ -20,6 +20,14 @@ class StoreFullError(StoreError):
     """There is no room left, by items, by bytes or by quota; nothing was stored."""
 
 
+class StoreDamagedError(StoreError):
+    """The database is damaged and cannot be trusted any more: abandon the store and open it anew, as suspect."""
+
+
+class DatumError(RassError):
+    """A datum that cannot be created: empty, or too large."""
+
+
 class ConfigError(RassError):
     """A configuration, scenario or command line that does not make sense; names the file and the key."""
 

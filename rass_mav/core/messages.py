@@ -5,7 +5,7 @@ Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a 
 
 from __future__ import annotations
 
-from typing import NamedTuple, Union
+from typing import NamedTuple, TypeAlias
 
 from .datum import Datum, DatumId
 
@@ -124,8 +124,10 @@ class Accept(NamedTuple):
 class Chunk(NamedTuple):
     """A piece of a datum."""
 
+    target: int
+    """To whom, for links that send to one neighbour; not on the wire (BROADCAST when received)."""
     handle: int
-    index: int
+    position: int
     """0..16383."""
     poll: bool
     """The sender wants a `Sack` now."""
@@ -193,4 +195,4 @@ class Put(NamedTuple):
     """The entry: key = `datum.id`, value = its payload."""
 
 
-Message = Union[Beacon, Data, Committed, Offer, Accept, Chunk, Sack, Receipt, LossNote, Put]
+Message: TypeAlias = Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put

@@ -40,8 +40,11 @@ class Store(Protocol):
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
 
+    def room_for(self, size: int) -> bool:
+        """Whether a datum of `size` bytes of payload fits the quota. Cheap."""
+
     def put(self, datum: Datum) -> None:
-        """Store a datum, or replace the one with its id. Raises `StoreFullError` over the quota: then nothing changes."""
+        """Store a datum, or replace the one with its id. Raises `StoreFullError` over quota; nothing changes then."""
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""

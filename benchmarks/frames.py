@@ -1,0 +1,220 @@
+"""How fast TUNNEL frames are written and read, against pymavlink, with and without the compiled CRC.
+
+    python -m benchmarks.frames            a table
+    python -m benchmarks.frames --json     one JSON object
+
+Each pair is measured in one process, round about, and the median of the rounds is taken: other load on the machine
+hits both alike, so the ratio is steadier than the times. The numbers without fastcrc come from a second process in
+which neither side can import it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+PAYLOAD_TYPE = 33200
+DATA_SIZES = (0, 1, 20, 45, 60, 100, 127, 128, 128, 128)
+
+Work = Callable[[], object]
+
+
+def _work() -> dict[str, tuple[int, Work, Work | None]]:
+    """Name -> (frames in one call, our way, pymavlink's way if there is one to compare with)."""
+    from pymavlink.dialects.v20 import common
+
+    from rass_mav.mavlink import messages
+    from rass_mav.mavlink.frames import Frame, FrameWriter
+    from rass_mav.mavlink.reader import FrameReader
+    from rass_mav.mavlink.signing import Signer, Verifier
+    from rass_mav.mavlink.telemetry import Telemetry
+    from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
+
+    generator = random.Random(1)
+    data = [generator.randbytes(size) for size in DATA_SIZES]
+    count = len(data)
+    key = bytes(32)
+    writer, signed_writer = FrameWriter(1, 191), FrameWriter(1, 191, Signer(key, 0, 1))
+    mav, signed_mav = common.MAVLink(None, 1, 191), common.MAVLink(None, 1, 191)
+    signed_mav.signing.secret_key, signed_mav.signing.sign_outgoing = key, True
+    frames = [writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
+    stream = b"".join(frames)
+
+    def encode(writer: FrameWriter) -> Work:
+        return lambda: [writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
+
+    def their_encode(mav: Any) -> Work:
+        def work() -> None:
+            for one in data:
+                message = common.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(one), one.ljust(128, b"\0"))
+                message.pack(mav)
+                mav.seq = (mav.seq + 1) % 256
+
+        return work
+
+    # The datagram path: one frame in each call, as it comes from a socket.
+    def decode() -> None:
+        for frame in frames:
+            tunnel_from_datagram(frame)
+
+    def read() -> None:
+        reader = FrameReader()
+        for frame in frames:
+            for one in reader.feed(frame):
+                decode_tunnel(one.payload)
+
+    def read_stream() -> None:
+        for one in FrameReader().feed(stream):
+            decode_tunnel(one.payload)
+
+    def read_bytewise() -> None:
+        reader = FrameReader()
+        for frame in frames:
+            for position in range(len(frame)):
+                for one in reader.feed(frame[position : position + 1]):
+                    decode_tunnel(one.payload)
+
+    def their_decode() -> None:
+        receiver = common.MAVLink(None)
+        for frame in frames:
+            for one in receiver.parse_buffer(frame):
+                bytes(one.payload[: one.payload_length])
+
+    def their_stream() -> None:
+        for one in common.MAVLink(None).parse_buffer(stream):
+            bytes(one.payload[: one.payload_length])
+
+    def their_bytewise() -> None:
+        receiver = common.MAVLink(None)
+        for frame in frames:
+            for position in range(len(frame)):
+                one = receiver.parse_char(frame[position : position + 1])
+                if one is not None:
+                    bytes(one.payload[: one.payload_length])
+
+    def verified() -> None:
+        reader = FrameReader(Verifier(key))
+        for frame in signed:
+            for one in reader.feed(frame):
+                decode_tunnel(one.payload)
+
+    def their_verified() -> None:
+        receiver = common.MAVLink(None)
+        receiver.signing.secret_key = key
+        for frame in signed:
+            for one in receiver.parse_buffer(frame):
+                bytes(one.payload[: one.payload_length])
+
+    signed = [signed_writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
+    position, reading = (
+        writer.message(messages.global_position_int(-35.4, 149.2, 590.0, 6.0, 12345)),
+        writer.message(messages.named_value_float("RAD", 12.5, 12345)),
+    )
+    telemetry, reader = Telemetry(1, 191), FrameReader()
+    [position_frame], [reading_frame] = reader.feed(position), reader.feed(reading)
+
+    def handle(*handled: Frame) -> Work:
+        def work() -> None:
+            for _ in range(count):
+                for frame in handled:
+                    telemetry.handle(frame, 1.0)
+
+        return work
+
+    def telemetry_bytes() -> None:
+        for _ in range(count):
+            for one in reader.feed(position):
+                telemetry.handle(one, 1.0)
+            for one in reader.feed(reading):
+                telemetry.handle(one, 1.0)
+
+    def telemetry_send() -> None:
+        for _ in range(count):
+            writer.frame(33, messages.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345))
+            writer.frame(251, messages.named_value_float_payload("RAD", 12.5, 12345))
+
+    return {
+        "tunnel_encode": (count, encode(writer), their_encode(mav)),
+        "tunnel_encode_signed": (count, encode(signed_writer), their_encode(signed_mav)),
+        "tunnel_decode": (count, decode, their_decode),
+        "reader_datagrams": (count, read, their_decode),
+        "reader_stream": (count, read_stream, their_stream),
+        "reader_bytewise": (count, read_bytewise, their_bytewise),
+        "reader_verified": (count, verified, their_verified),
+        "telemetry_position": (count, handle(position_frame), None),
+        "telemetry_reading": (count, handle(reading_frame), None),
+        "telemetry_from_bytes": (2 * count, telemetry_bytes, None),
+        "telemetry_encode": (2 * count, telemetry_send, None),
+    }
+
+
+def _time(work: Work, repeat: int) -> float:
+    begin = time.perf_counter()
+    for _ in range(repeat):
+        work()
+    return (time.perf_counter() - begin) / repeat
+
+
+def measure(rounds: int) -> dict[str, dict[str, float]]:
+    """Microseconds a frame for ours and pymavlink's, and the median of the rounds' ratios."""
+    results = {}
+    for name, (count, ours, theirs) in _work().items():
+        pairs = [work for work in (ours, theirs) if work is not None]
+        # About 10 ms a measurement.
+        repeats = [max(1, int(0.01 / _time(work, 2))) for work in pairs]
+        times = [[_time(work, repeat) for work, repeat in zip(pairs, repeats, strict=True)] for _ in range(rounds)]
+        result = {"us": statistics.median(one[0] for one in times) / count * 1e6}
+        if theirs is not None:
+            result["pymavlink_us"] = statistics.median(one[1] for one in times) / count * 1e6
+            result["ratio"] = statistics.median(one[0] / one[1] for one in times)
+        results[name] = {key: round(value, 4) for key, value in result.items()}
+    return results
+
+
+def _measure_without_fastcrc(rounds: int) -> dict[str, dict[str, float]]:
+    # None in sys.modules makes every import of it fail, in pymavlink too.
+    code = (
+        "import sys, json; sys.modules['fastcrc'] = None; sys.modules['fastcrc.crc16'] = None\n"
+        "from benchmarks.frames import measure\n"
+        f"print(json.dumps(measure({rounds})))"
+    )
+    root = Path(__file__).resolve().parent.parent
+    done = subprocess.run([sys.executable, "-c", code], cwd=root, check=True, capture_output=True, text=True)
+    results: dict[str, dict[str, float]] = json.loads(done.stdout)
+    return results
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--rounds", type=int, default=7, help="measurements of each pair (default: 7)")
+    options = parser.parse_args(arguments)
+    from rass_mav.mavlink.crc import HAVE_FASTCRC
+
+    results = {"fastcrc": measure(options.rounds)} if HAVE_FASTCRC else {}
+    results["fallback"] = _measure_without_fastcrc(options.rounds)
+    if options.json:
+        print(json.dumps(results))
+        return
+    for crc, measured in results.items():
+        print(f"CRC: {crc:<24} {'us a frame':>10} {'pymavlink':>10} {'ratio':>7}")
+        for name, result in measured.items():
+            line = f"  {name:<27} {result['us']:>10.2f}"
+            if "ratio" in result:
+                line += f" {result['pymavlink_us']:>10.2f} {result['ratio']:>7.3f}"
+            print(line)
+
+
+if __name__ == "__main__":
+    # As a script, the top of the checkout is not on the path.
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    main()

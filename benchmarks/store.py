@@ -1,0 +1,104 @@
+"""How much is gained by committing in groups, and what the two stores cost a datum.
+
+    python benchmarks/store.py [--directory DIR] [--seconds S]
+
+`DIR` decides which disk is measured. The absolute figures say more about the disk than about the program, so look at
+the ratios: a commit costs one fsync however much is in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
+from rass_mav.core.store import Store
+from rass_mav.store import MemoryStore, SqliteStore
+
+PAYLOAD = os.urandom(100)
+
+
+def new_datum(store: Store) -> Datum:
+    """A datum made by the node that owns the store."""
+    return make_datum(DatumId(1, store.epoch, store.next_sequence()), 1, 0.0, PAYLOAD)
+
+
+def rate(work: Callable[[], int], seconds: float) -> float:
+    """Data a second that `work` does; it returns how many it did."""
+    done = 0
+    begin = time.perf_counter()
+    while (spent := time.perf_counter() - begin) < seconds:
+        done += work()
+    return done / spent
+
+
+def in_groups(store: Store, group: int) -> Callable[[], int]:
+    """Put `group` data, remove those of the group before, and make it all durable."""
+    before: list[DatumId] = []
+
+    def work() -> int:
+        for id in before:
+            store.remove(id, Fate.PASSED_ON)
+        before.clear()
+        for _ in range(group):
+            datum = new_datum(store)
+            store.put(datum)
+            before.append(datum.id)
+        batch = store.take()
+        if batch is not None:
+            store.write(batch)
+        return group
+
+    return work
+
+
+def reads(store: Store) -> Callable[[], int]:
+    """Get all that is stored."""
+    ids = list(store.ids())
+
+    def work() -> int:
+        for id in ids:
+            store.get(id)
+        return len(ids)
+
+    return work
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description="Measure the stores of rass_mav.")
+    parser.add_argument("--directory", type=Path, help="where the database is made (default: the temporary directory)")
+    parser.add_argument("--seconds", type=float, default=2.0, help="time for each figure (default 2)")
+    options = parser.parse_args()
+    print("put, commit and remove, 100 bytes each     data/s    ratio")
+    first = 0.0
+    with (
+        tempfile.TemporaryDirectory(dir=options.directory) as directory,
+        SqliteStore.open(Path(directory) / "node.db", draw_epoch=lambda: 1) as store,
+    ):
+        for group in (1, 10, 100):
+            speed = rate(in_groups(store, group), options.seconds)
+            first = first or speed
+            print(f"SQLite, durable in groups of {group:>3}         {speed:>10.0f} {speed / first:>8.1f}")
+        speed = rate(in_groups(MemoryStore(1), 100), options.seconds)
+        print(f"memory, in groups of 100                 {speed:>10.0f} {speed / first:>8.1f}")
+        targets: list[tuple[str, Store]] = [("SQLite", store), ("memory", MemoryStore(1))]
+        for name, target in targets:
+            for _ in range(1000):
+                target.put(new_datum(target))
+            batch = target.take()
+            if batch is not None:
+                target.write(batch)
+            speed = rate(reads(target), options.seconds)
+            print(f"{name}, get                              {speed:>10.0f} {speed / first:>8.1f}")
+
+
+if __name__ == "__main__":
+    main()

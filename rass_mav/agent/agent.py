@@ -1,0 +1,232 @@
+"""One node, whole, without input and output: the same code on a drone, at a base and in the mock swarm."""
+
+from __future__ import annotations
+
+import logging
+import random
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.core.datum import DatumId, Kind
+from rass_mav.core.errors import MalformedError, StoreFullError
+from rass_mav.core.messages import BROADCAST, Beacon, Message, Put, Receipt
+from rass_mav.core.node import Node
+from rass_mav.core.observer import Observer
+from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.identity import addressed_to
+from rass_mav.mavlink.messages import TUNNEL, companion_heartbeat, statustext
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import Signer, Verifier
+from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
+from rass_mav.wire import decode, encode
+from rass_mav.wire.codec import ForeignError
+from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
+
+log = logging.getLogger(__name__)
+
+#: A heartbeat every so many seconds (https://mavlink.io/en/services/heartbeat.html).
+HEARTBEAT_S = 1.0
+#: A rival under the same node id is told to the ground at most this often, seconds.
+RIVAL_REPORT_S = 30.0
+_CRITICAL = 2
+_WARNING = 4
+_NO_BROADCAST_TARGET = (Beacon, Receipt, Put)
+
+
+class Outgoing(NamedTuple):
+    """A frame for the neighbours."""
+
+    frame: bytes
+    target: int
+    """Node id of the neighbour it is for, or BROADCAST. Everybody in range may hear it all the same."""
+    promises: bool
+    """True: it must not leave before the store has committed. Beacons promise nothing."""
+
+
+class Agent:
+    """Bytes in, frames out. The driver brings time, links and commits (docs/architecture.md)."""
+
+    def __init__(
+        self,
+        settings: AgentSettings,
+        store: Store,
+        rng: random.Random,
+        *,
+        now: float,
+        observer: Observer | None = None,
+        signer: Signer | None = None,
+        verifier: Verifier | None = None,
+    ) -> None:
+        """`now` in seconds on the timeline of all later calls; `rng` decides all that is left to chance."""
+        self.settings = settings
+        self.node = Node(
+            settings.node_settings(), store, settings.policy.make(), settings.risk.estimator(), rng, now=now,
+            observer=observer,
+        )  # fmt: skip
+        self.store = store
+        mavlink = settings.mavlink
+        self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
+        system_id = mavlink.system_id or mavlink.autopilot_id or (settings.node_id - 1) % 255 + 1
+        self.peer_writer = FrameWriter(system_id, mavlink.component_id, signer)
+        self.vehicle_writer = FrameWriter(system_id, mavlink.component_id, signer)
+        self.vehicle_reader = FrameReader(verifier)
+        self.peer_reader = FrameReader(verifier)
+        self.to_vehicle: list[bytes] = []
+        """Frames for the autopilot (and through it the ground station); the driver takes them away."""
+        self.frames_received = 0
+        """TUNNEL frames of ours heard from the radio, whoever they were for."""
+        self.malformed = 0
+        """TUNNEL payloads that do not parse."""
+        self.foreign = 0
+        """TUNNEL payloads of another version, type or purpose."""
+        self.steps = 0
+        """Steps done."""
+        self._rng = rng
+        self._unsigned = verifier is None
+        self._payload_type = mavlink.payload_type
+        self._component_id = mavlink.component_id
+        self._fixed_system_id = mavlink.system_id is not None
+        self._next_heartbeat = now
+        self._text_id = 0
+        self._next_rival_report = now
+        self._reading_at: float | None = None
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def vehicle_bytes(self, data: bytes, now: float) -> None:
+        """Bytes from the autopilot's port."""
+        for frame in self.vehicle_reader.feed(data):
+            self._vehicle_frame(frame, now)
+
+    def _vehicle_frame(self, frame: Frame, now: float) -> None:
+        telemetry = self.telemetry
+        latched = telemetry.system_id
+        if not telemetry.handle(frame, now):
+            return
+        if telemetry.system_id != latched and not self._fixed_system_id:
+            self.peer_writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
+        reading = telemetry.reading
+        if reading is not None and reading.at != self._reading_at:
+            self._reading_at = reading.at
+            self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
+
+    def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
+        """Bytes from the neighbours' radio, a datagram or a part of a stream. Returns the answers."""
+        if self._unsigned and not self.peer_reader.pending:
+            fields = tunnel_from_datagram(data)
+            if fields is not None:
+                _, _, system, component, payload_type, payload = fields
+                return self._tunnel(system, component, payload_type, payload, now)
+        out: list[Outgoing] = []
+        for frame in self.peer_reader.feed(data):
+            if frame.message_id == TUNNEL:
+                try:
+                    tunnel = decode_tunnel(frame.payload)
+                except MalformedError as error:
+                    self._count_malformed(error)
+                    continue
+                out += self._tunnel(
+                    tunnel.target_system, tunnel.target_component, tunnel.payload_type, tunnel.payload, now
+                )
+        return out
+
+    def _tunnel(self, system: int, component: int, payload_type: int, payload: bytes, now: float) -> Sequence[Outgoing]:
+        if payload_type != self._payload_type:
+            self.foreign += 1
+            return ()
+        self.frames_received += 1
+        if (system or component) and not addressed_to(
+            system, component, self.peer_writer.system_id, self._component_id
+        ):
+            return ()
+        try:
+            message = decode(payload, now, self.node.id)
+        except MalformedError as error:
+            self._count_malformed(error)
+            return ()
+        if message is None:
+            return ()
+        answers = self.node.receive(message, now)
+        return self._encoded(answers, now) if answers else ()
+
+    def _count_malformed(self, error: MalformedError) -> None:
+        if isinstance(error, ForeignError):
+            self.foreign += 1
+        else:
+            self.malformed += 1
+        log.debug("frame not understood: %s", error)
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def step(self, now: float) -> Sequence[Outgoing]:
+        """One turn of Alg. 1: what the node sends, then a measurement if one is due; heartbeat and alarms on the way."""
+        if now >= self._next_heartbeat:
+            # Sent by the loop that does the work, so that it stops when the work stops.
+            self.to_vehicle.append(self.vehicle_writer.message(companion_heartbeat()))
+            self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
+        out = self._encoded(self.node.step(now), now)
+        if self.node.rivals and now >= self._next_rival_report:
+            self._report_rivals(now)
+        data = self.settings.data
+        if (
+            data.interval_steps
+            and not self.node.base
+            and (self.steps - self.node.id) % data.interval_steps == 0
+            and (data.until_step is None or self.steps < data.until_step)
+        ):
+            self.measure(now)
+        self.steps += 1
+        return out
+
+    def _encoded(self, messages: Sequence[Message], now: float) -> list[Outgoing]:
+        tunnel = self.peer_writer.tunnel
+        payload_type = self._payload_type
+        out = []
+        for message in messages:
+            target = BROADCAST if isinstance(message, _NO_BROADCAST_TARGET) else message.target
+            promises = type(message) is not Beacon
+            for payload in encode(message, now):
+                out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises))
+        return out
+
+    def measure(self, now: float) -> DatumId | None:
+        """Make a datum of where the vehicle is and what the sensor says. None: there was no room (overflow)."""
+        node = self.node
+        position = self.telemetry.position
+        reading = self.telemetry.reading
+        fresh = reading is not None and now - reading.at <= self.settings.risk.stale_s
+        payload = encode_measurement(
+            Measurement(
+                position.latitude if position else None,
+                position.longitude if position else None,
+                position.altitude if position else None,
+                reading.value if reading is not None and fresh else None,
+                node.risk.risk(now),
+            )
+        )
+        if self.settings.data.bytes > MEASUREMENT_BYTES:
+            payload += self._rng.randbytes(self.settings.data.bytes - MEASUREMENT_BYTES)
+        try:
+            return node.put(payload, now, Kind.MEASUREMENT)
+        except StoreFullError:
+            log.warning("no room for a new measurement")
+            return None
+
+    def tell_ground(self, severity: int, text: str) -> None:
+        """A STATUSTEXT for the people at the ground station; `severity` as MAV_SEVERITY."""
+        log.log(logging.ERROR if severity <= _CRITICAL else logging.WARNING, "%s", text)
+        self._text_id = self._text_id % 0xFFFF + 1
+        for message in statustext(severity, text, text_id=self._text_id):
+            self.to_vehicle.append(self.vehicle_writer.message(message))
+
+    def _report_rivals(self, now: float) -> None:
+        recent = [epoch for epoch, at in self.node.rivals.items() if now - at <= RIVAL_REPORT_S]
+        self._next_rival_report = now + RIVAL_REPORT_S
+        if recent:
+            self.tell_ground(
+                _CRITICAL,
+                f"RASS: another node with node id {self.node.id} on the air (epoch {recent[0]:08x}); change one of them",
+            )

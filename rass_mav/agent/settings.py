@@ -1,0 +1,181 @@
+"""What can be set of a node, typed and bounded: the sections that `run` configurations and scenarios share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.core.node import NodeSettings
+from rass_mav.core.policy import Policy
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.policy import Weights, make_policy
+from rass_mav.wire import INLINE_BYTES
+from rass_mav.wire.measurement import MEASUREMENT_BYTES
+
+Positive = Annotated[float, Meta(gt=0)]
+NonNegative = Annotated[float, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=1)]
+
+
+class Section(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Base of all sections: unknown keys are errors."""
+
+
+class PolicySettings(Section):
+    """Who is fit, and what goes to whom."""
+
+    name: Literal["rass", "rass-literal", "hop-count", "stigmergy"] = "rass"
+    alpha: NonNegative | None = None
+    """Weight of hops in Eq. 3; null: the policy's own (rass 1, rass-literal 10)."""
+    beta: NonNegative | None = None
+    """Weight of risk in Eq. 3; null: the policy's own (rass 10, rass-literal 1)."""
+    threshold: NonNegative | None = None
+    """T of Eq. 4; null: 1."""
+
+    def make(self) -> Policy:
+        """The policy. Raises `ConfigError`."""
+        return make_policy(self.name, Weights(self.alpha, self.beta, self.threshold))
+
+
+class RiskSettings(Section):
+    """From readings to risk."""
+
+    gain: Annotated[float, Meta(gt=0, le=1)] = 1.0
+    """Gain of the moving average over readings; 1: no memory."""
+    low: float = 0.0
+    """Reading that means risk 0, in the sensor's unit."""
+    high: float = 1.0
+    """Reading that means risk 1, in the sensor's unit; above `low`."""
+    stale_s: Positive = 10.0
+    """A reading older than this is unknown, seconds."""
+    worst: Fraction = 1.0
+    """What an unknown risk counts as."""
+
+    def __post_init__(self) -> None:
+        """`high` must be above `low`."""
+        if self.high <= self.low:
+            raise ValueError(f"risk.high: expected a number above risk.low ({self.low:g}), got {self.high:g}")
+
+    def normalised(self, reading: float) -> float:
+        """A reading on the scale where `low` is 0 and `high` is 1; linear, unclipped."""
+        return (reading - self.low) / (self.high - self.low)
+
+    def estimator(self) -> RiskEstimator:
+        """A new estimator with these settings."""
+        return RiskEstimator(gain=self.gain, stale_s=self.stale_s, worst=self.worst)
+
+
+class RoutingSettings(Section):
+    """The routing table."""
+
+    seq_period: Annotated[int, Meta(ge=0)] = 30
+    """A base raises its announcement number every so many steps (0: on request only)."""
+    neighbour_steps: Count = 3
+    """A neighbour not heard for so many steps is gone."""
+    max_neighbours: Count = 128
+    max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
+
+
+class CustodySettings(Section):
+    """The duty to keep data."""
+
+    mode: Literal["acknowledged", "none"] = "acknowledged"
+    """acknowledged: a datum is kept until the receiver has it on disk; none: what is sent is deleted at once."""
+    receipts: bool = True
+    """Bases say what has arrived; others drop their copies of it."""
+    retry_steps: Count = 1
+    """A hand-over without an answer is sent again after so many steps."""
+    max_tries: Count = 8
+    """After so many sendings without an answer another neighbour may be chosen."""
+
+
+class StoreSettings(Section):
+    """What a node can hold and send."""
+
+    path: str | None = None
+    """The database file; null: `rass-NODEID.db` in the current directory."""
+    capacity_items: Count | None = 50
+    """Data a drone holds at most (a base has no bound of items); null: no bound."""
+    capacity_bytes: Count | None = None
+    """Bytes of payload a drone holds at most; null: no bound."""
+    bandwidth_items: Count = 10
+    """Data sent in a step at most, retransmissions included."""
+    quota_bytes: Count | None = None
+    """Bytes the store may hold in all; null: what the disk has."""
+    scrub_items: Count | None = None
+    """Checksums verified in a step, going round; null: all."""
+
+
+class DataSettings(Section):
+    """What a node creates by itself."""
+
+    interval_steps: Annotated[int, Meta(ge=0)] = 10
+    """A measurement every so many steps, in the steps where (step - node id) is a multiple; 0: none."""
+    until_step: Annotated[int, Meta(ge=0)] | None = None
+    """No more measurements from this step on."""
+    bytes: Annotated[int, Meta(ge=MEASUREMENT_BYTES, le=1 << 20)] = MEASUREMENT_BYTES
+    """Size of a measurement; what exceeds the measurement proper is filled with random bytes."""
+    lifetime_s: Positive | None = None
+    """Data older than this expire; null: never."""
+
+
+class MavlinkSettings(Section):
+    """Identity and framing."""
+
+    system_id: Annotated[int, Meta(ge=1, le=255)] | None = None
+    """MAVLink system id; null: the autopilot's once heard, until then from the node id."""
+    component_id: Annotated[int, Meta(ge=2, le=250)] = 191
+    """MAVLink component id of the node; 1 belongs to the autopilot."""
+    payload_type: Annotated[int, Meta(ge=0, le=65535)] = 33200
+    """payload_type of our TUNNEL frames; above 32767 is for local use."""
+    autopilot_id: Annotated[int, Meta(ge=0, le=255)] = 0
+    """System id of the autopilot that readings and positions are taken from; 0: the first one heard."""
+    reading_name: Annotated[str, Meta(min_length=1, max_length=10)] = "RAD"
+    """Name of the NAMED_VALUE_FLOAT that carries the reading."""
+
+
+class AgentSettings(Section):
+    """All of one node."""
+
+    node_id: int
+    base: bool
+    step_s: float
+    policy: PolicySettings
+    risk: RiskSettings
+    routing: RoutingSettings
+    custody: CustodySettings
+    store: StoreSettings
+    data: DataSettings
+    mavlink: MavlinkSettings
+
+    def node_settings(self) -> NodeSettings:
+        """What core needs of it."""
+        replicates = self.policy.name == "stigmergy"
+        if replicates and self.data.bytes > INLINE_BYTES:
+            raise ConfigError(
+                f"data.bytes: expected at most {INLINE_BYTES} with policy stigmergy, got {self.data.bytes}"
+            )
+        bounded = not self.base or replicates
+        return NodeSettings(
+            node_id=self.node_id,
+            base=self.base,
+            step_s=self.step_s,
+            capacity_items=self.store.capacity_items if bounded else None,
+            capacity_bytes=self.store.capacity_bytes if bounded else None,
+            bandwidth_items=self.store.bandwidth_items,
+            acknowledged=self.custody.mode == "acknowledged",
+            receipts=self.custody.receipts,
+            retry_steps=self.custody.retry_steps,
+            max_tries=self.custody.max_tries,
+            neighbour_steps=self.routing.neighbour_steps,
+            max_neighbours=self.routing.max_neighbours,
+            max_hops=self.routing.max_hops,
+            seq_period=self.routing.seq_period,
+            lifetime_s=self.data.lifetime_s,
+            scrub_items=self.store.scrub_items,
+            inline_bytes=INLINE_BYTES,
+        )

@@ -1,0 +1,477 @@
+"""The node: Alg. 1 of the paper with custody, over messages. Sans I/O: time and randomness come in, messages go out."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from .archive import MAX_ORIGINS, Archive
+from .custody import Custody
+from .datum import MAX_PAYLOAD, Datum, DatumId, Fate, make_datum
+from .errors import DatumError, StoreFullError
+from .inventory import Inventory
+from .messages import (
+    BEACON_BASE,
+    BEACON_WANTED,
+    BROADCAST,
+    NO_ROUTE,
+    UNBOUNDED_FREE,
+    Accept,
+    Beacon,
+    Chunk,
+    Committed,
+    Data,
+    Handover,
+    LossNote,
+    Message,
+    Offer,
+    Put,
+    Receipt,
+    Sack,
+)
+from .observer import Observer
+from .policy import POTENTIAL_BASE, Policy, View
+from .replication import Replica
+from .risk import RiskEstimator
+from .routing import RoutingTable
+from .serial import following
+from .store import Store
+from .transfers import Transfers
+
+
+@dataclass(frozen=True, slots=True)
+class NodeSettings:
+    """How a node behaves. Times are in steps of `step_s` seconds where they say so."""
+
+    node_id: int
+    """0..65534."""
+    base: bool = False
+    """A sink: hop count 0, never evicts."""
+    step_s: float = 1.0
+    """Length of a step, seconds."""
+    capacity_items: int | None = 50
+    """Items a drone can hold; None: no bound. A base has no bound of items (but under a replicating policy)."""
+    capacity_bytes: int | None = None
+    """Bytes of payload a drone can hold; None: no bound."""
+    bandwidth_items: int = 10
+    """Items sent in a step at most, retransmissions included."""
+    acknowledged: bool = True
+    """Custody (`custody.mode: acknowledged`); False: what is sent is deleted at once."""
+    receipts: bool = True
+    """A base says what has arrived; others drop what has."""
+    retry_steps: int = 1
+    """A hand-over without an answer is sent again after so many steps."""
+    max_tries: int = 8
+    """After so many sendings without an answer another neighbour may be chosen."""
+    neighbour_steps: int = 3
+    """A neighbour not heard for so many steps is gone (the k of the design)."""
+    max_neighbours: int = 128
+    max_hops: int = 250
+    """1..254."""
+    seq_period: int = 30
+    """A base raises its announcement number every so many steps, and on request."""
+    lifetime_s: float | None = None
+    """Data older than this expire; None: never."""
+    scrub_items: int | None = None
+    """Checksums verified in a step, going round; None: all."""
+    inline_bytes: int = 97
+    """Payload that fits one frame whole; larger data go in chunks."""
+    chunk_bytes: int = 123
+    """Payload of a chunk."""
+
+
+class Node:
+    """One RASS participant."""
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        store: Store,
+        policy: Policy,
+        risk: RiskEstimator,
+        rng: random.Random,
+        *,
+        now: float,
+        observer: Observer | None = None,
+    ) -> None:
+        """`now` in seconds, on the timeline of all later calls."""
+        self.settings = settings
+        self.id = settings.node_id
+        self.base = settings.base
+        self.policy = policy
+        self.risk = risk
+        self.rng = rng
+        self.store = store
+        self.observer = observer or Observer()
+        sink = self.base and not policy.replicates
+        self.archive = Archive(store.ids() if sink else (), max_origins=None if sink else MAX_ORIGINS)
+        """What has arrived at a base: complete at the base itself, elsewhere as receipts told."""
+        self.sink = sink
+        """Whether what comes here has arrived for good."""
+        self.inventory = Inventory(
+            store, capacity_items=settings.capacity_items, capacity_bytes=settings.capacity_bytes, load=not sink
+        )
+        lifetime = (settings.neighbour_steps + 0.5) * settings.step_s
+        self.routing = RoutingTable(
+            self.id,
+            store.epoch,
+            base=self.base,
+            lifetime_s=lifetime,
+            max_neighbours=settings.max_neighbours,
+            max_hops=settings.max_hops,
+            hold_until=None if store.fresh else now + lifetime,
+            number=following(store.get_meta("announcement") or 0),
+        )
+        self.custody = Custody(rng)
+        self.transfers = Transfers(self, lifetime)
+        self.replica = Replica(self) if policy.replicates else None
+        self.fresh: dict[DatumId, None] = {}
+        self.potential = 0
+        """Own potential as last announced, wire units."""
+        self.rivals: dict[int, float] = {}
+        """Epochs of other nodes heard under this node's id, and when last."""
+        self.echoes = 0
+        """Own beacons that came back."""
+        self.refused = 0
+        """Hand-overs refused for want of room."""
+        self.corrupt_received = 0
+        """Data that came in with a checksum that does not fit."""
+        self.sent_data = 0
+        """Data, copies and chunks sent, retransmissions included."""
+        self._beacon_number = rng.getrandbits(16)
+        self._steps = 0
+        self._scrub_at = 0
+        if self.base:
+            store.set_meta("announcement", self.routing.number)
+        self._handlers: dict[type, Callable[[Any, float], list[Message]]] = {
+            Beacon: self._on_beacon,
+            Data: self._on_data,
+            Committed: self._on_committed,
+            Receipt: self._on_receipt,
+            Offer: self.transfers.on_offer,
+            Accept: self.transfers.on_accept,
+            Chunk: self.transfers.on_chunk,
+            Sack: self.transfers.on_sack,
+            Put: self._on_put,
+            LossNote: self._on_loss_note,
+        }
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def receive(self, message: Message, now: float) -> list[Message]:
+        """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
+        return self._handlers[type(message)](message, now)
+
+    def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
+        """Create a datum here. Raises `StoreFullError` (counted as overflow) or `DatumError` (too large or empty)."""
+        limit = self.settings.inline_bytes if self.replica is not None else MAX_PAYLOAD
+        if not 0 < len(payload) <= limit:
+            raise DatumError(f"a datum holds 1 to {limit} bytes, got {len(payload)}")
+        if not self.room_for(len(payload)):
+            self.store.count("overflow")
+            self.observer.overflow()
+            raise StoreFullError("no room for a new datum")
+        id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
+        datum = make_datum(id, kind, now, payload)
+        self.observer.created(datum)
+        if self.sink:
+            self.deliver(datum)
+        else:
+            self.hold(datum)
+        if self.replica is not None:
+            self.replica.wrote(id)
+        return id
+
+    def rewrite(self, id: DatumId, payload: bytes, now: float) -> None:
+        """Under a replicating policy: write a held entry anew (last writer wins). KeyError if it is not held."""
+        if self.replica is None or not 0 < len(payload) <= self.settings.inline_bytes:
+            raise DatumError(f"only a replicating policy rewrites, 1 to {self.settings.inline_bytes} bytes")
+        kind = self.inventory.info(id).kind
+        self.inventory.add(make_datum(id, kind, now, payload))
+        self.replica.wrote(id)
+
+    def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
+        if beacon.sender == self.id:
+            if beacon.epoch == self.store.epoch:
+                self.echoes += 1
+            else:
+                if len(self.rivals) >= 16 and beacon.epoch not in self.rivals:
+                    self.rivals.clear()
+                self.rivals[beacon.epoch] = now
+        else:
+            self.routing.hear(beacon, now)
+        return []
+
+    def _on_data(self, data: Data, now: float) -> list[Message]:
+        committed: list[tuple[int, int]] = []
+        refused: list[int] = []
+        for number, datum in data.handovers:
+            if not datum.intact:
+                self.corrupt_received += 1
+                continue
+            verdict = self.take_custody(data.sender, number, datum)
+            if number == 0:
+                continue
+            if verdict:
+                committed.append((number, datum.crc))
+            else:
+                refused.append(number)
+        if committed or refused:
+            return [Committed(self.id, data.sender, tuple(committed), tuple(refused))]
+        return []
+
+    def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
+        """Accept a datum that arrived whole and intact. False: no room, the giver keeps it."""
+        id = datum.id
+        if self.has_custody(giver, number, id):
+            return True
+        if not self.room_for(len(datum.payload)):
+            self.refused += 1
+            if number == 0:
+                self.observer.dropped(id, Fate.OVERFLOW)
+            return False
+        if self.sink:
+            self.deliver(datum.arrived())
+        else:
+            self.hold(datum.arrived())
+        if number:
+            self.custody.accept(giver, number, id)
+        return True
+
+    def has_custody(self, giver: int, number: int, id: DatumId) -> bool:
+        """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken."""
+        if id in self.archive or (number and self.custody.has_accepted(giver, number, id)):
+            return True
+        if id not in self.inventory:
+            return False
+        # The datum has come round: whatever we offered of it, nobody's answer may delete it any more.
+        self.custody.cancel(id)
+        self.transfers.cancel(id)
+        if number:
+            self.custody.accept(giver, number, id)
+        return True
+
+    def room_for(self, size: int) -> bool:
+        """Whether a datum of `size` bytes of payload can be taken in."""
+        return (self.sink or self.inventory.room_for(size)) and self.store.room_for(size)
+
+    def hold(self, datum: Datum) -> None:
+        """Store a datum in own custody."""
+        self.inventory.add(datum)
+        self.observer.gained(datum)
+
+    def deliver(self, datum: Datum) -> None:
+        """A datum has arrived: at a base that is a sink."""
+        self.store.put(datum)
+        self.archive.add(datum.id)
+        self.observer.delivered(datum)
+
+    def drop(self, id: DatumId, fate: Fate) -> None:
+        """Let go of a held datum."""
+        self.custody.cancel(id)
+        self.transfers.cancel(id)
+        if fate in (Fate.CORRUPTED, Fate.EXPIRED):
+            self.custody.forget(id)
+            self.store.count(fate.value)
+        if self.replica is not None:
+            self.replica.forget(id)
+        self.inventory.remove(id, fate)
+        self.observer.dropped(id, fate)
+
+    def _on_committed(self, message: Committed, now: float) -> list[Message]:
+        for number, crc in message.committed:
+            id = self.custody.answered(number, message.sender)
+            if id is not None and self.inventory.info(id).crc == crc:
+                self.drop(id, Fate.PASSED_ON)
+        for number in message.refused:
+            id = self.custody.answered(number, message.sender)
+            if id is not None:
+                self.custody.cancel(id)
+                self.transfers.cancel(id)
+        return []
+
+    def _on_receipt(self, receipt: Receipt, now: float) -> list[Message]:
+        if not self.sink and self.replica is None:
+            self.archive.learn(receipt)
+            for id in [id for id in self.inventory if id in self.archive]:
+                self.drop(id, Fate.DELIVERED)
+        return []
+
+    def _on_put(self, put: Put, now: float) -> list[Message]:
+        if self.replica is not None and put.datum.intact:
+            self.replica.merge(put)
+        return []
+
+    def _on_loss_note(self, note: LossNote, now: float) -> list[Message]:
+        # Understood on the wire; what to do with it belongs to mirrored custody. Not answered, so it is not lost.
+        return []
+
+    # -- Alg. 1 --------------------------------------------------------------------------------------------------------
+
+    def step(self, now: float) -> list[Message]:
+        """One turn of Alg. 1 but for `store_measurements`, which is `put`. Returns what to send, the beacon first."""
+        settings = self.settings
+        self._steps += 1
+        self.scrub()
+        if settings.lifetime_s is not None:
+            self._expire(now - settings.lifetime_s)
+        routing = self.routing
+        if self.base and settings.seq_period and self._steps % settings.seq_period == 0:
+            routing.raise_number()
+        routing.update(now)
+        out: list[Message] = [self._beacon(now)]
+        if self.sink:
+            if self.base and routing.number != self.store.get_meta("announcement"):
+                self.store.set_meta("announcement", routing.number)
+            if settings.receipts:
+                receipt = self.archive.receipt(self.id, self.store.epoch)
+                if receipt is not None:
+                    out.append(receipt)
+            self.transfers.age(now)
+        elif self.inventory:
+            self._evict(now, out)
+        else:
+            self.transfers.age(now)
+        return out
+
+    def _beacon(self, now: float) -> Beacon:
+        routing = self.routing
+        risk = self.risk.risk(now)
+        inventory = self.inventory
+        free = UNBOUNDED_FREE if self.sink else inventory.free()
+        if free and not self.store.room_for(self.settings.inline_bytes):
+            free = 0
+        route = routing.route
+        if self.base:
+            self.potential = POTENTIAL_BASE if free else 0
+        else:
+            self.potential = self.policy.potential(NO_ROUTE if route is None else route.hops, risk, free)
+        routing.announced()
+        wanted = routing.wanted
+        flags = (BEACON_BASE if self.base else 0) | (BEACON_WANTED if wanted else 0)
+        base, base_epoch, number, hops = route if route is not None else (0, 0, 0, NO_ROUTE)
+        wanted_base, wanted_number = wanted or (0, 0)
+        self._beacon_number = following(self._beacon_number)
+        return Beacon(
+            self.id,
+            self.store.epoch,
+            self._beacon_number,
+            flags,
+            base,
+            base_epoch,
+            number,
+            hops,
+            wanted_base,
+            wanted_number,
+            int(risk * 65535.0 + 0.5),
+            free,
+            self.policy.tag,
+            self.potential,
+            0,
+        )
+
+    def _evict(self, now: float, out: list[Message]) -> None:
+        """`evict_data` of Alg. 1: retransmissions first, then what the policy plans, within the bandwidth."""
+        settings = self.settings
+        batches: dict[int, list[Handover]] = {}
+        budget = settings.bandwidth_items
+        pending = self.custody.pending
+        neighbours = self.routing.neighbours
+        if pending:
+            budget -= self._retry(now, budget, batches, out)
+        self.transfers.age(now)
+        if budget > 0 and neighbours:
+            inventory = self.inventory
+            view = View(
+                neighbours.values(),
+                self.routing.hops,
+                self.potential,
+                self.risk.risk(now),
+                budget,
+                (id for id in inventory if id not in pending) if pending else iter(inventory),
+                self.fresh,
+                self.rng,
+            )
+            for id, target, move in self.policy.plan(view):
+                datum = self.load(id)
+                if datum is None:
+                    continue
+                if not move:
+                    if self.replica is not None:
+                        self.sent_data += 1
+                        out.append(self.replica.message(datum))
+                elif len(datum.payload) > settings.inline_bytes:
+                    self.transfers.begin(datum, target, now, out)
+                else:
+                    self.sent_data += 1
+                    number = 0
+                    if settings.acknowledged:
+                        number = self.custody.give(id, target, now).number
+                    else:
+                        self.drop(id, Fate.PASSED_ON)
+                    batches.setdefault(target, []).append(Handover(number, datum))
+        for target, handovers in batches.items():
+            out.append(Data(self.id, target, tuple(handovers)))
+
+    def _retry(self, now: float, budget: int, batches: dict[int, list[Handover]], out: list[Message]) -> int:
+        """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent. Returns items sent."""
+        settings = self.settings
+        due = now - (settings.retry_steps - 0.5) * settings.step_s
+        neighbours = self.routing.neighbours
+        sent = 0
+        for pending in list(self.custody.pending.values()):
+            if pending.neighbour not in neighbours or pending.tries >= settings.max_tries:
+                self.custody.cancel(pending.id)
+                self.transfers.cancel(pending.id)
+                continue
+            if pending.sent > due or sent >= budget:
+                continue
+            if self.transfers.retry(pending, now, out):
+                continue
+            datum = self.load(pending.id)
+            if datum is not None:
+                pending.tries += 1
+                pending.sent = now
+                sent += 1
+                self.sent_data += 1
+                batches.setdefault(pending.neighbour, []).append(Handover(pending.number, datum))
+        return sent
+
+    # -- care of what is held ------------------------------------------------------------------------------------------
+
+    def load(self, id: DatumId) -> Datum | None:
+        """A held datum as it may be sent. None: its bytes are corrupt, and it has been dropped."""
+        datum = self.store.get(id)
+        if datum is not None and datum.intact:
+            return datum
+        self.drop(id, Fate.CORRUPTED)
+        return None
+
+    def scrub(self) -> None:
+        """Verify checksums of what is held, `scrub_items` of them, going round."""
+        inventory = self.inventory
+        count = len(inventory)
+        if not count:
+            return
+        limit = self.settings.scrub_items
+        if limit is None or limit >= count:
+            ids = list(inventory)
+        else:
+            if self._scrub_at >= count:
+                self._scrub_at = 0
+            ids = inventory.oldest(self._scrub_at, limit)
+            self._scrub_at += limit
+        get = self.store.get
+        for id in ids:
+            datum = get(id)
+            if datum is None or not datum.intact:
+                self.drop(id, Fate.CORRUPTED)
+
+    def _expire(self, before: float) -> None:
+        for id in [id for id in self.inventory if self.inventory.info(id).created < before]:
+            self.drop(id, Fate.EXPIRED)
+
+
+__all__ = ["BROADCAST", "Node", "NodeSettings"]

@@ -1,0 +1,24 @@
+"""What a node tells whoever keeps books about it (the mock swarm's global ledger, a log)."""
+
+from __future__ import annotations
+
+from .datum import Datum, DatumId, Fate
+
+
+class Observer:
+    """Does nothing; override what is of interest. Called while the change is made, before it is durable."""
+
+    def created(self, datum: Datum) -> None:
+        """A datum was created here."""
+
+    def overflow(self) -> None:
+        """A new measurement was refused for want of room; it never got an id."""
+
+    def gained(self, datum: Datum) -> None:
+        """A copy is held here now (its own new datum too)."""
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        """A copy is not held here any more, or (OVERFLOW) was not taken in and has no other holder."""
+
+    def delivered(self, datum: Datum) -> None:
+        """A datum arrived here, at a base, for the first time."""

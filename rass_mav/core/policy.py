@@ -1,0 +1,74 @@
+"""What the node asks of a policy: who is fit, and what goes to whom. The policies live in `rass_mav.policy`."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from .datum import DatumId
+from .messages import BROADCAST
+from .routing import Neighbour
+
+#: Potentials are 32-bit fixed point on the wire: this many units are a fitness of 1.
+POTENTIAL_ONE = 1 << 24
+#: The potential of a base: fitter than anything a drone can reach.
+POTENTIAL_BASE = 0xFFFFFFFF
+
+
+class Transfer(NamedTuple):
+    """One item of a policy's plan."""
+
+    id: DatumId
+    neighbour: int
+    """Node id, or BROADCAST (copies only)."""
+    move: bool
+    """True: hand custody over. False: a copy, which never lets the giver delete."""
+
+
+@dataclass(slots=True)
+class View:
+    """What a policy may look at when it plans a step."""
+
+    neighbours: Iterable[Neighbour]
+    """Neighbours heard lately."""
+    hops: int
+    """Own hop count, or NO_ROUTE."""
+    potential: int
+    """Own potential as announced, in wire units."""
+    risk: float
+    """Own risk, 0..1."""
+    budget: int
+    """How many items may still be sent this step."""
+    free_data: Iterator[DatumId]
+    """Held data that are not being handed over, least recently used first."""
+    fresh: dict[DatumId, None]
+    """Data that came in since they were last broadcast; a policy that broadcasts removes them from here."""
+    rng: random.Random
+    """For choosing among equals."""
+
+
+class Policy(Protocol):
+    """One way of deciding. Stateless: all it needs is in the view, so one instance can serve many nodes."""
+
+    @property
+    def name(self) -> str:
+        """Its name in configurations."""
+
+    @property
+    def tag(self) -> int:
+        """16 bits for name and weights: potentials can be compared only between equal tags."""
+
+    @property
+    def replicates(self) -> bool:
+        """Whether data are broadcast and kept by all (then a base is an ordinary peer with an ordinary store)."""
+
+    def potential(self, hops: int, risk: float, free: int) -> int:
+        """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1."""
+
+    def plan(self, view: View) -> list[Transfer]:
+        """What to send this step, at most `view.budget` items."""
+
+
+__all__ = ["BROADCAST", "POTENTIAL_BASE", "POTENTIAL_ONE", "Policy", "Transfer", "View"]

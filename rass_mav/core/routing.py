@@ -1,0 +1,204 @@
+"""The routing table (Alg. 2) with announcement numbers, ageing and bounds.
+
+Alg. 2 as written counts to infinity when the base vanishes: two nodes go on quoting each other's hop count. Here each
+announcement of a base carries a number, and a neighbour's route is taken only if it is feasible (Babel, RFC 8966,
+section 2.4 and 3.5): newer than what this node has announced itself, or as new and strictly shorter. So the
+graph of next hops has no cycle at any instant, and a route without a base dies out in as many steps as it has hops.
+"""
+
+from __future__ import annotations
+
+from .messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Route
+from .serial import following, newer
+
+#: A beacon this little behind the newest one is a late or doubled frame; one further behind is a restarted neighbour.
+_LATE_WINDOW = 32
+#: How many bases a node remembers feasibility distances of.
+MAX_BASES = 16
+
+
+class Neighbour:
+    """A neighbour as its last beacon described it."""
+
+    __slots__ = ("beacon", "heard", "id")
+
+    def __init__(self, beacon: Beacon, heard: float) -> None:
+        self.id = beacon.sender
+        self.beacon = beacon
+        self.heard = heard
+        """When the beacon was heard, seconds."""
+
+
+class RoutingTable:
+    """Who is around, and the way to a base. One route is chosen; several bases compete like an anycast."""
+
+    def __init__(
+        self,
+        node_id: int,
+        epoch: int,
+        *,
+        base: bool = False,
+        lifetime_s: float,
+        max_neighbours: int = 128,
+        max_hops: int = 250,
+        hold_until: float | None = None,
+        number: int = 0,
+    ) -> None:
+        """`lifetime_s`: a neighbour silent for longer is gone. `max_hops` 1..254.
+
+        `hold_until`: a node that restarts without its feasibility distances takes no route before this time, by when
+        all neighbours have forgotten the routes it used to announce. `number`: a base's first announcement number.
+        """
+        if not 1 <= max_hops <= 254:
+            raise ValueError("max_hops must be in 1..254")
+        self.node_id = node_id
+        self.epoch = epoch
+        self.base = base
+        self.lifetime_s = lifetime_s
+        self.max_neighbours = max_neighbours
+        self.max_hops = max_hops
+        self.number = number
+        self.neighbours: dict[int, Neighbour] = {}
+        self.next_hop: int | None = None
+        self.route: Route | None = Route(node_id, epoch, number, 0) if base else None
+        """The chosen route; its hops are counted from this node."""
+        self.wanted: tuple[int, int] | None = None
+        """(base id, number) this node asks for, for itself or for a neighbour."""
+        self._hold_until = hold_until
+        self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
+        self._asked: tuple[int, int, float] | None = None
+
+    def hear(self, beacon: Beacon, now: float) -> bool:
+        """Take in a neighbour's beacon. False: a duplicate, a late one, or there is no room for a new neighbour."""
+        known = self.neighbours.get(beacon.sender)
+        if known is None:
+            if len(self.neighbours) >= self.max_neighbours and not self._make_room(beacon):
+                return False
+            self.neighbours[beacon.sender] = Neighbour(beacon, now)
+        else:
+            last = known.beacon
+            if (last.number - beacon.number) & 0xFFFF < _LATE_WINDOW and last.epoch == beacon.epoch:
+                return False
+            known.beacon = beacon
+            known.heard = now
+        if beacon.flags & BEACON_WANTED:
+            self._hear_request(beacon.wanted_base, beacon.wanted_number, now)
+        return True
+
+    def _make_room(self, beacon: Beacon) -> bool:
+        worst = min(self.neighbours.values(), key=lambda n: (n.beacon.potential, n.id))
+        if worst.beacon.potential >= beacon.potential or worst.id == self.next_hop:
+            return False
+        del self.neighbours[worst.id]
+        return True
+
+    def _hear_request(self, base: int, number: int, now: float) -> None:
+        if self.base:
+            if base == self.node_id and newer(number, self.number):
+                self.raise_number()
+        elif self.route is not None and self.route.base == base and newer(number, self.route.number):
+            # Only who has a route passes a request on, so requests die out where no base is reachable.
+            self._asked = (base, number, now + self.lifetime_s)
+
+    def raise_number(self) -> None:
+        """As a base: announce anew (every `routing.seq_period` steps, or on request)."""
+        self.number = following(self.number)
+        self.route = Route(self.node_id, self.epoch, self.number, 0)
+
+    def feasible(self, route: Route) -> bool:
+        """Whether a route heard from a neighbour may be taken without risking a loop (RFC 8966, 3.5.1)."""
+        own = self._feasible.get((route.base, route.base_epoch))
+        if own is None or newer(route.number, own[0]):
+            return True
+        return route.number == own[0] and route.hops < own[1]
+
+    def update(self, now: float) -> None:
+        """Forget silent neighbours and choose the route: fewest hops, then newest, then the present next hop."""
+        oldest = now - self.lifetime_s
+        neighbours = self.neighbours
+        gone = None
+        best: Beacon | None = None
+        blocked: tuple[int, int] | None = None
+        node_id = self.node_id
+        feasible = self._feasible
+        for neighbour in neighbours.values():
+            if neighbour.heard < oldest:
+                gone = [neighbour.id] if gone is None else [*gone, neighbour.id]
+                continue
+            b = neighbour.beacon
+            hops = b.hops
+            if hops >= self.max_hops or (best is not None and hops > best.hops) or b.base == node_id:
+                continue
+            own = feasible.get((b.base, b.base_epoch))
+            if own is not None:
+                ahead = (b.route_number - own[0]) & 0xFFFF
+                if ahead == 0:
+                    if hops >= own[1]:
+                        blocked = (b.base, following(own[0]))
+                        continue
+                elif ahead >= 0x8000:
+                    blocked = (b.base, following(own[0]))
+                    continue
+            if best is None or hops < best.hops or self._preferred(b, best):
+                best = b
+        if gone is not None:
+            for id in gone:
+                del neighbours[id]
+        if self.base:
+            return
+        if best is None or (self._hold_until is not None and now < self._hold_until):
+            self.route = None
+            self.next_hop = None
+            self.wanted = blocked
+            return
+        route = self.route
+        hops = best.hops + 1
+        self.next_hop = best.sender
+        if (
+            route is None
+            or route.hops != hops
+            or route.number != best.route_number
+            or route.base != best.base
+            or route.base_epoch != best.base_epoch
+        ):
+            self.route = route = Route(best.base, best.base_epoch, best.route_number, hops)
+        self.wanted = None
+        if self._asked is not None:
+            base, number, until = self._asked
+            if now <= until and route.base == base and newer(number, route.number):
+                self.wanted = (base, number)
+            else:
+                self._asked = None
+
+    def _preferred(self, b: Beacon, best: Beacon) -> bool:
+        """Between routes of as many hops: the newer announcement of the same base, else the present next hop."""
+        if (b.base, b.base_epoch) == (best.base, best.base_epoch) and b.route_number != best.route_number:
+            return newer(b.route_number, best.route_number)
+        return b.sender == self.next_hop
+
+    def announced(self) -> None:
+        """The chosen route has been put into a beacon: from now on only better ones are feasible (RFC 8966, 3.7.3)."""
+        route = self.route
+        if route is None or self.base:
+            return
+        key = (route.base, route.base_epoch)
+        own = self._feasible.get(key)
+        if own is not None:
+            if own[0] == route.number:
+                if route.hops >= own[1]:
+                    return
+            elif not newer(route.number, own[0]):
+                return
+        elif len(self._feasible) >= MAX_BASES:
+            del self._feasible[next(iter(self._feasible))]
+        self._feasible[key] = (route.number, route.hops)
+
+    @property
+    def hops(self) -> int:
+        """Own hop count, or NO_ROUTE."""
+        return NO_ROUTE if self.route is None else self.route.hops
+
+
+def is_base(beacon: Beacon) -> bool:
+    """Whether the sender of a beacon is a base."""
+    return bool(beacon.flags & BEACON_BASE)

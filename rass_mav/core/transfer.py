@@ -1,0 +1,160 @@
+"""Chunked transfers: data too large for one frame, one transfer a neighbour in each direction.
+
+The giver offers, the receiver accepts and names the transfer with a handle, chunks follow in a fixed window, and
+selective acknowledgements say what is missing. The offer is also the probe: after a step without any answer it is sent
+again, and the answer tells where to go on. There is no congestion control: the window is a constant.
+"""
+
+from __future__ import annotations
+
+from .datum import Datum, DatumId, datum_crc
+from .messages import Accept, Chunk, Offer, Sack
+
+#: Chunks that may be on their way, unacknowledged.
+WINDOW = 32
+#: The receiver acknowledges after so many chunks, when asked, and at the end.
+SACK_EVERY = 8
+#: A chunk counts as lost when one sent this much later has arrived.
+REORDER_MARGIN = 3
+
+
+class Outgoing:
+    """The giver's side of a transfer."""
+
+    __slots__ = ("_acked", "_resent", "_sent", "answered", "count", "datum", "handle", "neighbour", "number", "size")
+
+    def __init__(self, datum: Datum, neighbour: int, number: int, chunk_size: int) -> None:
+        self.datum = datum
+        self.neighbour = neighbour
+        self.number = number
+        """The hand-over number."""
+        self.size = chunk_size
+        self.count = -(-len(datum.payload) // chunk_size)
+        """Number of chunks."""
+        self.handle: int | None = None
+        self.answered = False
+        """Whether an answer came since the last probe."""
+        self._acked: set[int] = set()
+        self._sent = 0
+        self._resent: dict[int, int] = {}
+
+    def offer(self, sender: int) -> Offer:
+        """The offer, which is also the probe."""
+        d = self.datum
+        self.answered = False
+        return Offer(
+            sender, self.neighbour, self.number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), self.size
+        )
+
+    def on_accept(self, accept: Accept) -> list[Chunk]:
+        """Begin, or go on after an interruption."""
+        self.answered = True
+        if accept.handle != self.handle:
+            self.handle = accept.handle
+            self._acked.clear()
+        self._acked.update(range(min(accept.next_index, self.count)))
+        self._resent.clear()
+        self._sent = min(accept.next_index, self.count)
+        return self._fill()
+
+    def on_sack(self, sack: Sack) -> list[Chunk]:
+        """Send again what is missing, and more."""
+        self.answered = True
+        acked = self._acked
+        acked.update(range(min(sack.next_index, self.count)))
+        bitmap, index = sack.bitmap, sack.next_index + 1
+        highest = sack.next_index - 1
+        while bitmap and index < self.count:
+            if bitmap & 1:
+                acked.add(index)
+                highest = index
+            bitmap >>= 1
+            index += 1
+        again = []
+        for missing in range(sack.next_index, highest - REORDER_MARGIN + 1):
+            if missing not in acked and self._resent.get(missing, missing) <= highest - REORDER_MARGIN:
+                self._resent[missing] = self._sent
+                again.append(missing)
+        return self._fill(again)
+
+    def _fill(self, again: list[int] | None = None) -> list[Chunk]:
+        indexes = again or []
+        base = self._sent
+        waiting = sum(1 for i in range(max(0, base - 8 * WINDOW), base) if i not in self._acked)
+        while self._sent < self.count and waiting < WINDOW:
+            if self._sent not in self._acked:
+                indexes.append(self._sent)
+                waiting += 1
+            self._sent += 1
+        payload, size, handle = self.datum.payload, self.size, self.handle
+        assert handle is not None
+        last = len(indexes) - 1
+        return [
+            Chunk(self.neighbour, handle, index, n == last, payload[index * size : (index + 1) * size])
+            for n, index in enumerate(indexes)
+        ]
+
+
+class Incoming:
+    """The receiver's side of a transfer. Holds at most one datum's bytes."""
+
+    __slots__ = ("_chunks", "_next", "_since", "count", "handle", "heard", "offer")
+
+    def __init__(self, offer: Offer, handle: int, now: float) -> None:
+        self.offer = offer
+        self.handle = handle
+        self.count = -(-offer.size // offer.chunk_size)
+        self.heard = now
+        """When the giver was last heard, seconds."""
+        self._chunks: dict[int, bytes] = {}
+        self._next = 0
+        self._since = 0
+
+    @property
+    def id(self) -> DatumId:
+        """The datum that is being transferred."""
+        return self.offer.id
+
+    def accept(self, receiver: int) -> Accept:
+        """The answer to the offer, at first and after an interruption."""
+        return Accept(receiver, self.offer.sender, self.offer.number, self.handle, self._next)
+
+    def on_chunk(self, chunk: Chunk, now: float) -> bool:
+        """Take a chunk in. Returns whether to acknowledge now. A chunk of a wrong length is ignored."""
+        index = chunk.position
+        self.heard = now
+        if index < self.count and index not in self._chunks and len(chunk.data) == self._length(index):
+            self._chunks[index] = chunk.data
+            self._since += 1
+            while self._next in self._chunks:
+                self._next += 1
+        if chunk.poll or self._since >= SACK_EVERY:
+            self._since = 0
+            return True
+        return False
+
+    def _length(self, index: int) -> int:
+        size = self.offer.chunk_size
+        return size if index < self.count - 1 else self.offer.size - size * (self.count - 1)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all chunks are there."""
+        return self._next == self.count
+
+    def sack(self, receiver: int) -> Sack:
+        """What has arrived."""
+        bitmap = 0
+        first = self._next + 1
+        for offset in range(256):
+            if first + offset in self._chunks:
+                bitmap |= 1 << offset
+        return Sack(receiver, self.offer.sender, self.handle, self._next, bitmap)
+
+    def datum(self) -> Datum | None:
+        """The datum as it was offered; None if its checksum does not fit. Only when complete."""
+        offer = self.offer
+        payload = b"".join(self._chunks[i] for i in range(self.count))
+        if datum_crc(offer.id, offer.kind, payload) != offer.crc:
+            return None
+        return Datum(offer.id, offer.kind, offer.created, offer.hops, offer.crc, payload)

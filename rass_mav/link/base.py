@@ -1,0 +1,93 @@
+"""What the driver asks of a link."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+#: Where a datagram came from: (IPv4 address, port), or the name of a loopback endpoint and 0.
+Address: TypeAlias = tuple[str, int]
+
+#: Datagrams that may wait in a link for the driver. Beyond it the link stops reading, and the kernel's buffer fills.
+MAX_INBOX = 256
+#: Frames that may wait in a link because the socket would block.
+MAX_OUTBOX = 256
+
+
+class Datagram(NamedTuple):
+    """What has arrived."""
+
+    data: bytes
+    source: Address
+
+
+class LinkCounters(NamedTuple):
+    """What a link has done since it was started."""
+
+    sent: int
+    """Datagrams sent, each receiver that was addressed by itself counted."""
+    received: int
+    """Datagrams taken in; own echoes are not counted."""
+    dropped_in: int
+    """Datagrams that arrived and were lost for want of room, as far as the system tells."""
+    dropped_out: int
+    """Datagrams that could not be sent: no route, nobody there, or too many were waiting."""
+    echoes: int
+    """Own datagrams that came back."""
+
+
+class Link(ABC):
+    """Datagrams in and out. Used on one event loop; never raises for what the network does."""
+
+    def __init__(self, name: str) -> None:
+        """`name`: how status and log call it."""
+        self.name = name
+        self.sent = 0
+        self.received = 0
+        self.dropped_out = 0
+        self.echoes = 0
+        self._inbox: deque[Datagram] = deque()
+        self._wake: Callable[[], None] = _nobody
+
+    @abstractmethod
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
+
+    @abstractmethod
+    def receive(self) -> list[Datagram]:
+        """What has arrived, at most `MAX_INBOX` datagrams, in order. Who does not call it slows the sender, not us."""
+
+    @abstractmethod
+    def send(self, frame: bytes, target: int) -> None:
+        """Send a frame to the node with id `target` if its address is known, else (BROADCAST too) to everybody."""
+
+    @abstractmethod
+    def reaches(self, target: int) -> bool:
+        """Whether the address of this node is known on this link."""
+
+    @abstractmethod
+    def learn(self, node_id: int, source: Address) -> None:
+        """A beacon of this node came from there. What the configuration says of it stays."""
+
+    @abstractmethod
+    def dropped_in(self) -> int:
+        """Datagrams lost on the way in, for want of room. Not for every datagram: may ask the system."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the sockets. What waits to be sent is lost, as frames may be."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something has arrived."""
+        return bool(self._inbox)
+
+    def counters(self) -> LinkCounters:
+        """What has been done so far."""
+        return LinkCounters(self.sent, self.received, self.dropped_in(), self.dropped_out, self.echoes)
+
+
+def _nobody() -> None:
+    """Nobody is listening yet."""

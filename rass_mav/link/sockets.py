@@ -1,0 +1,184 @@
+"""Non-blocking UDP sockets on an event loop, for the links."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from rass_mav.core.errors import LinkError
+
+from .base import MAX_INBOX, MAX_OUTBOX, Address, Datagram
+
+log = logging.getLogger(__name__)
+
+#: Datagrams read at one wake, so that other links and the step get their turn.
+MAX_PER_WAKE = 64
+#: Longer datagrams are cut; a MAVLink frame has at most 280 bytes, but several may share a datagram.
+MAX_DATAGRAM = 4096
+#: Socket buffers, bytes: about a thousand frames. The system may grant less.
+_BUFFER_BYTES = 1 << 19
+
+
+def bound_socket(name: str, address: Address) -> socket.socket:
+    """A non-blocking UDP socket bound to an address (port 0: any). Raises `LinkError`: `name: address already in use`."""
+    sock = udp_socket()
+    try:
+        sock.bind(address)
+    except OSError as error:
+        sock.close()
+        raise LinkError(f"{name}: {(error.strerror or str(error)).lower()}") from None
+    return sock
+
+
+def udp_socket() -> socket.socket:
+    """An unbound non-blocking UDP socket that may broadcast."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    return sock
+
+
+class Reader:
+    """Drains a socket into an inbox whenever there is something, up to a bound; then the kernel has to keep it."""
+
+    def __init__(
+        self, sock: socket.socket, inbox: deque[Datagram], wake: Callable[[], None], *, is_echo: Callable[[Address], bool]
+    ) -> None:
+        """`is_echo`: whether a datagram from there is one of our own."""
+        self._sock = sock
+        self._inbox = inbox
+        self._wake = wake
+        self._is_echo = is_echo
+        self._loop = asyncio.get_running_loop()
+        self._reading = False
+        self.echoes = 0
+        self.resume()
+
+    def resume(self) -> None:
+        """Go on reading after the inbox was emptied."""
+        if not self._reading:
+            self._reading = True
+            self._loop.add_reader(self._sock, self._readable)
+
+    def stop(self) -> None:
+        """Read no more."""
+        if self._reading:
+            self._reading = False
+            self._loop.remove_reader(self._sock)
+
+    def _readable(self) -> None:
+        inbox = self._inbox
+        receive = self._sock.recvfrom
+        for _ in range(MAX_PER_WAKE):
+            if len(inbox) >= MAX_INBOX:
+                self.stop()
+                break
+            try:
+                data, source = receive(MAX_DATAGRAM)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                # An earlier datagram was refused by its receiver, for instance; the next one may be good.
+                log.debug("receiving: %s", error)
+                continue
+            if self._is_echo(source):
+                self.echoes += 1
+            else:
+                inbox.append(Datagram(data, source))
+        if inbox:
+            self._wake()
+
+
+class Sender:
+    """Sends at once; what the socket does not take waits, up to a bound."""
+
+    def __init__(self, sock: socket.socket, name: str) -> None:
+        self._sock = sock
+        self._name = name
+        self._outbox: deque[tuple[bytes, Address | None]] = deque()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self.sent = 0
+        self.dropped = 0
+        self._trouble = ""
+
+    def send(self, frame: bytes, address: Address | None) -> None:
+        """`address`: None for a connected socket."""
+        if self._outbox:
+            self._wait(frame, address)
+        elif not self._try(frame, address):
+            self._wait(frame, address)
+            self._loop = asyncio.get_running_loop()
+            self._loop.add_writer(self._sock, self._writable)
+
+    def _wait(self, frame: bytes, address: Address | None) -> None:
+        if len(self._outbox) >= MAX_OUTBOX:
+            # The oldest waits longest and is the least use to anybody.
+            self._outbox.popleft()
+            self.dropped += 1
+        self._outbox.append((frame, address))
+
+    def _try(self, frame: bytes, address: Address | None) -> bool:
+        """False: the socket would block."""
+        try:
+            if address is None:
+                self._sock.send(frame)
+            else:
+                self._sock.sendto(frame, address)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            self.dropped += 1
+            text = error.strerror or str(error)
+            if text != self._trouble:
+                # Once, until something else happens: a network that is away stays away for many frames.
+                self._trouble = text
+                log.warning("%s: cannot send: %s", self._name, text.lower())
+            return True
+        self.sent += 1
+        if self._trouble:
+            self._trouble = ""
+            log.info("%s: sending again", self._name)
+        return True
+
+    def _writable(self) -> None:
+        while self._outbox and self._try(*self._outbox[0]):
+            self._outbox.popleft()
+        if not self._outbox:
+            self.stop()
+
+    def stop(self) -> None:
+        """Forget what waits."""
+        self._outbox.clear()
+        if self._loop is not None:
+            self._loop.remove_writer(self._sock)
+            self._loop = None
+
+
+def kernel_drops(sock: socket.socket) -> int:
+    """Datagrams that found the socket's receive buffer full; 0 where the system (Linux: /proc/net/udp) does not tell."""
+    try:
+        inode = str(os.fstat(sock.fileno()).st_ino)
+        with Path("/proc/net/udp").open(encoding="ascii") as table:
+            for line in table:
+                fields = line.split()
+                if len(fields) >= 13 and fields[9] == inode:
+                    return int(fields[12])
+    except OSError:
+        pass
+    return 0
+
+
+def is_local(host: str) -> bool:
+    """Whether an IPv4 address is one of this machine's, now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError:
+            return False
+    return True

@@ -1,0 +1,172 @@
+"""UDP between neighbours: unicast to named peers, broadcast, multicast.
+
+All frames leave from one socket, bound to `listen`, and unicast arrives there. For multicast a second socket, which
+other nodes on the same host share, listens at the group. So each node has a source address of its own, by which its
+neighbours answer and by which it knows its own echoes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from rass_mav.core.errors import LinkError
+
+from .address import resolve
+from .base import MAX_INBOX, Address, Datagram, Link
+from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
+
+#: Addresses learned from beacons that a link remembers; beyond it the longest silent one is forgotten.
+MAX_LEARNED = 512
+# How long an answer to "is this address ours" holds, seconds: interfaces come and go.
+_LOCAL_S = 30.0
+_MAX_LOCAL = 256
+
+
+class Peer(NamedTuple):
+    """A neighbour that the configuration names."""
+
+    address: Address
+    node_id: int | None = None
+    """If known, frames for this node go to it alone from the start; else once a beacon of it has been heard."""
+
+
+class UdpLink(Link):
+    """A link between neighbours. Opens its sockets when made."""
+
+    def __init__(
+        self,
+        listen: Address,
+        *,
+        peers: Iterable[Peer] = (),
+        broadcast: Address | None = None,
+        multicast: Address | None = None,
+        interface: str | None = None,
+        ttl: int = 1,
+    ) -> None:
+        """`listen`: own address, port 0 for any. `interface`: own IPv4 address on the network that multicast uses;
+        None: the system chooses. `ttl`: routers that a multicast frame may pass, plus one.
+
+        Host names are looked up, which may take seconds. Raises `LinkError`.
+        """
+        super().__init__(f"udp:{listen[0]}:{listen[1]}")
+        peers = list(peers)
+        self._everybody = [resolve(peer.address, self.name) for peer in peers]
+        self._configured = {
+            peer.node_id: address
+            for peer, address in zip(peers, self._everybody, strict=True)
+            if peer.node_id is not None
+        }
+        if broadcast is not None:
+            self._everybody.append(resolve(broadcast, self.name))
+        if multicast is not None:
+            self._everybody.append(multicast)
+        self._learned: OrderedDict[int, Address] = OrderedDict()
+        self._local: dict[str, bool] = {}
+        self._local_until = 0.0
+        self._readers: list[Reader] = []
+        self._socket = bound_socket(self.name, resolve(listen, self.name))
+        self._sockets = [self._socket]
+        try:
+            self.address: Address = self._socket.getsockname()
+            self.name = f"udp:{self.address[0]}:{self.address[1]}"
+            if multicast is not None:
+                self._sockets.append(self._join(multicast, interface, ttl))
+        except BaseException:
+            self.close()
+            raise
+        self._sender = Sender(self._socket, self.name)
+
+    def _join(self, group: Address, interface: str | None, ttl: int) -> socket.socket:
+        own = socket.inet_aton(interface or "0.0.0.0")
+        sock = udp_socket()
+        try:
+            if interface is not None:
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, own)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, ttl)
+            # Other nodes on this host are neighbours too.
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            sock.bind(group)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group[0]) + own)
+        except OSError as error:
+            sock.close()
+            where = f" on {interface}" if interface else ""
+            reason = (error.strerror or str(error)).lower()
+            raise LinkError(f"{self.name}: multicast {group[0]}:{group[1]}{where}: {reason}") from None
+        return sock
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to read, on the running event loop."""
+        self._wake = wake
+        self._readers = [Reader(sock, self._inbox, wake, is_echo=self._is_own) for sock in self._sockets]
+
+    def receive(self) -> list[Datagram]:
+        """What has arrived."""
+        arrived = list(self._inbox)
+        self._inbox.clear()
+        self.received += len(arrived)
+        if len(arrived) >= MAX_INBOX:
+            for reader in self._readers:
+                reader.resume()
+        return arrived
+
+    def _is_own(self, source: Address) -> bool:
+        if source[1] != self.address[1]:
+            return False
+        now = asyncio.get_running_loop().time()
+        if now >= self._local_until or len(self._local) >= _MAX_LOCAL:
+            self._local.clear()
+            self._local_until = now + _LOCAL_S
+        own = self._local.get(source[0])
+        if own is None:
+            own = self._local[source[0]] = is_local(source[0])
+        return own
+
+    def send(self, frame: bytes, target: int) -> None:
+        """To the target's address if it is known, else to all peers, the broadcast address and the group."""
+        address = self._configured.get(target) or self._learned.get(target)
+        if address is not None:
+            self._sender.send(frame, address)
+        else:
+            for address in self._everybody:
+                self._sender.send(frame, address)
+        self.sent = self._sender.sent
+        self.dropped_out = self._sender.dropped
+
+    def reaches(self, target: int) -> bool:
+        """Whether the node is configured with its id, or has been heard."""
+        return target in self._configured or target in self._learned
+
+    def learn(self, node_id: int, source: Address) -> None:
+        """From now on, frames for this node go there."""
+        if node_id in self._configured:
+            return
+        learned = self._learned
+        learned[node_id] = source
+        learned.move_to_end(node_id)
+        if len(learned) > MAX_LEARNED:
+            learned.popitem(last=False)
+
+    def dropped_in(self) -> int:
+        """What the kernel had no room for."""
+        return sum(kernel_drops(sock) for sock in self._sockets)
+
+    @property
+    def echoes(self) -> int:
+        """Own datagrams that came back."""
+        return sum(reader.echoes for reader in self._readers)
+
+    @echoes.setter
+    def echoes(self, value: int) -> None:
+        assert value == 0
+
+    def close(self) -> None:
+        """Release the sockets."""
+        for reader in self._readers:
+            reader.stop()
+        for sock in self._sockets:
+            sock.close()

@@ -1,0 +1,274 @@
+"""Messages of the common dialect: from frames to pymavlink's message objects, and builders for those we send.
+
+Field definitions: https://mavlink.io/en/messages/common.html. Builders take the units that people use (degrees, metres)
+and raise ValueError for values out of range, which are mistakes of the caller.
+"""
+
+from __future__ import annotations
+
+from rass_mav.core.errors import MalformedError
+
+from .dialect import MavlinkMessage, common, crc_extra_of
+from .frames import Frame
+
+__all__ = [
+    "MavlinkMessage",
+    "autopilot_heartbeat",
+    "companion_heartbeat",
+    "crc_extra_of",
+    "global_position_int",
+    "global_position_int_payload",
+    "home_position",
+    "local_position_ned",
+    "named_value_float",
+    "named_value_float_payload",
+    "parse",
+    "set_message_interval",
+    "statustext",
+]
+
+HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
+LOCAL_POSITION_NED: int = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+GLOBAL_POSITION_INT: int = common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+COMMAND_LONG: int = common.MAVLINK_MSG_ID_COMMAND_LONG
+COMMAND_ACK: int = common.MAVLINK_MSG_ID_COMMAND_ACK
+RADIO_STATUS: int = common.MAVLINK_MSG_ID_RADIO_STATUS
+HOME_POSITION: int = common.MAVLINK_MSG_ID_HOME_POSITION
+NAMED_VALUE_FLOAT: int = common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
+STATUSTEXT: int = common.MAVLINK_MSG_ID_STATUSTEXT
+TUNNEL: int = common.MAVLINK_MSG_ID_TUNNEL
+
+#: The longest name of a NAMED_VALUE_FLOAT, in bytes.
+NAME_SIZE = 10
+#: Bytes of text in one STATUSTEXT, and the most pieces with text that a longer one is cut into.
+TEXT_SIZE = 50
+TEXT_PIECES = 8
+
+# `<version>` of minimal.xml; a heartbeat carries it.
+_DIALECT_VERSION = 3
+_UNKNOWN_HEADING = 0xFFFF
+_pack_global_position = common.MAVLink_global_position_int_message.unpacker.pack
+_pack_named_value = common.MAVLink_named_value_float_message.unpacker.pack
+
+
+def parse(frame: Frame) -> MavlinkMessage:
+    """The pymavlink message object of a frame, the same that pymavlink's own parser makes.
+
+    Fields that were trimmed are zero; bytes beyond the fields we know are ignored.
+
+    :raises MalformedError: the dialect has no message with this id, or it cannot be built from this payload.
+    """
+    definition = common.mavlink_map.get(frame.message_id)
+    if definition is None:
+        raise MalformedError(f"message id {frame.message_id} is not in the dialect")
+    unpacker = definition.unpacker
+    values = unpacker.unpack_from(frame.payload.ljust(unpacker.size, b"\0"))
+    # On the wire fields are sorted by size. `lengths` says how many values each takes, in that order (a char array is
+    # one value), `orders` where each field of the definition stands on the wire.
+    fields: list[object] = []
+    position = 0
+    for length in definition.lengths:
+        value = values[position]
+        if isinstance(value, bytes):
+            fields.append(value.rstrip(b"\0"))
+        else:
+            fields.append(value if length == 1 else list(values[position : position + length]))
+        position += length
+    try:
+        message = definition(*(fields[order] for order in definition.orders))
+    except (TypeError, ValueError) as error:
+        raise MalformedError(f"{definition.msgname}: {error}") from error
+    header = message.get_header()
+    header.mlen = len(frame.payload)
+    header.seq = frame.sequence
+    header.srcSystem = frame.system_id
+    header.srcComponent = frame.component_id
+    return message
+
+
+def companion_heartbeat() -> MavlinkMessage:
+    """HEARTBEAT of a companion computer: it is active and no autopilot."""
+    return common.MAVLink_heartbeat_message(
+        common.MAV_TYPE_ONBOARD_CONTROLLER,
+        common.MAV_AUTOPILOT_INVALID,
+        0,
+        0,
+        common.MAV_STATE_ACTIVE,
+        _DIALECT_VERSION,
+    )
+
+
+def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkMessage:
+    """HEARTBEAT of an ArduPilot quadrotor, for a mock flight controller.
+
+    :param custom_mode: the flight mode as ArduCopter counts them, 0..2^32 - 1.
+    """
+    base_mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+    return common.MAVLink_heartbeat_message(
+        common.MAV_TYPE_QUADROTOR,
+        common.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        base_mode,
+        custom_mode,
+        common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY,
+        _DIALECT_VERSION,
+    )
+
+
+def _degrees_e7(latitude: float, longitude: float) -> tuple[int, int]:
+    if not (-90.0 <= latitude <= 90.0 and -180.0 <= longitude <= 180.0):
+        raise ValueError(f"not a place on Earth: latitude {latitude}, longitude {longitude}")
+    return round(latitude * 1e7), round(longitude * 1e7)
+
+
+def _global_position_fields(
+    latitude: float,
+    longitude: float,
+    altitude: float,
+    relative_altitude: float,
+    time_boot_ms: int,
+    velocity: tuple[float, float, float],
+    heading: float | None,
+) -> tuple[int, ...]:
+    lat, lon = _degrees_e7(latitude, longitude)
+    vx, vy, vz = velocity
+    return (
+        time_boot_ms & 0xFFFFFFFF,
+        lat,
+        lon,
+        round(altitude * 1000.0),
+        round(relative_altitude * 1000.0),
+        round(vx * 100.0),
+        round(vy * 100.0),
+        round(vz * 100.0),
+        _UNKNOWN_HEADING if heading is None else round(heading % 360.0 * 100.0) % 36000,
+    )
+
+
+def global_position_int(
+    latitude: float,
+    longitude: float,
+    altitude: float,
+    relative_altitude: float,
+    time_boot_ms: int,
+    *,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    heading: float | None = None,
+) -> MavlinkMessage:
+    """GLOBAL_POSITION_INT.
+
+    :param latitude: degrees, -90..90.
+    :param longitude: degrees, -180..180.
+    :param altitude: metres above mean sea level.
+    :param relative_altitude: metres above home.
+    :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
+    :param velocity: metres per second to north, east and down, each within +-327.67.
+    :param heading: degrees clockwise from north; None: not known.
+    :raises ValueError: a latitude or longitude out of its range.
+    """
+    return common.MAVLink_global_position_int_message(
+        *_global_position_fields(latitude, longitude, altitude, relative_altitude, time_boot_ms, velocity, heading)
+    )
+
+
+def global_position_int_payload(
+    latitude: float,
+    longitude: float,
+    altitude: float,
+    relative_altitude: float,
+    time_boot_ms: int,
+    *,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    heading: float | None = None,
+) -> bytes:
+    """The payload (28 bytes) of `global_position_int` without a message object, for `FrameWriter.frame`.
+
+    A mock flight controller sends one each step; this takes a third of the time.
+    """
+    payload: bytes = _pack_global_position(
+        *_global_position_fields(latitude, longitude, altitude, relative_altitude, time_boot_ms, velocity, heading)
+    )
+    return payload
+
+
+def _name(name: str) -> bytes:
+    encoded = name.encode("ascii")
+    if not 1 <= len(encoded) <= NAME_SIZE or 0 in encoded:
+        raise ValueError(f"a NAMED_VALUE_FLOAT's name has 1 to {NAME_SIZE} ASCII characters: {name!r}")
+    return encoded
+
+
+def named_value_float(name: str, value: float, time_boot_ms: int) -> MavlinkMessage:
+    """NAMED_VALUE_FLOAT.
+
+    :param name: 1 to 10 ASCII characters.
+    :param value: rounded to 32 bits on the wire.
+    :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
+    :raises ValueError: a name that does not fit.
+    """
+    return common.MAVLink_named_value_float_message(time_boot_ms & 0xFFFFFFFF, _name(name), value)
+
+
+def named_value_float_payload(name: str, value: float, time_boot_ms: int) -> bytes:
+    """The payload (18 bytes) of `named_value_float` without a message object, for `FrameWriter.frame`."""
+    payload: bytes = _pack_named_value(time_boot_ms & 0xFFFFFFFF, value, _name(name))
+    return payload
+
+
+def local_position_ned(
+    x: float, y: float, z: float, time_boot_ms: int, *, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> MavlinkMessage:
+    """LOCAL_POSITION_NED: metres to north, east and down of the origin; velocity in metres per second likewise."""
+    return common.MAVLink_local_position_ned_message(time_boot_ms & 0xFFFFFFFF, x, y, z, *velocity)
+
+
+def home_position(latitude: float, longitude: float, altitude: float) -> MavlinkMessage:
+    """HOME_POSITION in degrees and metres above mean sea level, upright, with the local origin at home.
+
+    :raises ValueError: a latitude or longitude out of its range.
+    """
+    lat, lon = _degrees_e7(latitude, longitude)
+    upright = [1.0, 0.0, 0.0, 0.0]
+    return common.MAVLink_home_position_message(
+        lat, lon, round(altitude * 1000.0), 0.0, 0.0, 0.0, upright, 0.0, 0.0, 0.0
+    )
+
+
+def statustext(severity: int, text: str, *, text_id: int = 1) -> list[MavlinkMessage]:
+    """STATUSTEXT, in several messages if the text is longer than 50 characters.
+
+    :param severity: MAV_SEVERITY, 0 (emergency) .. 7 (debug).
+    :param text: other than ASCII becomes `?`, since some ground stations read nothing else. Cut after
+        `TEXT_SIZE * TEXT_PIECES` characters.
+    :param text_id: 1..65535, ties the pieces of one text together: pass another one for each text.
+    """
+    encoded = text.replace("\0", " ").encode("ascii", errors="replace")
+    if len(encoded) <= TEXT_SIZE:
+        return [common.MAVLink_statustext_message(severity, encoded)]
+    pieces = [encoded[start : start + TEXT_SIZE] for start in range(0, len(encoded), TEXT_SIZE)][:TEXT_PIECES]
+    if len(pieces[-1]) == TEXT_SIZE:
+        # A receiver knows the last piece by its end: a zero byte within the 50.
+        pieces.append(b"")
+    return [common.MAVLink_statustext_message(severity, piece, text_id, index) for index, piece in enumerate(pieces)]
+
+
+def set_message_interval(
+    message_id: int, interval_s: float, *, target_system: int, target_component: int
+) -> MavlinkMessage:
+    """COMMAND_LONG with MAV_CMD_SET_MESSAGE_INTERVAL: asks an autopilot for a message at a fixed rate.
+
+    :param message_id: the message wanted.
+    :param interval_s: seconds between two; the wire has whole microseconds.
+    """
+    return common.MAVLink_command_long_message(
+        target_system,
+        target_component,
+        common.MAV_CMD_SET_MESSAGE_INTERVAL,
+        0,
+        message_id,
+        round(interval_s * 1e6),
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )

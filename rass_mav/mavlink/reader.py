@@ -1,0 +1,178 @@
+"""From any bytes to MAVLink frames, version 1 and 2.
+
+Nothing is believed before a checksum has proved it. Where a magic byte starts something that turns out not to be a
+frame (a false start), the search goes on one byte behind it, so that garbage never swallows a true frame.
+
+A frame with a message id that the dialect does not know cannot be checked, because its CRC_EXTRA is not known. It is
+counted once and not returned. Its length is not believed either: the search goes on one byte behind its start, but what
+is found to be no frame within the length it claims is not counted again. The price is small: bytes inside it that are a
+whole frame with a good checksum of their own are taken for one.
+
+Work is linear in the bytes fed: each byte starts at most one candidate, and a candidate is checked at most once, over
+at most 280 bytes. Between two feeds at most 279 bytes are kept: a frame that lacks its end.
+"""
+
+from __future__ import annotations
+
+import re
+
+from .crc import crc16
+from .dialect import FORMATS
+from .frames import FLAG_SIGNED, MAGIC_V2, Frame
+from .signing import SIGNATURE_SIZE, Verifier
+
+#: The longest frame: header 10, payload 255, checksum 2, signature 13.
+MAX_FRAME = 280
+
+_MAGIC = re.compile(rb"[\xfd\xfe]")
+_HEADER_V1 = 6
+_HEADER_V2 = 10
+# Bytes of a version 2 frame but for its payload: unsigned, signed.
+_AROUND = (_HEADER_V2 + 2, _HEADER_V2 + 2 + SIGNATURE_SIZE)
+
+
+class FrameReader:
+    """Reads the frames of one stream or of the datagrams of one link. Never raises, whatever the bytes."""
+
+    __slots__ = (
+        "_buffer",
+        "_needed",
+        "_unknown_left",
+        "frames",
+        "garbage_bytes",
+        "malformed",
+        "rejected",
+        "unknown",
+        "verifier",
+    )
+
+    def __init__(self, verifier: Verifier | None = None) -> None:
+        """:param verifier: checks signatures; None: signatures are not looked at."""
+        self.verifier = verifier
+        # A candidate that lacks its end; it begins with a magic byte. `_needed`: its length as far as that is known.
+        self._buffer = b""
+        self._needed = 0
+        # How many bytes from the start of the buffer a frame with an unknown id claims.
+        self._unknown_left = 0
+        self.frames = 0
+        """Frames returned."""
+        self.malformed = 0
+        """False starts: wrong checksum, or flags that we do not understand, or (at `flush`) no end."""
+        self.garbage_bytes = 0
+        """Bytes that belong to no frame, those of false starts included."""
+        self.unknown = 0
+        """Frames (or false starts) with a message id that is not in the dialect."""
+        self.rejected = 0
+        """Frames with a good checksum that the verifier refused: no signature, a bad one, or a replay."""
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the end of their frame, 0..279."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take what has arrived, of any length, and return the frames that are now whole, in order.
+
+        :param data: bytes (not a bytearray: parts of it may be kept).
+        """
+        if self._buffer:
+            data = self._buffer + data
+            if len(data) < self._needed:
+                self._buffer = data
+                return []
+        elif len(data) >= _HEADER_V2 + 2 and data[0] == MAGIC_V2 and len(data) == _AROUND[data[2] & 1] + data[1]:
+            # The usual datagram, exactly one whole frame, takes a short way; `_scan` would find the same.
+            message_id = data[7] | data[8] << 8 | data[9] << 16
+            known = FORMATS.get(message_id)
+            if known is not None and data[2] <= FLAG_SIGNED:
+                frame, good = self._check(data, message_id, known.crc_extra)
+                if good:
+                    self._unknown_left = 0
+                    return [] if frame is None else [frame]
+        return self._scan(data, final=False)
+
+    def flush(self) -> list[Frame]:
+        """Give up waiting for the end of a frame, and return the frames found behind its start.
+
+        For the end of a file, and after each datagram where a frame never spans two.
+        """
+        frames = self._scan(self._buffer, final=True)
+        self._unknown_left = 0
+        return frames
+
+    def _scan(self, data: bytes, *, final: bool) -> list[Frame]:
+        frames: list[Frame] = []
+        position = 0
+        size = len(data)
+        self._needed = 0
+        claimed = self._unknown_left  # up to here, bytes are accounted for by a frame with an unknown id
+        while True:
+            found = _MAGIC.search(data, position)
+            start = found.start() if found else size
+            self.garbage_bytes += max(0, start - max(position, claimed))
+            position = start
+            if found is None:
+                break
+            header = _HEADER_V2 if data[start] == MAGIC_V2 else _HEADER_V1
+            if start + header <= size:
+                length, message_id = _shape(data, start)
+                known = FORMATS.get(message_id)
+                if length and known is None:
+                    if start >= claimed:
+                        self.unknown += 1
+                        claimed = start + length
+                    position += 1
+                    continue
+                # In version 1 nothing is trimmed or appended, so a longer payload cannot be.
+                if known is not None and header == _HEADER_V1 and length > known.size + _HEADER_V1 + 2:
+                    length = 0
+            else:
+                length, message_id, known = header, -1, None
+            if length and start + length > size and not final:
+                self._needed = length
+                break
+            if length and known is not None and start + length <= size:
+                frame, good = self._check(data[start : start + length], message_id, known.crc_extra)
+                if good:
+                    position = start + length
+                    claimed = 0
+                    if frame is not None:
+                        frames.append(frame)
+                    continue
+            # A false start.
+            if start >= claimed:
+                self.malformed += 1
+                self.garbage_bytes += 1
+            position += 1
+        self._buffer = data[position:]
+        self._unknown_left = max(0, claimed - position)
+        return frames
+
+    def _check(self, raw: bytes, message_id: int, crc_extra: bytes) -> tuple[Frame | None, bool]:
+        """The frame that `raw` holds, unless it is refused; and whether its checksum is good."""
+        if raw[0] == MAGIC_V2:
+            header, signed = _HEADER_V2, raw[2] == FLAG_SIGNED
+            sequence, system_id, component_id = raw[4], raw[5], raw[6]
+        else:
+            header, signed = _HEADER_V1, False
+            sequence, system_id, component_id = raw[2], raw[3], raw[4]
+        end = header + raw[1]
+        if crc16(raw[1:end] + crc_extra) != raw[end] | raw[end + 1] << 8:
+            return None, False
+        verifier = self.verifier
+        if verifier is not None and not (verifier.verify(raw) if signed else verifier.accept_unsigned):
+            self.rejected += 1
+            return None, True
+        self.frames += 1
+        return Frame(message_id, sequence, system_id, component_id, raw[header:end], signed), True
+
+
+def _shape(data: bytes, start: int) -> tuple[int, int]:
+    """Length of the frame that the header at `start` announces, 0 if it has flags we do not know; and message id."""
+    if data[start] != MAGIC_V2:
+        return data[start + 1] + _HEADER_V1 + 2, data[start + 5]
+    flags = data[start + 2]
+    if flags & ~FLAG_SIGNED:
+        return 0, -1
+    message_id = int.from_bytes(data[start + 7 : start + 10], "little")
+    return data[start + 1] + _AROUND[flags], message_id

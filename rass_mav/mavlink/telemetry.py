@@ -1,0 +1,203 @@
+"""What the vehicle's autopilot says about the vehicle: position, home, heartbeat, reading.
+
+Only one autopilot is believed. A component on the same link, or a neighbour's autopilot whose frames a radio or router
+passes on, says the same messages about something else.
+
+One echo cannot be told apart: PX4 repeats a companion's NAMED_VALUE_FLOAT as if it had measured it itself. So never
+send the autopilot a value under the name of the reading.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from rass_mav.core.errors import ConfigError
+
+from .dialect import common
+from .frames import Frame
+from .identity import AUTOPILOT_COMPONENT
+from .messages import GLOBAL_POSITION_INT, HEARTBEAT, HOME_POSITION, LOCAL_POSITION_NED, NAME_SIZE, NAMED_VALUE_FLOAT
+
+_global_position = common.MAVLink_global_position_int_message.unpacker
+_named_value = common.MAVLink_named_value_float_message.unpacker
+_local_position = common.MAVLink_local_position_ned_message.unpacker
+_home_position = common.MAVLink_home_position_message.unpacker
+_heartbeat = common.MAVLink_heartbeat_message.unpacker
+_NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
+_ARMED: int = common.MAV_MODE_FLAG_SAFETY_ARMED
+
+_MAX_LATITUDE = 900_000_000
+_MAX_LONGITUDE = 1_800_000_000
+
+#: A fall of time_boot_ms by more than this is a reboot; a smaller one is a frame that was overtaken on its way.
+REBOOT_MS = 5000
+
+
+class Position(NamedTuple):
+    """A place on Earth."""
+
+    latitude: float
+    """Degrees, -90..90."""
+    longitude: float
+    """Degrees, -180..180."""
+    altitude: float
+    """Metres above mean sea level."""
+    relative_altitude: float
+    """Metres above home."""
+    at: float
+    """When it was received, in seconds on the caller's timeline."""
+
+
+class LocalPosition(NamedTuple):
+    """A place relative to the autopilot's local origin."""
+
+    x: float
+    """Metres to north."""
+    y: float
+    """Metres to east."""
+    z: float
+    """Metres down."""
+    at: float
+    """When it was received, in seconds on the caller's timeline."""
+
+
+class Reading(NamedTuple):
+    """What the sensor said."""
+
+    value: float
+    """Finite, in the sensor's unit."""
+    at: float
+    """When it was received, in seconds on the caller's timeline."""
+
+
+class Telemetry:
+    """The state of the vehicle as its autopilot tells it. Give it every frame that comes in."""
+
+    def __init__(self, system_id: int, component_id: int = AUTOPILOT_COMPONENT, reading_name: str = "RAD") -> None:
+        """:param system_id: of the autopilot, 1..255. 0: that of the first autopilot heard, and from then on only that.
+        :param component_id: of the autopilot.
+        :param reading_name: name of the NAMED_VALUE_FLOAT that holds the reading, 1 to 10 ASCII characters.
+        :raises ConfigError: a name that does not fit.
+        """
+        if not (reading_name.isascii() and 1 <= len(reading_name) <= NAME_SIZE):
+            raise ConfigError(f"a reading's name has 1 to {NAME_SIZE} ASCII characters, got {reading_name!r}")
+        self.system_id = system_id
+        """0 as long as no autopilot has been heard."""
+        self.component_id = component_id
+        self._name = reading_name.encode("ascii")
+        self._name_padded = self._name.ljust(NAME_SIZE, b"\0")
+        self.position: Position | None = None
+        """The last position fix."""
+        self.local: LocalPosition | None = None
+        self.home: Position | None = None
+        """Home, with relative altitude 0."""
+        self.reading: Reading | None = None
+        self.heartbeat_at: float | None = None
+        """When the last heartbeat was received."""
+        self.armed = False
+        self.boot_ms = 0
+        """The autopilot's last time_boot_ms."""
+        self.reboots = 0
+        """How often time_boot_ms fell by more than `REBOOT_MS`: message rates must be asked for again."""
+        self.rejected = 0
+        """Values from our autopilot that cannot be: a reading or local position that is not finite, degrees out of
+        range."""
+        self.foreign = 0
+        """Readings from another system or component, which were not used."""
+
+    def handle(self, frame: Frame, now: float) -> bool:
+        """Take what a frame says.
+
+        :param now: seconds on the caller's timeline.
+        :returns: True if it was from our autopilot and changed what is known; False otherwise, also for values that
+            were rejected and for a position without a fix.
+        """
+        message_id, _, system_id, component_id, payload, _ = frame
+        if system_id != self.system_id or component_id != self.component_id or not system_id:
+            if message_id == NAMED_VALUE_FLOAT:
+                if self.system_id and self._is_reading(payload[8:18]):
+                    self.foreign += 1
+                return False
+            if self.system_id or not system_id or component_id != self.component_id or message_id != HEARTBEAT:
+                return False
+            return self._on_heartbeat(payload, now, latch=system_id)
+        if message_id == NAMED_VALUE_FLOAT:
+            return self._on_named_value(payload, now)
+        if message_id == GLOBAL_POSITION_INT:
+            return self._on_global_position(payload, now)
+        if message_id == HEARTBEAT:
+            return self._on_heartbeat(payload, now)
+        if message_id == LOCAL_POSITION_NED:
+            return self._on_local_position(payload, now)
+        if message_id == HOME_POSITION:
+            return self._on_home_position(payload, now)
+        return False
+
+    def _is_reading(self, name: bytes) -> bool:
+        # Behind the zero that ends the name there may be anything.
+        return name == self._name_padded or name.split(b"\0", 1)[0] == self._name
+
+    def _on_named_value(self, payload: bytes, now: float) -> bool:
+        boot_ms, value, name = _named_value.unpack_from(payload.ljust(_named_value.size, b"\0"))
+        if boot_ms:
+            self._on_boot_time(boot_ms)
+        if not self._is_reading(name):
+            return False
+        if not math.isfinite(value):
+            self.rejected += 1
+            return False
+        self.reading = Reading(value, now)
+        return True
+
+    def _on_global_position(self, payload: bytes, now: float) -> bool:
+        boot_ms, lat, lon, alt, relative_alt, _, _, _, _ = _global_position.unpack_from(
+            payload.ljust(_global_position.size, b"\0")
+        )
+        if boot_ms:
+            self._on_boot_time(boot_ms)
+        if not self._is_place(lat, lon, alt):
+            return False
+        self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, relative_alt / 1e3, now)
+        return True
+
+    def _on_local_position(self, payload: bytes, now: float) -> bool:
+        boot_ms, x, y, z, _, _, _ = _local_position.unpack_from(payload.ljust(_local_position.size, b"\0"))
+        if boot_ms:
+            self._on_boot_time(boot_ms)
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            self.rejected += 1
+            return False
+        self.local = LocalPosition(x, y, z, now)
+        return True
+
+    def _on_home_position(self, payload: bytes, now: float) -> bool:
+        lat, lon, alt = _home_position.unpack_from(payload.ljust(_home_position.size, b"\0"))[:3]
+        if not self._is_place(lat, lon, alt):
+            return False
+        self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, 0.0, now)
+        return True
+
+    def _on_heartbeat(self, payload: bytes, now: float, latch: int = 0) -> bool:
+        _, _, autopilot, base_mode, _, _ = _heartbeat.unpack_from(payload.ljust(_heartbeat.size, b"\0"))
+        if autopilot == _NO_AUTOPILOT:
+            return False
+        if latch:
+            self.system_id = latch
+        self.heartbeat_at = now
+        self.armed = bool(base_mode & _ARMED)
+        return True
+
+    def _is_place(self, lat: int, lon: int, alt: int) -> bool:
+        if lat == 0 and lon == 0 and alt == 0:
+            return False  # what autopilots say before their first fix
+        if -_MAX_LATITUDE <= lat <= _MAX_LATITUDE and -_MAX_LONGITUDE <= lon <= _MAX_LONGITUDE:
+            return True
+        self.rejected += 1
+        return False
+
+    def _on_boot_time(self, boot_ms: int) -> None:
+        # Callers leave out 0: some scripts never set the field, and would look like a reboot each time.
+        if boot_ms < self.boot_ms - REBOOT_MS:
+            self.reboots += 1
+        self.boot_ms = boot_ms

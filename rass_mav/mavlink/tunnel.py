@@ -1,0 +1,94 @@
+"""Reading TUNNEL messages: the way by which everything that nodes say arrives."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from rass_mav.core.errors import MalformedError
+
+from .crc import crc16
+from .frames import MAGIC_V2, TUNNEL_EXTRA, TUNNEL_MAX
+
+_FIELDS = struct.Struct("<HBBB")
+# Bytes of a frame around its payload, and of the fields before the data.
+_AROUND = 12
+_AHEAD = _AROUND + _FIELDS.size
+_LARGEST = _AHEAD + TUNNEL_MAX
+_TUNNEL_ID = b"\x81\x01\x00"
+
+# By the length of the whole frame, from the smallest with all fields: one struct that takes all of it apart, and
+# the first three bytes (magic, payload length, no incompatibility flag) that such a frame must have.
+_SHAPES = [
+    (
+        struct.Struct(f"<3sxxBB3sHBBB{length - _AHEAD}sH").unpack,
+        bytes((MAGIC_V2, length - _AROUND, 0)),
+        length - _AHEAD,
+    )
+    for length in range(_AHEAD, _LARGEST + 1)
+]
+
+
+class TunnelFields(NamedTuple):
+    """The fields of a TUNNEL message (https://mavlink.io/en/messages/common.html#TUNNEL)."""
+
+    target_system: int
+    """0: everybody."""
+    target_component: int
+    """0: every component."""
+    payload_type: int
+    """0..65535."""
+    payload: bytes
+    """As many bytes as `payload_length` says, 0..128."""
+
+
+def decode_tunnel(payload: bytes) -> TunnelFields:
+    """The fields of a TUNNEL message from its MAVLink payload, as it was on the wire (zeros trimmed).
+
+    Bytes after the 133 that we know are fields of a newer version, and are ignored.
+
+    :raises MalformedError: `payload_length` is more than 128.
+    """
+    payload_type, target_system, target_component, length = _FIELDS.unpack_from(payload.ljust(_FIELDS.size, b"\0"))
+    if length > TUNNEL_MAX:
+        raise MalformedError(f"TUNNEL with payload_length {length}")
+    data = payload[_FIELDS.size : _FIELDS.size + length].ljust(length, b"\0")
+    return TunnelFields(target_system, target_component, payload_type, data)
+
+
+def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
+    """The short way from a datagram to what a node said, for a receiver that takes unsigned frames.
+
+    Do not use it where signatures are demanded: it lets unsigned frames in. `FrameReader` is the way that always works.
+
+    :returns: (system id, component id, target system, target component, payload type, payload of 0..128 bytes) if
+        `data` is exactly one unsigned MAVLink 2 frame with a TUNNEL message and a good checksum. None for anything
+        else, good or bad: then give it to a `FrameReader`, which also counts it.
+    """
+    size = len(data)
+    if not _AHEAD <= size <= _LARGEST:
+        return _tiny_tunnel(data)
+    unpack, prefix, held = _SHAPES[size - _AHEAD]
+    start, system_id, component_id, message_id, payload_type, target_system, target_component, length, payload, crc = (
+        unpack(data)
+    )
+    if start != prefix or message_id != _TUNNEL_ID or length > TUNNEL_MAX or crc16(data[1:-2] + TUNNEL_EXTRA) != crc:
+        return None
+    if length != held:
+        # Trimmed zeros come back; bytes beyond payload_length do not count.
+        payload = payload[:length].ljust(length, b"\0")
+    return system_id, component_id, target_system, target_component, payload_type, payload
+
+
+def _tiny_tunnel(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
+    """The same for frames so short that even the fields were trimmed (`payload_length` is 0, or zero bytes of it)."""
+    size = len(data)
+    if (
+        not _AROUND <= size < _AHEAD
+        or data[:3] != bytes((MAGIC_V2, size - _AROUND, 0))
+        or data[7:10] != _TUNNEL_ID
+        or crc16(data[1:-2] + TUNNEL_EXTRA) != int.from_bytes(data[-2:], "little")
+    ):
+        return None
+    fields = decode_tunnel(data[10:-2])
+    return data[5], data[6], fields.target_system, fields.target_component, fields.payload_type, fields.payload

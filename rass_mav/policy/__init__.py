@@ -1,0 +1,70 @@
+"""The policies, found by name. A policy is who is fit, and what goes to whom (`rass_mav.core.policy.Policy`).
+
+| name | potential | source |
+|---|---|---|
+| `rass` | Eq. 3 with alpha 1 on hops, beta 10 on risk | the paper's reasoning and results, the authors' code |
+| `rass-literal` | Eq. 3 with alpha 10 on hops, beta 1 on risk | the paper's text |
+| `hop-count` | 1/hops | the paper's first benchmark |
+| `stigmergy` | none: everything is copied to everybody | the paper's second benchmark |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.core.policy import Policy
+
+from .fitness import FitnessPolicy
+from .stigmergy import Stigmergy
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What a configuration may say; None leaves it to the policy."""
+
+    alpha: float | None = None
+    """Weight of hops in Eq. 3, >= 0."""
+    beta: float | None = None
+    """Weight of risk in Eq. 3, >= 0."""
+    threshold: float | None = None
+    """T of Eq. 4, >= 0."""
+
+
+def _fitness(name: str, alpha: float, beta: float) -> Callable[[Weights], Policy]:
+    def make(weights: Weights) -> Policy:
+        a = alpha if weights.alpha is None else weights.alpha
+        b = beta if weights.beta is None else weights.beta
+        if a + b == 0:
+            raise ConfigError("policy.alpha: alpha and beta must not both be 0")
+        return FitnessPolicy(name, alpha=a, beta=b, threshold=1.0 if weights.threshold is None else weights.threshold)
+
+    return make
+
+
+def _hop_count(weights: Weights) -> Policy:
+    # Its potential is 1/hops by definition; only the threshold can be set.
+    threshold = 1.0 if weights.threshold is None else weights.threshold
+    return FitnessPolicy("hop-count", alpha=1.0, beta=0.0, threshold=threshold)
+
+
+def _stigmergy(weights: Weights) -> Policy:
+    return Stigmergy()
+
+
+POLICIES: dict[str, Callable[[Weights], Policy]] = {
+    "rass": _fitness("rass", 1.0, 10.0),
+    "rass-literal": _fitness("rass-literal", 10.0, 1.0),
+    "hop-count": _hop_count,
+    "stigmergy": _stigmergy,
+}
+
+
+def make_policy(name: str, weights: Weights | None = None) -> Policy:
+    """A policy by name. Raises `ConfigError` for an unknown name or impossible weights."""
+    try:
+        make = POLICIES[name]
+    except KeyError:
+        raise ConfigError(f"policy.name: expected one of {', '.join(POLICIES)}, got {name!r}") from None
+    return make(weights or Weights())

@@ -1,0 +1,74 @@
+"""Fitness-driven percolation: Eq. 3 and 4 of the paper with different weights."""
+
+from __future__ import annotations
+
+import zlib
+from itertools import islice
+
+from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
+from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Transfer, View
+from rass_mav.core.routing import Neighbour
+
+#: Hop count that stands for "no route" in Eq. 3: more than any real one.
+UNREACHABLE_HOPS = 255
+
+
+def policy_tag(name: str, *weights: float) -> int:
+    """16 bits that differ, all but surely, between policies whose potentials cannot be compared."""
+    text = ":".join([name, *(format(w, ".9g") for w in weights)])
+    return zlib.crc32(text.encode()) & 0xFFFF
+
+
+class FitnessPolicy:
+    """phi = 1/(alpha h + beta r) if there is room, else 0 (Eq. 3); unfit when T phi < the fittest neighbour's (Eq. 4).
+
+    All data go to the fittest neighbour, least recently used first; among equals the generator chooses.
+    """
+
+    replicates = False
+
+    def __init__(self, name: str, *, alpha: float, beta: float, threshold: float = 1.0) -> None:
+        """`alpha` weighs hops, `beta` weighs risk, both >= 0 and not both 0; `threshold` is T >= 0."""
+        if alpha < 0 or beta < 0 or alpha + beta == 0 or threshold < 0:
+            raise ValueError("alpha and beta must be >= 0 and not both 0, threshold >= 0")
+        self.name = name
+        self.alpha = alpha
+        self.beta = beta
+        self.threshold = threshold
+        self.tag = policy_tag("fitness", alpha, beta)
+
+    def potential(self, hops: int, risk: float, free: int) -> int:
+        """Eq. 3 in wire units (`POTENTIAL_ONE` = fitness 1), rounded, at most one below a base's."""
+        if free <= 0:
+            return 0
+        if hops == NO_ROUTE:
+            hops = UNREACHABLE_HOPS
+        cost = self.alpha * hops + self.beta * risk
+        if cost * (POTENTIAL_BASE - 1) <= POTENTIAL_ONE:
+            return POTENTIAL_BASE - 1
+        return int(POTENTIAL_ONE / cost + 0.5)
+
+    def plan(self, view: View) -> list[Transfer]:
+        """Everything to the fittest neighbour if this node is unfit, within the budget and the neighbour's room."""
+        best = self.threshold * view.potential
+        fittest: list[Neighbour] = []
+        tag = self.tag
+        for neighbour in view.neighbours:
+            beacon = neighbour.beacon
+            if beacon.policy == tag or beacon.potential in (0, POTENTIAL_BASE):
+                potential = beacon.potential
+            else:
+                # Another policy's numbers mean nothing here: judge by hops, as if it stood in our risk.
+                potential = self.potential(beacon.hops, view.risk, beacon.free)
+            if potential > best:
+                best = potential
+                fittest = [neighbour]
+            elif potential == best and fittest:
+                fittest.append(neighbour)
+        if not fittest:
+            return []
+        target = fittest[0] if len(fittest) == 1 else fittest[view.rng.randrange(len(fittest))]
+        free = target.beacon.free
+        count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
+        id = target.id
+        return [Transfer(datum_id, id, True) for datum_id in islice(view.free_data, count)]

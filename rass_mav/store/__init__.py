@@ -1,0 +1,12 @@
+"""Where a node keeps its data: in memory (`MemoryStore`) or on disk (`SqliteStore`).
+
+Both implement `rass_mav.core.store.Store`. `SqliteReader` looks into a store on disk from outside, also while the node
+that owns it is running.
+"""
+
+from .memory import MemoryStore
+from .opening import OpenReport
+from .reader import SqliteReader
+from .sqlite import SqliteStore
+
+__all__ = ["MemoryStore", "OpenReport", "SqliteReader", "SqliteStore"]

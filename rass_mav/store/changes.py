@@ -1,0 +1,96 @@
+"""What has changed in a store since its last commit, and the batch that carries the changes to the disk."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+
+
+@dataclass(slots=True)
+class Changes:
+    """Changes that are not on disk yet.
+
+    They are applied in this order: rows in `removes` go, data in `puts` come, the rest is set. Everything is said in
+    absolute values, so applying the same changes twice does no harm; that makes it safe to write again a batch of which
+    an I/O error left unclear whether it reached the disk.
+    """
+
+    puts: dict[DatumId, Datum] = field(default_factory=dict)
+    """Data to store, in the order of arrival."""
+    removes: dict[DatumId, None] = field(default_factory=dict)
+    """Older rows to delete (a set that keeps its order)."""
+    losses: dict[DatumId, Fate] = field(default_factory=dict)
+    """New entries of the table of losses; a loss that is noted already stays as it is."""
+    counters: dict[str, int] = field(default_factory=dict)
+    """New values of the counters that changed."""
+    meta: dict[str, int] = field(default_factory=dict)
+    """New values of the meta numbers that changed."""
+    sequence: int | None = None
+    """The next sequence number, if one has been claimed."""
+
+    def __bool__(self) -> bool:
+        return self.urgent or bool(self.removes or self.counters) or self.sequence is not None
+
+    @property
+    def urgent(self) -> bool:
+        """Whether a commit is due.
+
+        Data, losses and meta numbers are about to be told to others, and nothing goes out that the disk does not know.
+        Removals and counters may wait: after a crash the node merely holds a spare copy, or counts a little less. A
+        claimed sequence number may wait too: nobody has seen it before the datum that bears it is durable.
+        """
+        return bool(self.puts or self.losses or self.meta)
+
+    def put(self, datum: Datum, older: bool) -> None:
+        """Store a datum. `older`: a datum with its id is stored already, in here or before."""
+        id = datum.id
+        if older and self.puts.pop(id, None) is None:
+            self.removes[id] = None
+        self.puts[id] = datum
+
+    def remove(self, id: DatumId) -> None:
+        """Delete a stored datum. One that came after the last commit just goes; an older row of its stays in
+        `removes`, where `put` noted it."""
+        if self.puts.pop(id, None) is None:
+            self.removes[id] = None
+
+    def followed_by(self, later: Changes) -> Changes:
+        """These changes and then the `later` ones, as one."""
+        puts = {id: datum for id, datum in self.puts.items() if id not in later.removes}
+        return Changes(
+            puts={**puts, **later.puts},
+            removes={**self.removes, **later.removes},
+            losses={**later.losses, **self.losses},
+            counters={**self.counters, **later.counters},
+            meta={**self.meta, **later.meta},
+            sequence=self.sequence if later.sequence is None else later.sequence,
+        )
+
+
+class BatchState(enum.Enum):
+    """How far a batch is on its way to the disk."""
+
+    TAKEN = "taken"
+    """Handed out, not yet given to `write`."""
+    WRITING = "writing"
+    """A thread is at it."""
+    WRITTEN = "written"
+    """Durable."""
+    FAILED = "failed"
+    """Not durable: to be written again."""
+
+
+class Batch:
+    """What `take` hands out and `write` makes durable.
+
+    Its state is all that the thread in `write` and the owner of the store share. One side sets it, the other reads it,
+    and `changes` is not changed by either.
+    """
+
+    __slots__ = ("changes", "state")
+
+    def __init__(self, changes: Changes) -> None:
+        self.changes = changes
+        self.state = BatchState.TAKEN

@@ -1,0 +1,152 @@
+"""A store without a disk: for the mock swarm, where a thousand nodes live in one process, and for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.errors import StoreFullError
+from rass_mav.core.store import StoredInfo
+
+from .quota import ROW_OVERHEAD, charge
+
+_RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
+
+
+class MemoryStore:
+    """A `Store` in a dict. What is put is there for good: there is nothing to commit, so `take` returns None.
+
+    The data outlive a restart of the node for as long as the object is kept: see `restart`.
+    """
+
+    __slots__ = ("_counters", "_data", "_epoch", "_fresh", "_losses", "_meta", "_quota", "_sequence", "_used")
+
+    def __init__(self, epoch: int, *, quota_bytes: int | None = None) -> None:
+        """`epoch`: 32 bits. `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound."""
+        if not 0 <= epoch < 1 << 32:
+            raise ValueError(f"an epoch has 32 bits, got {epoch}")
+        self._epoch = epoch
+        self._fresh = True
+        self._sequence = 0
+        # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum goes to the end.
+        self._data: dict[DatumId, Datum] = {}
+        self._losses: dict[DatumId, Fate] = {}
+        self._counters: dict[str, int] = {}
+        self._meta: dict[str, int] = {}
+        self._quota = quota_bytes
+        self._used = 0  # kept only under a quota: without one, nobody asks at every put
+
+    @property
+    def epoch(self) -> int:
+        """32 bits, given when the store was created."""
+        return self._epoch
+
+    @property
+    def fresh(self) -> bool:
+        """True until the first `restart`."""
+        return self._fresh
+
+    @property
+    def used_bytes(self) -> int:
+        """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
+        return sum(len(datum.payload) + ROW_OVERHEAD for datum in self._data.values())
+
+    def restart(self) -> None:
+        """The node starts again and finds this store: everything stays, but the store is not `fresh` any more."""
+        self._fresh = False
+
+    def next_sequence(self) -> int:
+        """Claim the next sequence number of this epoch."""
+        sequence = self._sequence
+        if sequence == 1 << 32:
+            raise StoreFullError("all sequence numbers of this epoch are used up")
+        self._sequence = sequence + 1
+        return sequence
+
+    def room_for(self, size: int) -> bool:
+        """Whether a datum of `size` bytes of payload fits the quota."""
+        return self._quota is None or self._used + size + ROW_OVERHEAD <= self._quota
+
+    def put(self, datum: Datum) -> None:
+        """Store a datum as the latest, or replace the one with its id. `StoreFullError` over the quota."""
+        id = datum[0]
+        data = self._data
+        if self._quota is not None:
+            old = data.get(id)
+            freed = 0 if old is None else len(old.payload) + ROW_OVERHEAD
+            self._used = charge(self._used, freed, len(datum.payload), self._quota)
+        if id in data:
+            del data[id]
+        data[id] = datum
+
+    def get(self, id: DatumId) -> Datum | None:
+        """The datum as its bytes are now, or None."""
+        return self._data.get(id)
+
+    def remove(self, id: DatumId, fate: Fate) -> None:
+        """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""
+        datum = self._data.pop(id, None)
+        if datum is None:
+            return
+        if self._quota is not None:
+            self._used -= len(datum.payload) + ROW_OVERHEAD
+        if fate in _RECORDED:
+            self._losses.setdefault(id, fate)
+
+    def lose(self, id: DatumId, fate: Fate) -> None:
+        """Note a loss elsewhere. The first fate that is noted for an id stays."""
+        self._losses.setdefault(id, fate)
+
+    def flip_bit(self, id: DatumId, bit: int) -> None:
+        """Radiation: flip one bit of a stored payload and leave its checksum as it was.
+
+        `bit`: 0 .. 8 * size - 1; bit 0 is the least significant bit of the first byte. Raises KeyError if `id` is not
+        held and IndexError for a bit that the payload does not have.
+        """
+        id, kind, created, hops, crc, payload = self._data[id]
+        if not 0 <= bit < 8 * len(payload):
+            raise IndexError(f"bit {bit} of a payload of {len(payload)} bytes")
+        flipped = bytearray(payload)
+        flipped[bit >> 3] ^= 1 << (bit & 7)
+        self._data[id] = Datum(id, kind, created, hops, crc, bytes(flipped))
+
+    def count(self, name: str, amount: int = 1) -> None:
+        """Add to a named counter."""
+        counters = self._counters
+        counters[name] = counters.get(name, 0) + amount
+
+    def counters(self) -> dict[str, int]:
+        """All named counters."""
+        return dict(self._counters)
+
+    def held(self) -> Iterator[StoredInfo]:
+        """What is stored, least recently stored first."""
+        for id, kind, created, hops, crc, payload in list(self._data.values()):
+            yield StoredInfo(id, kind, created, hops, crc, len(payload))
+
+    def ids(self) -> Iterable[DatumId]:
+        """The ids of what is stored: a list, safe to keep while the store changes."""
+        return list(self._data)
+
+    def losses(self) -> Iterable[tuple[DatumId, Fate]]:
+        """The table of losses: a list, safe to keep while the store changes."""
+        return list(self._losses.items())
+
+    def get_meta(self, key: str) -> int | None:
+        """A small number that survives a restart."""
+        return self._meta.get(key)
+
+    def set_meta(self, key: str, value: int) -> None:
+        """Set such a number."""
+        self._meta[key] = value
+
+    def take(self, *, force: bool = False) -> object | None:
+        """None: there is never anything to write."""
+        return None
+
+    def write(self, batch: object) -> None:
+        """Never called, since `take` hands out nothing; RuntimeError if it is."""
+        raise RuntimeError("a MemoryStore hands out no batches")
+
+    def close(self) -> None:
+        """Nothing to release."""

@@ -1,0 +1,90 @@
+"""Looking into a store from outside: for status, exports and tests, also while a node is using it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.store import StoredInfo
+
+from . import schema
+from .errors import Unsound, explained
+from .opening import check_version, connect
+
+
+class SqliteReader:
+    """What was durable in a store at the moment of opening, however it changes meanwhile.
+
+    Needs no lock, and changes nothing in the data. While it is open the node cannot shorten its write-ahead log, so
+    close it soon.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one."""
+        self._path = Path(path)
+        with explained(self._path, "opening the store to read"):
+            self._connection = connect(self._path, read_only=True)
+            try:
+                self._connection.execute("BEGIN")
+                # The first read fixes the moment that all the others see.
+                if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
+                    raise Unsound("another program's database")
+                check_version(self._connection, self._path)
+                self._meta = schema.read_numbers(self._connection, "meta")
+                self._epoch, self._sequence = schema.read_own(self._meta)
+            except BaseException:
+                self._connection.close()
+                raise
+
+    @property
+    def epoch(self) -> int:
+        """32 bits, drawn when the store was created."""
+        return self._epoch
+
+    @property
+    def next_sequence(self) -> int:
+        """The sequence number that the store's next own datum will bear."""
+        return self._sequence
+
+    def meta(self) -> dict[str, int]:
+        """The numbers that the node keeps, without the store's own."""
+        return dict(self._meta)
+
+    def ids(self) -> list[DatumId]:
+        """The ids of what is stored, in the order of arrival."""
+        return [info.id for info in self.held()]
+
+    def held(self) -> Iterator[StoredInfo]:
+        """What is stored, least recently stored first."""
+        with explained(self._path, "listing the data"):
+            yield from schema.read_infos(self._connection)
+
+    def get(self, id: DatumId) -> Datum | None:
+        """A datum as its bytes are (its checksum is not verified here), or None."""
+        with explained(self._path, "reading a datum"):
+            return schema.read_datum(self._connection, id)
+
+    def losses(self) -> list[tuple[DatumId, Fate]]:
+        """The table of losses."""
+        with explained(self._path, "reading the losses"):
+            return list(schema.read_losses(self._connection).items())
+
+    def counters(self) -> dict[str, int]:
+        """All named counters."""
+        with explained(self._path, "reading the counters"):
+            return schema.read_numbers(self._connection, "counter")
+
+    def close(self) -> None:
+        """Release the files."""
+        self._connection.close()
+
+    def __enter__(self) -> SqliteReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,66 @@
+"""The mock flight controller: what an autopilot says about a simulated vehicle, as real MAVLink frames."""
+
+from __future__ import annotations
+
+import math
+
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import (
+    GLOBAL_POSITION_INT,
+    NAMED_VALUE_FLOAT,
+    autopilot_heartbeat,
+    global_position_int_payload,
+    home_position,
+    named_value_float_payload,
+)
+
+#: Where the centre of the arena lies on Earth: degrees, degrees, metres above mean sea level.
+ORIGIN = (45.0, -73.0, 100.0)
+#: Metres in a degree of latitude (WGS 84, mean).
+METRES_PER_DEGREE = 111_319.5
+_HEARTBEAT_S = 1.0
+
+
+def to_earth(x: float, y: float) -> tuple[float, float]:
+    """Latitude and longitude, in degrees, of a point of the arena (metres east and north of its centre)."""
+    latitude = ORIGIN[0] + y / METRES_PER_DEGREE
+    return latitude, ORIGIN[1] + x / (METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0])))
+
+
+class MockAutopilot:
+    """Speaks as ArduPilot does: HEARTBEAT at 1 Hz, GLOBAL_POSITION_INT at `position_hz`, the reading when it is taken.
+
+    It does not fly: it says where the mock swarm puts it. docs/simulation.md says what it does not simulate.
+    """
+
+    __slots__ = ("_heartbeat_at", "_position_at", "_position_s", "_reading_name", "_writer")
+
+    def __init__(self, system_id: int, *, reading_name: str = "RAD", position_hz: float = 1.0) -> None:
+        """`system_id` 1..255; `reading_name` of the NAMED_VALUE_FLOAT; `position_hz` > 0."""
+        self._writer = FrameWriter(system_id, 1)
+        self._reading_name = reading_name
+        self._position_s = 1.0 / position_hz
+        self._heartbeat_at = 0.0
+        self._position_at = 0.0
+
+    def frames(self, now: float, x: float, y: float, reading: float | None) -> list[bytes]:
+        """What it says at `now` (seconds since boot) at (x, y), metres east and north of the arena's centre.
+
+        `reading` None: the sensor says nothing.
+        """
+        out = []
+        boot_ms = int(now * 1000.0)
+        if now >= self._heartbeat_at:
+            out.append(self._writer.message(autopilot_heartbeat()))
+            if self._heartbeat_at == 0.0:
+                out.append(self._writer.message(home_position(*ORIGIN)))
+            self._heartbeat_at = now + _HEARTBEAT_S
+        if now >= self._position_at:
+            latitude, longitude = to_earth(x, y)
+            payload = global_position_int_payload(latitude, longitude, ORIGIN[2] + 10.0, 10.0, boot_ms)
+            out.append(self._writer.frame(GLOBAL_POSITION_INT, payload))
+            self._position_at = now + self._position_s
+        if reading is not None:
+            payload = named_value_float_payload(self._reading_name, reading, boot_ms)
+            out.append(self._writer.frame(NAMED_VALUE_FLOAT, payload))
+        return out

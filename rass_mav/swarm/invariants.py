@@ -1,0 +1,61 @@
+"""What must always hold in a mock swarm (docs/architecture.md), checked in full after a step."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rass_mav.swarm.world import World
+
+
+class InvariantError(AssertionError):
+    """The swarm broke a promise: our bug, never the user's."""
+
+
+def count_loops(next_hops: Sequence[int | None]) -> int:
+    """Cycles in the graph of next hops (each node has one at most)."""
+    loops = 0
+    state = [0] * len(next_hops)
+    for start in range(len(next_hops)):
+        if state[start]:
+            continue
+        node: int | None = start
+        mark = start + 1
+        while node is not None and not state[node]:
+            state[node] = mark
+            node = next_hops[node]
+        if node is not None and state[node] == mark:
+            loops += 1
+    return loops
+
+
+def check(world: World) -> None:
+    """All invariants, in full. Raises `InvariantError`."""
+    ledger = world.ledger
+    if ledger.created != len(ledger.arrived) + ledger.held + sum(ledger.losses().values()):
+        raise InvariantError(
+            f"step {world.t - 1}: created {ledger.created} != delivered {len(ledger.arrived)} + held {ledger.held} "
+            f"+ lost {ledger.losses()}"
+        )
+    copies = Counter(id for agent in world.agents if not agent.node.base for id in agent.node.inventory)
+    if copies != Counter(ledger.copies):
+        raise InvariantError(f"step {world.t - 1}: the ledger's copies are not those in the inventories")
+    if ledger.altered:
+        raise InvariantError(f"step {world.t - 1}: {ledger.altered} data were delivered with other bytes than created")
+    if world.loops:
+        raise InvariantError(f"step {world.t - 1}: the next hops form a cycle")
+    settings = world.scenario
+    for node_id, agent in enumerate(world.agents):
+        node = agent.node
+        stored = set(world.stores[node_id].ids())
+        if not node.sink and stored != set(node.inventory):
+            raise InvariantError(f"step {world.t - 1}: node {node_id}: its store is not its inventory")
+        capacity = node.settings.capacity_items
+        if capacity is not None and len(node.inventory) > capacity:
+            raise InvariantError(f"step {world.t - 1}: node {node_id} holds {len(node.inventory)} > {capacity}")
+        if len(node.routing.neighbours) > settings.routing.max_neighbours:
+            raise InvariantError(f"step {world.t - 1}: node {node_id}: its neighbour table is too long")
+        if not set(node.custody.pending) <= set(node.inventory):
+            raise InvariantError(f"step {world.t - 1}: node {node_id} is handing over what it does not hold")

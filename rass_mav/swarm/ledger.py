@@ -1,0 +1,137 @@
+"""The global ledger of a mock swarm: what became of each datum, over all nodes."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.observer import Observer
+
+#: The fates that the summary counts as lost, in its order.
+LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED)
+
+
+class Ledger:
+    """Counts distinct data, incrementally: created = delivered + held + lost.
+
+    A datum is lost when its last copy goes; should a copy turn up again (a late frame), it is held again.
+    """
+
+    def __init__(self) -> None:
+        self.step = 0
+        """The present step; the world sets it."""
+        self.payloads: dict[DatumId, bytes] = {}
+        """Each datum's bytes as they were created."""
+        self.born: dict[DatumId, int] = {}
+        """Step of creation."""
+        self.copies: dict[DatumId, int] = {}
+        """Copies in drones' stores, of data with at least one."""
+        self.arrived: dict[DatumId, int] = {}
+        """Step of first arrival at a base."""
+        self.lost: dict[DatumId, Fate] = {}
+        self.overflow = 0
+        """Measurements refused by full nodes: created and lost, but they never got an id."""
+        self.altered = 0
+        """Delivered data whose bytes are not those created."""
+        self.hops: list[int] = []
+        self.stored = 0
+        """Copies in all drones' stores."""
+        self.waiting = 0
+        """Data with a copy that have not been delivered."""
+        self.waiting_copies = 0
+        """Their copies."""
+
+    def book(self, *, base: bool) -> Observer:
+        """A book for one node."""
+        return _Book(self, base=base)
+
+    @property
+    def created(self) -> int:
+        """Data created, with those that were refused."""
+        return len(self.born) + self.overflow
+
+    @property
+    def held(self) -> int:
+        """Data that are held and not delivered."""
+        return self.waiting
+
+    def losses(self) -> dict[str, int]:
+        """Lost data by reason."""
+        counts = Counter(self.lost.values())
+        counts[Fate.OVERFLOW] += self.overflow
+        return {fate.value: counts[fate] for fate in LOST}
+
+    def delays(self) -> list[int]:
+        """Steps from creation to arrival, of data that arrived."""
+        return [step - self.born[id] for id, step in self.arrived.items()]
+
+    def gain(self, id: DatumId) -> None:
+        """A drone has a copy more."""
+        copies = self.copies.get(id, 0) + 1
+        self.copies[id] = copies
+        self.stored += 1
+        if id not in self.arrived:
+            self.waiting_copies += 1
+            if copies == 1:
+                self.waiting += 1
+                self.lost.pop(id, None)
+
+    def drop(self, id: DatumId, fate: Fate) -> None:
+        """A drone has a copy less; or, with OVERFLOW, a datum sent without custody was not taken in."""
+        copies = self.copies.get(id, 0)
+        if copies:
+            copies -= 1
+            self.stored -= 1
+            if copies:
+                self.copies[id] = copies
+            else:
+                del self.copies[id]
+        if id in self.arrived:
+            return
+        if fate is not Fate.OVERFLOW:
+            self.waiting_copies -= 1
+            if not copies:
+                self.waiting -= 1
+        if not copies:
+            # PASSED_ON without another copy: it was sent without custody, and is in the air until it turns up.
+            self.lost[id] = Fate.VANISHED if fate is Fate.PASSED_ON else fate
+
+    def deliver(self, datum: Datum) -> None:
+        """A datum arrived at a base."""
+        id = datum.id
+        if id in self.arrived:
+            return
+        self.arrived[id] = self.step
+        self.hops.append(datum.hops)
+        if datum.payload != self.payloads.get(id):
+            self.altered += 1
+        copies = self.copies.get(id, 0)
+        if copies:
+            self.waiting -= 1
+            self.waiting_copies -= copies
+        self.lost.pop(id, None)
+
+
+class _Book(Observer):
+    def __init__(self, ledger: Ledger, *, base: bool) -> None:
+        self._ledger = ledger
+        self._base = base
+
+    def created(self, datum: Datum) -> None:
+        ledger = self._ledger
+        ledger.payloads[datum.id] = datum.payload
+        ledger.born[datum.id] = ledger.step
+
+    def overflow(self) -> None:
+        self._ledger.overflow += 1
+
+    def gained(self, datum: Datum) -> None:
+        if not self._base:
+            self._ledger.gain(datum.id)
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        if not self._base:
+            self._ledger.drop(id, fate)
+
+    def delivered(self, datum: Datum) -> None:
+        self._ledger.deliver(datum)

@@ -1,0 +1,273 @@
+"""How the nodes of a mock swarm move, step by step.
+
+A `Mobility` starts in the positions of step 0 and is asked for one step after the other. All chance comes from the
+generator passed in, robots are handled in id order, so the same seed gives the same positions in any process.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from random import Random
+from typing import Protocol
+
+from rass_mav.core.errors import ConfigError
+
+from . import topology
+from .neighbours import Position, RangeGraph
+
+#: The names `make_mobility` knows.
+TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions")
+
+#: Random walk: metres a robot moves in a step, and its chance to take a new heading before it does.
+WALK_M = 0.15
+WALK_TURN_CHANCE = 0.1
+
+#: Lennard-Jones: the distance at which two robots neither attract nor repel each other, metres.
+LJ_DISTANCE_M = 1.7
+#: Lennard-Jones: the most a robot moves in a step, metres.
+LJ_MAX_STEP_M = 0.05
+#: Lennard-Jones: standard deviation of the random motion along each axis, metres a step.
+LJ_NOISE_M = 0.005
+# Metres a step for a force of one. Near the rest distance the force is as stiff as 2/d0^2 a neighbour; with six of them
+# this gain still settles without swinging.
+_LJ_GAIN = 0.1
+
+
+class Mobility(Protocol):
+    """Where the nodes are, now and a step later."""
+
+    @property
+    def positions(self) -> list[Position]:
+        """Current position of each node in metres, by id. A step that moves anything makes a new list."""
+        ...
+
+    @property
+    def moves(self) -> bool:
+        """Whether any step may ever change the positions; False for a static swarm."""
+        ...
+
+    def step(self, t: int) -> bool:
+        """Advance to the positions of step t = 0, 1, 2, ... in order, 0 being the start. Returns whether any moved."""
+        ...
+
+
+class _Stepper:
+    """What the kinds of mobility share: the positions, and the check that no step is left out or taken twice."""
+
+    moves = True
+
+    def __init__(self, positions: list[Position]) -> None:
+        self.positions = positions
+        self._next_step = 0
+
+    def step(self, t: int) -> bool:
+        if t != self._next_step:
+            raise ValueError(f"step {self._next_step} is due, not step {t}")
+        self._next_step += 1
+        return t > 0 and self._advance(t)
+
+    def _advance(self, t: int) -> bool:
+        raise NotImplementedError
+
+
+class Static(_Stepper):
+    """Nodes that stay where they are."""
+
+    moves = False
+
+    def _advance(self, t: int) -> bool:
+        return False
+
+
+class RandomWalk(_Stepper):
+    """Every robot, the base too, moves 0.15 m a step, and before that takes a new uniform heading with chance 0.1.
+
+    A robot about to pass a wall turns back first: the part of its heading that points at the wall changes sign. So its
+    step is always 0.15 m long. One that starts beyond a wall (a crowded grid) heads inwards and cannot come out again.
+    """
+
+    def __init__(self, positions: list[Position], wall_m: float, rng: Random) -> None:
+        """`wall_m`: distance of the walls from the centre, at least 0.15 m (`ConfigError` otherwise)."""
+        super().__init__(positions)
+        if wall_m < WALK_M:
+            raise ConfigError(f"arena_m: robots that walk need at least {2 * (WALK_M + topology.WALL_MARGIN_M):g} m")
+        self._wall = wall_m
+        self._rng = rng
+        self._headings = [_unit(rng) for _ in positions]
+
+    def _advance(self, t: int) -> bool:
+        rng, wall = self._rng, self._wall
+        moved = []
+        for i, (x, y) in enumerate(self.positions):
+            if rng.random() < WALK_TURN_CHANCE:
+                self._headings[i] = _unit(rng)
+            across, along = self._headings[i]
+            across = _turned_back(x, across, wall)
+            along = _turned_back(y, along, wall)
+            self._headings[i] = (across, along)
+            moved.append((x + WALK_M * across, y + WALK_M * along))
+        self.positions = moved
+        return True
+
+
+class LennardJones(_Stepper):
+    """Robots that keep their distance from those within range, like the particles of a fluid.
+
+    Neighbour at distance r: the force on the robot, along the direction to the neighbour, is
+    -((d0/r)^4 - (d0/r)^2)/r with d0 = 1.7 m: repulsive when nearer than d0, attractive when farther. In a step a robot
+    moves by the sum of these forces (0.1 m for a force of one) plus a small random motion, at most 0.05 m in all, and
+    stops at the walls. All robots move at once, by the positions of the step before.
+    """
+
+    def __init__(self, positions: list[Position], range_m: float, wall_m: float, rng: Random) -> None:
+        """`range_m`: how far robots feel each other, `wall_m`: distance of the walls from the centre, in metres."""
+        super().__init__(positions)
+        self._wall = wall_m
+        self._rng = rng
+        self._graph = RangeGraph(positions, range_m)
+
+    def _advance(self, t: int) -> bool:
+        rng, wall = self._rng, self._wall
+        moved = []
+        for (x, y), (force_x, force_y) in zip(self.positions, self._forces(), strict=True):
+            step_x = _LJ_GAIN * force_x + rng.gauss(0.0, LJ_NOISE_M)
+            step_y = _LJ_GAIN * force_y + rng.gauss(0.0, LJ_NOISE_M)
+            length = math.hypot(step_x, step_y)
+            if length > LJ_MAX_STEP_M:
+                step_x *= LJ_MAX_STEP_M / length
+                step_y *= LJ_MAX_STEP_M / length
+            moved.append((min(max(x + step_x, -wall), wall), min(max(y + step_y, -wall), wall)))
+        self.positions = moved
+        self._graph.update(moved)
+        return True
+
+    def _forces(self) -> list[tuple[float, float]]:
+        positions = self.positions
+        forces_x = [0.0] * len(positions)
+        forces_y = [0.0] * len(positions)
+        for i, (x, y) in enumerate(positions):
+            for j in self._graph.neighbours[i]:
+                if j < i:
+                    continue
+                dx, dy = positions[j][0] - x, positions[j][1] - y
+                r2 = dx * dx + dy * dy
+                if r2 == 0.0:
+                    continue  # no direction to push in; the random motion parts them
+                ratio2 = LJ_DISTANCE_M**2 / r2
+                # Force over r, and (dx, dy) over r for the direction: together one division by r^2.
+                pull = (ratio2 - ratio2 * ratio2) / r2
+                forces_x[i] += pull * dx
+                forces_y[i] += pull * dy
+                forces_x[j] -= pull * dx
+                forces_y[j] -= pull * dy
+        return list(zip(forces_x, forces_y, strict=True))
+
+
+class Islands(_Stepper):
+    """A swarm that splits in two: at `split_step` all nodes with x > 0 jump by `gap_m` in +x, and stay there.
+
+    With `rejoin_step` they jump back to their first places at that step. On the grid the swarm is cut in two if
+    pitch + gap is larger than the radio range.
+    """
+
+    def __init__(self, positions: list[Position], split_step: int, gap_m: float, rejoin_step: int | None) -> None:
+        """Steps >= 1, `rejoin_step` after `split_step`; `gap_m` > 0 in metres; `ConfigError` otherwise."""
+        super().__init__(positions)
+        if split_step < 1:
+            raise ConfigError(f"mobility.split_step: expected a step >= 1, got {split_step!r}")
+        if rejoin_step is not None and rejoin_step <= split_step:
+            raise ConfigError(f"mobility.rejoin_step: expected a step after {split_step}, got {rejoin_step!r}")
+        if not (math.isfinite(gap_m) and gap_m > 0):
+            raise ConfigError(f"mobility.gap_m: expected a number > 0, got {gap_m!r}")
+        self._together = positions
+        self._apart = [(x + gap_m if x > 0 else x, y) for x, y in positions]
+        self._split_step = split_step
+        self._rejoin_step = rejoin_step
+
+    def _advance(self, t: int) -> bool:
+        before = self.positions
+        if t == self._split_step:
+            self.positions = self._apart
+        elif t == self._rejoin_step:
+            self.positions = self._together
+        return self.positions is not before
+
+
+def make_mobility(
+    name: str,
+    *,
+    nodes: int,
+    range_m: float,
+    arena_m: float,
+    rng: Random,
+    bases: int = 1,
+    pitch_m: float | None = None,
+    split_step: int = 100,
+    rejoin_step: int | None = None,
+    gap_m: float = 2.0,
+    positions: Sequence[Sequence[float]] | None = None,
+) -> Mobility:
+    """A mobility by name, one of `TOPOLOGIES`.
+
+    `nodes` counts the bases, which have the ids 0 .. bases-1; `range_m` and `arena_m` (the arena's side) in metres.
+    Options: `pitch_m` of `line`, metres, default 0.8 range_m; `split_step`, `rejoin_step` and `gap_m` of `islands`;
+    `positions` of `positions`, one [x, y] in metres for each node. Other names leave these unused.
+
+    Several bases stand far apart in `grid`, `line`, `islands` and at the start of `random-walk`
+    (`topology.spread_bases`); in the others they stand where chance or the list puts them.
+
+    Raises `ConfigError` for an unknown name or numbers that make no swarm.
+    """
+    if name not in TOPOLOGIES:
+        raise ConfigError(f"topology: expected one of {', '.join(TOPOLOGIES)}, got {name!r}")
+    if nodes < 1:
+        raise ConfigError(f"nodes: expected a number >= 1, got {nodes!r}")
+    if not 1 <= bases <= nodes:
+        raise ConfigError(f"bases: expected 1..{nodes}, got {bases!r}")
+    if not (math.isfinite(range_m) and range_m > 0):
+        raise ConfigError(f"radio.range_m: expected a number > 0, got {range_m!r}")
+    if name == "positions":
+        return Static(_listed(positions, nodes))
+    if name == "line":
+        pitch = topology.LINE_PITCH * range_m if pitch_m is None else pitch_m
+        if not (math.isfinite(pitch) and pitch > 0):
+            raise ConfigError(f"mobility.pitch_m: expected a number > 0, got {pitch_m!r}")
+        return Static(topology.spread_bases(topology.line(nodes, pitch), bases))
+    wall = topology.wall_m(arena_m)
+    if name == "scale-free":
+        return Static(topology.scale_free(nodes, arena_m, range_m, rng))
+    if name == "lennard-jones":
+        return LennardJones(topology.connected_uniform(nodes, arena_m, range_m, rng), range_m, wall, rng)
+    on_grid = topology.spread_bases(topology.grid(nodes, arena_m), bases)
+    if name == "random-walk":
+        return RandomWalk(on_grid, wall, rng)
+    if name == "islands":
+        return Islands(on_grid, split_step, gap_m, rejoin_step)
+    return Static(on_grid)
+
+
+def _listed(positions: Sequence[Sequence[float]] | None, nodes: int) -> list[Position]:
+    if positions is None or len(positions) != nodes:
+        given = "none" if positions is None else str(len(positions))
+        raise ConfigError(f"mobility.positions: expected one [x, y] for each of {nodes} nodes, got {given}")
+    places = []
+    for i, place in enumerate(positions):
+        if len(place) != 2 or not all(math.isfinite(value) for value in place):
+            raise ConfigError(f"mobility.positions[{i}]: expected [x, y] in metres, got {list(place)!r}")
+        places.append((float(place[0]), float(place[1])))
+    return places
+
+
+def _unit(rng: Random) -> tuple[float, float]:
+    heading = rng.uniform(0.0, 2 * math.pi)
+    return math.cos(heading), math.sin(heading)
+
+
+def _turned_back(coordinate: float, part: float, wall: float) -> float:
+    """The part of a heading along one axis, after turning back at the walls of that axis."""
+    if coordinate + WALK_M * part > wall:
+        return -abs(part)
+    if coordinate + WALK_M * part < -wall:
+        return abs(part)
+    return part

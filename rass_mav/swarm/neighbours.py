@@ -1,0 +1,125 @@
+"""Who hears whom: the graph of nodes within radio range of each other.
+
+Distances are looked up by spatial hashing. The plane is cut into square cells a little larger than the range, so the
+neighbours of a node lie in its own cell or in one of the eight around it. The cost of a rebuild grows with the number
+of nodes times the number of neighbours each has, not with the square of the number of nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+
+#: A node's position (x, y) in metres; the arena's centre is the origin.
+Position = tuple[float, float]
+
+#: Two nodes hear each other at a distance of at most range + TOLERANCE_M: rounding must not part nodes that are exactly
+#: the range away.
+TOLERANCE_M = 1e-9
+
+# Half of the eight cells around a cell. Looking only there, and within the cell, visits each pair of cells once.
+_FORWARD = ((0, 1), (1, -1), (1, 0), (1, 1))
+_AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+
+
+class Cells:
+    """Points hashed into square cells, to which one point at a time can be added.
+
+    `reach_m` is the largest distance that will be asked for, > 0.
+    """
+
+    def __init__(self, reach_m: float) -> None:
+        # The factor keeps the "own cell or next to it" rule true in spite of rounding in the division below.
+        self._size = (reach_m + TOLERANCE_M) * 1.000001
+        self._cells: dict[tuple[int, int], list[tuple[int, float, float]]] = {}
+
+    def _key(self, x: float, y: float) -> tuple[int, int]:
+        return math.floor(x / self._size), math.floor(y / self._size)
+
+    def add(self, index: int, x: float, y: float) -> None:
+        """Add the point with this index at (x, y) metres."""
+        self._cells.setdefault(self._key(x, y), []).append((index, x, y))
+
+    def near(self, x: float, y: float) -> Iterator[tuple[int, float]]:
+        """Yield (index, squared distance in m^2) of all points within reach of (x, y), and of some beyond it."""
+        cell_x, cell_y = self._key(x, y)
+        for dx, dy in _AROUND:
+            for index, px, py in self._cells.get((cell_x + dx, cell_y + dy), ()):
+                yield index, (px - x) ** 2 + (py - y) ** 2
+
+    def pairs(self) -> Iterator[tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]]:
+        """Yield each pair of adjacent cells once, and each cell with itself (then both are the same list)."""
+        cells = self._cells
+        for (cell_x, cell_y), here in cells.items():
+            yield here, here
+            for dx, dy in _FORWARD:
+                there = cells.get((cell_x + dx, cell_y + dy))
+                if there is not None:
+                    yield here, there
+
+
+class RangeGraph:
+    """The graph whose edges join nodes at most `range_m` metres apart. Node ids are the indices into the positions."""
+
+    neighbours: list[list[int]]
+    """For each node the ids within range of it, ascending, itself left out."""
+
+    def __init__(self, positions: Sequence[Position], range_m: float) -> None:
+        """Build the graph. `range_m` in metres, > 0 (`ValueError` otherwise)."""
+        if not (math.isfinite(range_m) and range_m > 0):
+            raise ValueError(f"range_m must be a finite number > 0, got {range_m!r}")
+        self.range_m = range_m
+        self.update(positions)
+
+    def update(self, positions: Sequence[Position]) -> None:
+        """Rebuild the graph for new positions of the nodes. Needed only when something moved."""
+        cells = Cells(self.range_m)
+        neighbours: list[list[int]] = [[] for _ in positions]
+        for i, (x, y) in enumerate(positions):
+            cells.add(i, x, y)
+        limit = (self.range_m + TOLERANCE_M) ** 2
+        for here, there in cells.pairs():
+            same = here is there
+            for place, (i, x, y) in enumerate(here):
+                mine = neighbours[i]
+                for j, px, py in here[place + 1 :] if same else there:
+                    if (px - x) * (px - x) + (py - y) * (py - y) <= limit:
+                        mine.append(j)
+                        neighbours[j].append(i)
+        for ids in neighbours:
+            ids.sort()
+        self.neighbours = neighbours
+
+    def connected(self, ids: Iterable[int] | None = None) -> bool:
+        """Whether these nodes (default: all) reach each other over hops between themselves. True for none or one."""
+        members = set(range(len(self.neighbours)) if ids is None else ids)
+        if len(members) <= 1:
+            return True
+        start = next(iter(members))
+        seen = {start}
+        queue = deque([start])
+        while queue:
+            for j in self.neighbours[queue.popleft()]:
+                if j in members and j not in seen:
+                    seen.add(j)
+                    queue.append(j)
+        return len(seen) == len(members)
+
+    def hops_from(self, bases: Iterable[int]) -> list[int | None]:
+        """Fewest hops from each node to the nearest of `bases` (0 for a base), None where there is no way."""
+        hops: list[int | None] = [None] * len(self.neighbours)
+        wave = sorted(set(bases))
+        for base in wave:
+            hops[base] = 0
+        distance = 0
+        while wave:
+            distance += 1
+            following = []
+            for i in wave:
+                for j in self.neighbours[i]:
+                    if hops[j] is None:
+                        hops[j] = distance
+                        following.append(j)
+            wave = following
+        return hops

@@ -1,0 +1,129 @@
+"""The radiation field of the mock swarm: what a sensor reads (Eq. 1) and what it does to stored data (Eq. 2).
+
+Sources are points. At distance d source j adds I_j / (1 + lambda d^2), with intensity I_j and decay lambda in 1/m^2.
+Equation numbers are those of the paper (arXiv 2201.01349).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from random import Random
+from typing import NamedTuple
+
+from rass_mav.core.errors import ConfigError
+
+
+class Source(NamedTuple):
+    """A point source of radiation."""
+
+    x: float
+    """Metres from the arena's centre."""
+    y: float
+    """Metres from the arena's centre."""
+    intensity: float
+    """Radiation level at the source itself, >= 0 without unit; 1 corrupts every datum there in one step."""
+
+
+def random_sources(rng: Random, n: int = 3, spread_m: float = 3.5) -> list[Source]:
+    """The paper's sources: `n` of them, x and y uniform in +-spread_m metres, intensity uniform in 0..1."""
+
+    def axis() -> float:
+        return rng.uniform(-spread_m, spread_m)
+
+    return [Source(axis(), axis(), rng.uniform(0.0, 1.0)) for _ in range(n)]
+
+
+class RadiationField:
+    """The sum of some sources, which may drift."""
+
+    sources: list[Source]
+    """The sources where they are now."""
+
+    def __init__(
+        self,
+        sources: Iterable[Source],
+        *,
+        decay: float = 1.0,
+        drift: float = 0.0,
+        rng: Random | None = None,
+        bounds: float = 10.0,
+    ) -> None:
+        """Make a field.
+
+        `decay` is lambda of Eq. 1, >= 0, in 1/m^2. `drift` is how far each source moves in a step, 0 to 2 `bounds`, in
+        metres; above 0 it needs `rng`, and the sources do not leave the square of +-`bounds` metres.
+
+        Raises `ConfigError` for a number out of range, and `ValueError` if the generator is missing.
+        """
+        self.sources = list(sources)
+        self.decay = decay
+        self.drift = drift
+        self.bounds = bounds
+        self._rng = rng
+        if not (math.isfinite(decay) and decay >= 0):
+            raise ConfigError(f"radiation.decay: expected a number >= 0, got {decay!r}")
+        if not 0 <= drift <= 2 * bounds:
+            raise ConfigError(f"radiation.drift: expected 0..{2 * bounds:g} m a step, got {drift!r}")
+        for i, source in enumerate(self.sources):
+            if not all(math.isfinite(value) for value in source) or source.intensity < 0:
+                raise ConfigError(f"radiation.sources[{i}]: expected x, y and an intensity >= 0, got {list(source)!r}")
+        if drift and rng is None:
+            raise ValueError("a drifting field needs a random generator")
+
+    @property
+    def moves(self) -> bool:
+        """Whether `step` changes anything."""
+        return self.drift > 0 and bool(self.sources)
+
+    def level(self, x: float, y: float) -> float:
+        """Eq. 1 without its noise b: the level at (x, y) metres, >= 0, not clipped."""
+        return sum(self._parts(x, y))
+
+    def reading(self, x: float, y: float, rng: Random, sigma: float) -> float:
+        """Eq. 1: the level with a sensor's noise b ~ N(0, sigma); `sigma`, >= 0, is a standard deviation.
+
+        It may be negative. With sigma 0 nothing is drawn from `rng`.
+        """
+        return self.level(x, y) + (rng.gauss(0.0, sigma) if sigma > 0 else 0.0)
+
+    def corruption(self, x: float, y: float) -> float:
+        """Eq. 2: the probability 0..1 that a datum stored at (x, y) metres is corrupted in one step.
+
+        1 - prod(1 - clip(I_j / (1 + lambda d_j^2), 0, 1)): the sources strike independently of each other.
+        """
+        survival = 1.0
+        for part in self._parts(x, y):
+            survival *= 1.0 - min(part, 1.0)
+        return 1.0 - survival
+
+    def step(self) -> bool:
+        """Let every source drift: `drift` metres in a new uniform direction, mirrored at the walls. True if any moved.
+
+        With a heading drawn anew each step a source does a random walk; after n steps it is about drift sqrt(n) away.
+        One that starts beyond a wall moves inwards only, and stays once it is inside.
+        """
+        if not self.moves or self._rng is None:
+            return False
+        moved = []
+        for source in self.sources:
+            heading = self._rng.uniform(0.0, 2 * math.pi)
+            x = _moved(source.x, self.drift * math.cos(heading), self.bounds)
+            y = _moved(source.y, self.drift * math.sin(heading), self.bounds)
+            moved.append(Source(x, y, source.intensity))
+        self.sources = moved
+        return True
+
+    def _parts(self, x: float, y: float) -> list[float]:
+        decay = self.decay
+        return [i / (1.0 + decay * ((sx - x) * (sx - x) + (sy - y) * (sy - y))) for sx, sy, i in self.sources]
+
+
+def _moved(coordinate: float, by: float, wall: float) -> float:
+    """One axis of a step: mirrored at the walls, inwards from beyond them."""
+    if abs(coordinate) > wall:
+        return coordinate - math.copysign(by, coordinate)
+    there = coordinate + by
+    if abs(there) > wall:
+        return math.copysign(2 * wall, there) - there
+    return there

@@ -1,0 +1,112 @@
+"""The mock radio: who hears a frame, and what happens to it on the way."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+
+from rass_mav.swarm.scenario import RadioSection
+
+#: A frame that is overtaken lets this many others pass at most; if fewer are on their way, it waits for the next step.
+_OVERTAKEN_BY = 16
+
+#: (sender, hearer, frame)
+Arrival = tuple[int, int, bytes]
+
+
+class Radio:
+    """The air. Puts frames on it, and says in order who hears what. Every frame is heard as bytes."""
+
+    def __init__(self, settings: RadioSection, rng: random.Random, *, record: Callable[[bytes], None] | None) -> None:
+        """`record` is called with each frame put on the air, in order."""
+        self._loss = settings.loss
+        self._duplicate = settings.duplicate
+        self._reorder = settings.reorder
+        self._latency = settings.latency_steps
+        self._rng = rng
+        self._record = record
+        self._now: deque[tuple[int, bytes, Sequence[int] | None]] = deque()
+        self._later: deque[tuple[int, int, bytes, Sequence[int] | None]] = deque()
+        self._digest = hashlib.sha256()
+        self._plain = not (settings.loss or settings.duplicate or settings.reorder)
+        self.sent = 0
+        """Frames put on the air."""
+        self.dropped = 0
+        """Frames lost, one for each hearer that lost it."""
+        self.bytes_sent = 0
+
+    def send(self, sender: int, frame: bytes, step: int) -> None:
+        """Put a frame on the air at `step`."""
+        self.sent += 1
+        self.bytes_sent += len(frame)
+        self._digest.update(frame)
+        if self._record is not None:
+            self._record(frame)
+        if self._latency:
+            self._later.append((step + self._latency, sender, frame, None))
+        else:
+            self._now.append((sender, frame, None))
+
+    def begin_step(self, step: int) -> None:
+        """Frames that are due at the beginning of this step come to the front."""
+        later = self._later
+        while later and later[0][0] <= step:
+            _, sender, frame, hearers = later.popleft()
+            self._now.append((sender, frame, hearers))
+
+    def arrivals(self, step: int, neighbours: Sequence[Sequence[int]]) -> Iterator[Arrival]:
+        """Who hears what now, until the air is quiet; frames that are sent meanwhile are heard too (latency 0).
+
+        `neighbours`: for each node the ids in its range.
+        """
+        air = self._now
+        if self._plain:
+            while air:
+                sender, frame, _ = air.popleft()
+                for hearer in neighbours[sender]:
+                    yield sender, hearer, frame
+            return
+        rng = self._rng
+        while air:
+            sender, frame, hearers = air.popleft()
+            if hearers is None:
+                if self._reorder and rng.random() < self._reorder:
+                    # Overtaken: the hearers are those in range now.
+                    self._delay(step, sender, frame, neighbours[sender])
+                    continue
+                hearers = neighbours[sender]
+            for hearer in hearers:
+                if self._loss and rng.random() < self._loss:
+                    self.dropped += 1
+                    continue
+                yield sender, hearer, frame
+                if self._duplicate and rng.random() < self._duplicate:
+                    yield sender, hearer, frame
+
+    def _delay(self, step: int, sender: int, frame: bytes, hearers: Sequence[int]) -> None:
+        places = self._rng.randrange(1, _OVERTAKEN_BY + 1)
+        if places > len(self._now):
+            self._later.append((step + 1, sender, frame, hearers))
+        else:
+            self._now.insert(places, (sender, frame, hearers))
+
+    def clear(self, node: int) -> None:
+        """A node is off: nothing that is on its way to it arrives. (Its own frames still do.)"""
+        self._now = deque((s, f, self._without(h, node)) for s, f, h in self._now)
+        self._later = deque((t, s, f, self._without(h, node)) for t, s, f, h in self._later)
+
+    @staticmethod
+    def _without(hearers: Sequence[int] | None, node: int) -> Sequence[int] | None:
+        return None if hearers is None else [h for h in hearers if h != node]
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 over all frames put on the air, in order, in hexadecimal."""
+        return self._digest.hexdigest()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing is on its way."""
+        return not self._now and not self._later

@@ -1,0 +1,181 @@
+"""Scenarios: what a mock swarm is made of. YAML files, typed and checked (docs/simulation.md)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from rass_mav.agent.settings import (
+    AgentSettings,
+    Count,
+    CustodySettings,
+    DataSettings,
+    Fraction,
+    MavlinkSettings,
+    NonNegative,
+    PolicySettings,
+    Positive,
+    RiskSettings,
+    RoutingSettings,
+    Section,
+    StoreSettings,
+)
+
+
+class NodeSection(Section):
+    """What concerns every node."""
+
+    step_s: Positive = 0.2
+    """Length of a step, seconds."""
+    forward: Literal["step"] = "step"
+    """step: what came in after a step leaves at the next one at the earliest."""
+
+
+class MobilitySection(Section):
+    """Options of the topologies."""
+
+    pitch_m: Positive | None = None
+    """Distance of neighbours in `line`, metres; null: 0.8 of the radio range."""
+    split_step: Annotated[int, Meta(ge=0)] = 100
+    """When the far half of `islands` moves away."""
+    rejoin_step: Annotated[int, Meta(ge=0)] | None = None
+    """When it comes back; null: never."""
+    gap_m: NonNegative = 2.0
+    """How far it moves, metres."""
+    positions: list[tuple[float, float]] | None = None
+    """For the topology `positions`: [x, y] of each node, metres, the arena's centre as origin."""
+
+
+class RadioSection(Section):
+    """The air between the nodes. Frames are lost, doubled and overtaken for each hearer by itself."""
+
+    range_m: Positive = 3.0
+    """Who is at most this far away hears, metres."""
+    loss: Fraction = 0.0
+    """Probability that a hearer does not get a frame."""
+    duplicate: Fraction = 0.0
+    """Probability that a hearer gets a frame twice."""
+    reorder: Fraction = 0.0
+    """Probability that a frame is overtaken by others, up to one step's worth."""
+    latency_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
+    """0: a frame arrives before the next step, and so do answers; L: at the beginning of the L-th step after."""
+
+
+class RadiationSection(Section):
+    """The radiation field, Eq. 1 and 2."""
+
+    sources: list[tuple[float, float, NonNegative]] | None = None
+    """[x, y, intensity] of each source, metres, the arena's centre as origin; null: `random_sources` by the seed."""
+    random_sources: Annotated[int, Meta(ge=0)] = 3
+    """How many, x and y uniform in +-spread_m, intensity uniform in 0..1."""
+    spread_m: NonNegative = 3.5
+    decay: NonNegative = 1.0
+    """lambda of Eq. 1, 1/m^2."""
+    drift: NonNegative = 0.0
+    """How far each source moves in a step, metres."""
+    noise: NonNegative = 0.05
+    """Standard deviation of the sensor's noise b of Eq. 1."""
+    corruption: bool = True
+    """Whether data in drones' stores are struck with Eq. 2's probability."""
+
+
+class FailureSection(Section):
+    """What goes wrong beside radiation."""
+
+    kill_every_s: Positive | None = None
+    """With the udp transport: every so many seconds a drone is killed with SIGKILL and started again; null: none."""
+
+
+class Scenario(Section):
+    """A mock swarm."""
+
+    title: str = ""
+    """One line for people."""
+    nodes: Annotated[int, Meta(ge=1, le=60000)] = 100
+    """Bases included."""
+    bases: Count = 1
+    """Nodes 0 .. bases - 1 are bases."""
+    steps: Annotated[int, Meta(ge=0)] = 500
+    seed: int = 1
+    topology: Literal["grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions"] = "grid"
+    arena_m: Positive | None = None
+    """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes."""
+    transport: Literal["loopback", "udp"] = "loopback"
+    """loopback: virtual time, in one process; udp: one process a node on 127.0.0.1, real time."""
+    node: NodeSection = NodeSection()
+    policy: PolicySettings = PolicySettings()
+    risk: RiskSettings = RiskSettings()
+    routing: RoutingSettings = RoutingSettings()
+    custody: CustodySettings = CustodySettings()
+    store: StoreSettings = StoreSettings()
+    data: DataSettings = DataSettings()
+    mavlink: MavlinkSettings = MavlinkSettings()
+    mobility: MobilitySection = MobilitySection()
+    radio: RadioSection = RadioSection()
+    radiation: RadiationSection = RadiationSection()
+    failures: FailureSection = FailureSection()
+
+    def __post_init__(self) -> None:
+        """What no single key can say."""
+        if self.bases > self.nodes:
+            raise ValueError(f"bases: expected at most nodes ({self.nodes}), got {self.bases}")
+        if self.topology == "positions":
+            given = len(self.mobility.positions or ())
+            if given != self.nodes:
+                raise ValueError(f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}")
+
+    @property
+    def arena(self) -> float:
+        """Side of the arena, metres."""
+        if self.arena_m is not None:
+            return self.arena_m
+        side = 1
+        while side * side < self.nodes:
+            side += 1
+        return 2.0 * side
+
+    def agent_settings(self, node_id: int) -> AgentSettings:
+        """The settings of one node."""
+        mavlink = msgspec.structs.replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
+        return AgentSettings(
+            node_id=node_id,
+            base=node_id < self.bases,
+            step_s=self.node.step_s,
+            policy=self.policy,
+            risk=self.risk,
+            routing=self.routing,
+            custody=self.custody,
+            store=self.store,
+            data=self.data,
+            mavlink=mavlink,
+        )
+
+
+def system_id(node_id: int) -> int:
+    """MAVLink system id of a simulated vehicle, 1..255; beyond 255 nodes some share one, as in real life."""
+    return node_id % 255 + 1
+
+
+#: Command line options and the scenario keys that they stand for.
+OPTION_KEYS: dict[str, str] = {
+    "nodes": "nodes",
+    "steps": "steps",
+    "seed": "seed",
+    "policy": "policy.name",
+    "topology": "topology",
+    "range": "radio.range_m",
+    "arena": "arena_m",
+    "loss": "radio.loss",
+    "duplicate": "radio.duplicate",
+    "reorder": "radio.reorder",
+    "capacity": "store.capacity_items",
+    "transport": "transport",
+}
+
+
+def plain(scenario: Scenario) -> dict[str, Any]:
+    """A scenario as plain values, every default filled in."""
+    result: dict[str, Any] = msgspec.to_builtins(scenario)
+    return result

@@ -1,0 +1,91 @@
+"""The figures of a run, and the summary that scripts read (docs/simulation.md)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rass_mav.core.messages import NO_ROUTE
+
+if TYPE_CHECKING:
+    from rass_mav.swarm.world import World
+
+
+def percentile(ordered: list[int], fraction: float) -> int | None:
+    """Nearest-rank percentile of sorted values; None if there are none."""
+    if not ordered:
+        return None
+    rank = max(1, -(-int(fraction * 1000) * len(ordered) // 1000))
+    return ordered[min(rank, len(ordered)) - 1]
+
+
+def spread(values: list[int]) -> dict[str, float | int | None]:
+    """Mean, median and 95th percentile."""
+    ordered = sorted(values)
+    mean = round(sum(ordered) / len(ordered), 4) if ordered else None
+    return {"mean": mean, "p50": percentile(ordered, 0.5), "p95": percentile(ordered, 0.95)}
+
+
+class Statistics:
+    """Counts once a step, after the air is quiet."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._steps = 0
+        self._stored = 0
+        self._copies = 0
+        self._waiting = 0
+        self.max_hop_count = 0
+
+    def count(self) -> None:
+        """Take the figures of this step."""
+        ledger = self._world.ledger
+        self._steps += 1
+        self._stored += ledger.stored
+        self._copies += ledger.waiting_copies
+        self._waiting += ledger.waiting
+        for agent in self._world.agents:
+            hops = agent.node.routing.hops
+            if self.max_hop_count < hops != NO_ROUTE:
+                self.max_hop_count = hops
+
+    def summary(self) -> dict[str, Any]:
+        """What `swarm --json` prints, but for the wall times."""
+        world = self._world
+        scenario = world.scenario
+        ledger = world.ledger
+        lost = ledger.losses()
+        created = ledger.created
+        drones = scenario.nodes - scenario.bases
+        capacity = scenario.store.capacity_items
+        room = drones * self._steps * (capacity or 0)
+        nodes = [agent.node for agent in world.agents]
+        kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
+        received = sum(agent.frames_received for agent in world.agents)
+        return {
+            "nodes": scenario.nodes,
+            "bases": scenario.bases,
+            "steps": self._steps,
+            "seed": scenario.seed,
+            "policy": scenario.policy.name,
+            "topology": scenario.topology,
+            "created": created,
+            "delivered": len(ledger.arrived),
+            "held": ledger.held,
+            "lost": lost,
+            "altered": ledger.altered,
+            "reliability": round(kept / created, 6) if created else 1.0,
+            "delay_steps": spread(ledger.delays()),
+            "hops": spread(ledger.hops),
+            "memory_used_percent": round(100 * self._stored / room, 4) if room else 0.0,
+            "copies_mean": round(self._copies / self._waiting, 4) if self._waiting else 0.0,
+            "transmissions_per_datum": round(sum(n.sent_data for n in nodes) / created, 4) if created else 0.0,
+            "frames": {
+                "sent": world.radio.sent,
+                "received": received,
+                "dropped": world.radio.dropped,
+                "malformed": sum(a.malformed + a.peer_reader.malformed for a in world.agents),
+            },
+            "bytes_sent": world.radio.bytes_sent,
+            "air_sha256": world.radio.sha256,
+            "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
+        }

@@ -1,0 +1,320 @@
+"""Encoding and decoding of TUNNEL payloads (docs/protocol.md). Little-endian, version in the first four bits.
+
+Fields appended by later versions at the end are ignored; another major version, and a type that is not known, raise
+`MalformedError` with `.foreign` set, so that they can be counted apart from garbage. Times travel as ages.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from rass_mav.core.archive import RECEIPT_ENTRIES
+from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.errors import MalformedError
+from rass_mav.core.messages import (
+    BROADCAST,
+    Accept,
+    Beacon,
+    Chunk,
+    Committed,
+    Data,
+    Handover,
+    LossNote,
+    LossNoteEntry,
+    Message,
+    Offer,
+    Put,
+    Receipt,
+    ReceiptEntry,
+    Sack,
+)
+
+#: Bytes of a TUNNEL payload.
+MAX_TUNNEL = 128
+#: Major version of the format, the high four bits of the first byte.
+VERSION = 1
+
+BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT = range(1, 11)
+
+_BEACON = struct.Struct("<HIHBHIHBHHHHHII")
+_TO = struct.Struct("<BHHB")
+_DATUM = struct.Struct("<IHIIIBBIB")
+_OFFER = struct.Struct("<BHHIHIIIBBIIB")
+_ACCEPT = struct.Struct("<BHHIHH")
+_CHUNK = struct.Struct("<BHH")
+_SACK = struct.Struct("<BHHHHB")
+_COMMITTED = struct.Struct("<BHHBB")
+_DONE = struct.Struct("<II")
+_NUMBER = struct.Struct("<I")
+_RECEIPT = struct.Struct("<BHIB")
+_RECEIPT_ENTRY = struct.Struct("<HIIH")
+_NOTE = struct.Struct("<IHIIB")
+_PUT = struct.Struct("<BHHHHIIIBBIB")
+_U16 = struct.Struct("<H")
+
+#: Largest payload of a datum that goes whole in one frame.
+INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
+#: Largest payload of a chunk.
+CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
+
+_POLL = 0x8000
+
+
+class ForeignError(MalformedError):
+    """Another major version, or a message type of a later one: not garbage, but nothing for us."""
+
+
+def _head(type_: int) -> int:
+    return VERSION << 4 | type_
+
+
+def _age(created: float, now: float) -> int:
+    age = int((now - created) * 1000.0 + 0.5)
+    return 0 if age < 0 else min(age, 0xFFFFFFFF)
+
+
+# -- encoding ----------------------------------------------------------------------------------------------------------
+
+
+def encode(message: Message, now: float) -> list[bytes]:
+    """The TUNNEL payloads of a message, mostly one; data and answers that do not fit one frame fill several.
+
+    `now`: seconds on the sender's timeline, for ages. ValueError or struct.error: a message that breaks its bounds,
+    which is our bug.
+    """
+    return _ENCODERS[type(message)](message, now)
+
+
+_BEACON_HEAD = bytes([_head(BEACON)])
+
+
+def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
+    return [_BEACON_HEAD + _BEACON.pack(*m)]
+
+
+def _encode_data(m: Data, now: float) -> list[bytes]:
+    frames = []
+    parts: list[bytes] = []
+    room = MAX_TUNNEL - _TO.size
+    for number, (id, kind, created, hops, crc, payload) in m.handovers:
+        size = _DATUM.size + len(payload)
+        if size > room:
+            if size > MAX_TUNNEL - _TO.size:
+                raise ValueError(f"a datum of {len(payload)} bytes does not go whole")
+            frames.append(_TO.pack(_head(DATA), m.sender, m.target, len(parts) // 2) + b"".join(parts))
+            parts = []
+            room = MAX_TUNNEL - _TO.size
+        parts.append(_DATUM.pack(number, *id, _age(created, now), hops, kind, crc, len(payload)))
+        parts.append(payload)
+        room -= size
+    frames.append(_TO.pack(_head(DATA), m.sender, m.target, len(parts) // 2) + b"".join(parts))
+    return frames
+
+
+def _encode_offer(m: Offer, now: float) -> list[bytes]:
+    return [
+        _OFFER.pack(
+            _head(OFFER), m.sender, m.target, m.number, *m.id, _age(m.created, now), m.hops, m.kind, m.crc, m.size,
+            m.chunk_size,
+        )
+    ]  # fmt: skip
+
+
+def _encode_accept(m: Accept, now: float) -> list[bytes]:
+    return [_ACCEPT.pack(_head(ACCEPT), *m)]
+
+
+def _encode_chunk(m: Chunk, now: float) -> list[bytes]:
+    if len(m.data) > CHUNK_BYTES or m.position >= _POLL:
+        raise ValueError("chunk too large")
+    return [_CHUNK.pack(_head(CHUNK), m.handle, m.position | (_POLL if m.poll else 0)) + m.data]
+
+
+def _encode_sack(m: Sack, now: float) -> list[bytes]:
+    bitmap = m.bitmap.to_bytes(32, "little").rstrip(b"\0")
+    return [_SACK.pack(_head(SACK), m.sender, m.target, m.handle, m.next_index, len(bitmap)) + bitmap]
+
+
+def _encode_committed(m: Committed, now: float) -> list[bytes]:
+    committed, refused = list(m.committed), list(m.refused)
+    frames = []
+    while True:
+        done = committed[: (MAX_TUNNEL - _COMMITTED.size) // _DONE.size]
+        room = (MAX_TUNNEL - _COMMITTED.size - len(done) * _DONE.size) // _NUMBER.size
+        no = refused[:room]
+        del committed[: len(done)], refused[: len(no)]
+        frames.append(
+            _COMMITTED.pack(_head(COMMITTED), m.sender, m.target, len(done), len(no))
+            + b"".join([_DONE.pack(*d) for d in done])
+            + b"".join([_NUMBER.pack(n) for n in no])
+        )
+        if not committed and not refused:
+            return frames
+
+
+def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
+    frames = []
+    for start in range(0, len(m.entries) or 1, RECEIPT_ENTRIES):
+        part = m.entries[start : start + RECEIPT_ENTRIES]
+        head = _RECEIPT.pack(_head(RECEIPT), m.base, m.base_epoch, len(part))
+        frames.append(head + b"".join([_RECEIPT_ENTRY.pack(*entry) for entry in part]))
+    return frames
+
+
+def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
+    each = (MAX_TUNNEL - _TO.size) // _NOTE.size
+    frames = []
+    for start in range(0, len(m.entries) or 1, each):
+        part = m.entries[start : start + each]
+        head = _TO.pack(_head(LOSS_NOTE), m.sender, m.target, len(part))
+        frames.append(head + b"".join([_NOTE.pack(e.number, *e.id, e.reason) for e in part]))
+    return frames
+
+
+def _encode_put(m: Put, now: float) -> list[bytes]:
+    d = m.datum
+    head = _PUT.pack(
+        _head(PUT), m.sender, m.lamport, m.writer, *d.id, _age(d.created, now), d.hops, d.kind, d.crc, len(d.payload)
+    )
+    if len(head) + len(d.payload) > MAX_TUNNEL:
+        raise ValueError(f"an entry of {len(d.payload)} bytes does not go whole")
+    return [head + d.payload]
+
+
+_ENCODERS: dict[type, Callable[..., list[bytes]]] = {
+    Beacon: _encode_beacon,
+    Data: _encode_data,
+    Offer: _encode_offer,
+    Accept: _encode_accept,
+    Chunk: _encode_chunk,
+    Sack: _encode_sack,
+    Committed: _encode_committed,
+    Receipt: _encode_receipt,
+    LossNote: _encode_loss_note,
+    Put: _encode_put,
+}
+
+
+# -- decoding ----------------------------------------------------------------------------------------------------------
+
+
+def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | None:
+    """The message in a TUNNEL payload. Raises `MalformedError`, and nothing else, whatever the bytes.
+
+    `now`: seconds on the receiver's timeline, for ages. With `node_id`, a message that names another target is not
+    looked into, and None is returned.
+    """
+    try:
+        head = payload[0]
+        decoder = _DECODERS.get(head)
+        if decoder is None:
+            if head >> 4 != VERSION:
+                raise ForeignError(f"version {head >> 4}, ours is {VERSION}")
+            raise ForeignError(f"message type {head & 15} is not known")
+        if node_id is not None and head in _TARGETED:
+            target = payload[3] | payload[4] << 8
+            if target != node_id and target != BROADCAST:
+                return None
+        return decoder(payload, now)
+    except (struct.error, IndexError) as error:
+        raise MalformedError(f"truncated message: {error}") from None
+
+
+def _decode_beacon(p: bytes, now: float) -> Beacon:
+    return Beacon._make(_BEACON.unpack_from(p, 1))
+
+
+def _decode_data(p: bytes, now: float) -> Data:
+    _, sender, target, count = _TO.unpack_from(p)
+    at = _TO.size
+    handovers = []
+    for _ in range(count):
+        number, origin, epoch, sequence, age, hops, kind, crc, size = _DATUM.unpack_from(p, at)
+        at += _DATUM.size
+        data = p[at : at + size]
+        at += size
+        if len(data) != size or not size:
+            raise MalformedError("truncated datum")
+        datum = Datum(DatumId(origin, epoch, sequence), kind, now - age / 1000.0, hops, crc, data)
+        handovers.append(Handover(number, datum))
+    return Data(sender, target, tuple(handovers))
+
+
+def _decode_offer(p: bytes, now: float) -> Offer:
+    (_, sender, target, number, origin, epoch, sequence, age, hops, kind, crc, size, chunk) = _OFFER.unpack_from(p)
+    if size <= 0 or not 0 < chunk <= CHUNK_BYTES:
+        raise MalformedError(f"an offer of {size} bytes in chunks of {chunk}")
+    id = DatumId(origin, epoch, sequence)
+    return Offer(sender, target, number, id, kind, now - age / 1000.0, hops, crc, size, chunk)
+
+
+def _decode_accept(p: bytes, now: float) -> Accept:
+    return Accept._make(_ACCEPT.unpack_from(p)[1:])
+
+
+def _decode_chunk(p: bytes, now: float) -> Chunk:
+    _, handle, index = _CHUNK.unpack_from(p)
+    return Chunk(BROADCAST, handle, index & ~_POLL, bool(index & _POLL), p[_CHUNK.size :])
+
+
+def _decode_sack(p: bytes, now: float) -> Sack:
+    _, sender, target, handle, next_index, size = _SACK.unpack_from(p)
+    bitmap = p[_SACK.size : _SACK.size + size]
+    if len(bitmap) != size or size > 32:
+        raise MalformedError("truncated bitmap")
+    return Sack(sender, target, handle, next_index, int.from_bytes(bitmap, "little"))
+
+
+def _decode_committed(p: bytes, now: float) -> Committed:
+    _, sender, target, done, no = _COMMITTED.unpack_from(p)
+    at = _COMMITTED.size
+    end = at + done * _DONE.size
+    committed = tuple([_DONE.unpack_from(p, i) for i in range(at, end, _DONE.size)])
+    refused = tuple([_NUMBER.unpack_from(p, end + i * _NUMBER.size)[0] for i in range(no)])
+    return Committed(sender, target, committed, refused)
+
+
+def _decode_receipt(p: bytes, now: float) -> Receipt:
+    _, base, epoch, count = _RECEIPT.unpack_from(p)
+    entries = tuple(
+        [
+            ReceiptEntry._make(_RECEIPT_ENTRY.unpack_from(p, _RECEIPT.size + i * _RECEIPT_ENTRY.size))
+            for i in range(count)
+        ]
+    )
+    return Receipt(base, epoch, entries)
+
+
+def _decode_loss_note(p: bytes, now: float) -> LossNote:
+    _, sender, target, count = _TO.unpack_from(p)
+    entries = []
+    for i in range(count):
+        number, origin, epoch, sequence, reason = _NOTE.unpack_from(p, _TO.size + i * _NOTE.size)
+        entries.append(LossNoteEntry(number, DatumId(origin, epoch, sequence), reason))
+    return LossNote(sender, target, tuple(entries))
+
+
+def _decode_put(p: bytes, now: float) -> Put:
+    (_, sender, lamport, writer, origin, epoch, sequence, age, hops, kind, crc, size) = _PUT.unpack_from(p)
+    data = p[_PUT.size : _PUT.size + size]
+    if len(data) != size or not size:
+        raise MalformedError("truncated entry")
+    datum = Datum(DatumId(origin, epoch, sequence), kind, now - age / 1000.0, hops, crc, data)
+    return Put(sender, lamport, writer, datum)
+
+
+_DECODERS: dict[int, Callable[[bytes, float], Message]] = {
+    _head(BEACON): _decode_beacon,
+    _head(DATA): _decode_data,
+    _head(OFFER): _decode_offer,
+    _head(ACCEPT): _decode_accept,
+    _head(CHUNK): _decode_chunk,
+    _head(SACK): _decode_sack,
+    _head(COMMITTED): _decode_committed,
+    _head(RECEIPT): _decode_receipt,
+    _head(LOSS_NOTE): _decode_loss_note,
+    _head(PUT): _decode_put,
+}
+#: Types whose target node id stands in bytes 3 and 4.
+_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE))

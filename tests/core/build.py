@@ -1,0 +1,88 @@
+"""Short ways to what the tests of core need again and again."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover, Message, Route
+from rass_mav.core.node import Node, NodeSettings
+from rass_mav.core.observer import Observer
+from rass_mav.core.policy import Policy
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.policy import make_policy
+
+from .durable import DurableStore
+
+
+def make_node(
+    node_id: int,
+    *,
+    store: DurableStore | None = None,
+    policy: Policy | str = "rass",
+    risk: float = 0.0,
+    now: float = 0.0,
+    seed: int = 0,
+    observer: Observer | None = None,
+    **settings: Any,
+) -> Node:
+    """A node whose sensor says `risk` and goes on saying it."""
+    estimator = RiskEstimator(stale_s=1e9)
+    estimator.observe(risk, now)
+    return Node(
+        NodeSettings(node_id=node_id, **settings),
+        store or DurableStore(epoch=1000 + node_id),
+        make_policy(policy) if isinstance(policy, str) else policy,
+        estimator,
+        random.Random(seed * 7919 + node_id),
+        now=now,
+        observer=observer,
+    )
+
+
+def beacon(
+    sender: int,
+    number: int = 0,
+    route: Route | None = None,
+    *,
+    epoch: int = 1,
+    flags: int = 0,
+    wanted: tuple[int, int] = (0, 0),
+    free: int = 50,
+    policy: int = 0,
+    potential: int = 1,
+) -> Beacon:
+    base, base_epoch, announced, hops = route or (0, 0, 0, NO_ROUTE)
+    return Beacon(
+        sender, epoch, number, flags, base, base_epoch, announced, hops, *wanted, 0, free, policy, potential, 0
+    )
+
+
+def datum(origin: int = 9, sequence: int = 0, payload: bytes = b"reading", *, created: float = 0.0) -> Datum:
+    return make_datum(DatumId(origin, 77, sequence), 0, created, payload)
+
+
+def data(sender: int, target: int, *handovers: tuple[int, Datum]) -> Data:
+    return Data(sender, target, tuple(Handover(*h) for h in handovers))
+
+
+def of(kind: type, messages: list[Message]) -> list[Any]:
+    """The messages of one type."""
+    return [m for m in messages if type(m) is kind]
+
+
+def talk(nodes: dict[int, Node], messages: list[Message], now: float) -> list[Message]:
+    """Deliver messages, and the answers to them, until all is silent. A perfect network; returns all that was said."""
+    said: list[Message] = []
+    queue = list(messages)
+    while queue:
+        message = queue.pop(0)
+        said.append(message)
+        sender = getattr(message, "sender", None)
+        target = getattr(message, "target", None)
+        for node in nodes.values():
+            if node.id == sender or (target is not None and target not in (node.id, 0xFFFF)):
+                continue
+            queue += node.receive(message, now)
+    return said

@@ -1,0 +1,125 @@
+"""A store that is honest about crashes: what was not committed is gone. Each commit is a snapshot of everything."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.errors import StoreFullError
+from rass_mav.core.store import StoredInfo
+
+
+@dataclass
+class State:
+    """All that a store knows."""
+
+    data: dict[DatumId, Datum] = field(default_factory=dict)
+    losses: dict[DatumId, Fate] = field(default_factory=dict)
+    counters: dict[str, int] = field(default_factory=dict)
+    meta: dict[str, int] = field(default_factory=dict)
+    sequence: int = 0
+
+    def snapshot(self) -> State:
+        return State(
+            dict(self.data), dict(self.losses), dict(self.counters), dict(self.meta), copy.copy(self.sequence)
+        )
+
+
+class DurableStore:
+    """`core.store.Store` over two states: the live one, and the one on the disk."""
+
+    def __init__(self, epoch: int, *, quota_bytes: int | None = None, disk: State | None = None) -> None:
+        self.epoch = epoch
+        self.fresh = disk is None
+        self.quota_bytes = quota_bytes
+        self.disk = disk or State()
+        self._live = self.disk.snapshot()
+        self._urgent = False
+        self._lazy = False
+
+    def crashed(self) -> DurableStore:
+        """What the next life finds."""
+        return DurableStore(self.epoch, quota_bytes=self.quota_bytes, disk=self.disk)
+
+    def commit(self) -> None:
+        """What a driver does before it sends."""
+        batch = self.take()
+        if batch is not None:
+            self.write(batch)
+
+    def next_sequence(self) -> int:
+        self._lazy = True
+        self._live.sequence += 1
+        return self._live.sequence - 1
+
+    def room_for(self, size: int) -> bool:
+        used = sum(len(d.payload) for d in self._live.data.values())
+        return self.quota_bytes is None or used + size <= self.quota_bytes
+
+    def put(self, datum: Datum) -> None:
+        data = self._live.data
+        old = data.get(datum.id)
+        if not self.room_for(len(datum.payload) - (0 if old is None else len(old.payload))):
+            raise StoreFullError("over quota")
+        data.pop(datum.id, None)
+        data[datum.id] = datum
+        self._urgent = True
+
+    def get(self, id: DatumId) -> Datum | None:
+        return self._live.data.get(id)
+
+    def flip_bit(self, id: DatumId) -> None:
+        """Radiation: the first bit of a stored payload changes."""
+        d = self._live.data[id]
+        self._live.data[id] = d._replace(payload=bytes([d.payload[0] ^ 1]) + d.payload[1:])
+
+    def remove(self, id: DatumId, fate: Fate) -> None:
+        if self._live.data.pop(id, None) is not None:
+            self._lazy = True
+            if fate in (Fate.CORRUPTED, Fate.EXPIRED):
+                self.lose(id, fate)
+
+    def lose(self, id: DatumId, fate: Fate) -> None:
+        self._live.losses.setdefault(id, fate)
+        self._urgent = True
+
+    def count(self, name: str, amount: int = 1) -> None:
+        self._live.counters[name] = self._live.counters.get(name, 0) + amount
+        self._lazy = True
+
+    def counters(self) -> dict[str, int]:
+        return dict(self._live.counters)
+
+    def held(self) -> Iterator[StoredInfo]:
+        for d in list(self._live.data.values()):
+            yield StoredInfo(d.id, d.kind, d.created, d.hops, d.crc, len(d.payload))
+
+    def ids(self) -> Iterable[DatumId]:
+        return list(self._live.data)
+
+    def losses(self) -> Iterable[tuple[DatumId, Fate]]:
+        return list(self._live.losses.items())
+
+    def get_meta(self, key: str) -> int | None:
+        return self._live.meta.get(key)
+
+    def set_meta(self, key: str, value: int) -> None:
+        self._live.meta[key] = value
+        self._urgent = True
+
+    def take(self, *, force: bool = False) -> object | None:
+        if not (self._urgent or (force and self._lazy)):
+            return None
+        self._urgent = self._lazy = False
+        return self._live.snapshot()
+
+    def write(self, batch: object) -> None:
+        assert isinstance(batch, State)
+        self.disk = batch
+
+    def close(self) -> None:
+        batch = self.take(force=True)
+        if batch is not None:
+            self.write(batch)

@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+import pytest
+
+from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Route
+from rass_mav.core.routing import MAX_BASES, RoutingTable
+
+from .build import beacon
+
+
+def table(node_id: int = 5, **more: object) -> RoutingTable:
+    return RoutingTable(node_id, 50 + node_id, lifetime_s=3.5, **more)  # type: ignore[arg-type]
+
+
+def announce(routing: RoutingTable) -> Route | None:
+    routing.announced()
+    return routing.route
+
+
+def test_the_fewest_hops_win() -> None:
+    routing = table()
+    routing.hear(beacon(1, route=Route(0, 9, 1, 4)), 0.0)
+    routing.hear(beacon(2, route=Route(0, 9, 1, 2)), 0.0)
+    routing.hear(beacon(3), 0.0)
+    routing.update(0.0)
+    assert routing.route == Route(0, 9, 1, 3)
+    assert (routing.next_hop, routing.hops) == (2, 3)
+
+
+def test_among_equals_the_newer_announcement_then_the_present_next_hop() -> None:
+    routing = table()
+    routing.hear(beacon(2, 0, Route(0, 9, 1, 2)), 0.0)
+    routing.update(0.0)
+    routing.hear(beacon(1, 0, Route(0, 9, 1, 2)), 0.0)
+    routing.update(0.0)
+    assert routing.next_hop == 2
+    routing.hear(beacon(1, 1, Route(0, 9, 2, 2)), 1.0)
+    routing.update(1.0)
+    assert routing.next_hop == 1
+    assert routing.route == Route(0, 9, 2, 3)
+
+
+def test_nobody_around_no_route() -> None:
+    routing = table()
+    routing.update(0.0)
+    assert routing.route is None
+    assert routing.hops == NO_ROUTE
+
+
+def test_a_base_is_its_own_route() -> None:
+    base = table(0, base=True, number=7)
+    base.hear(beacon(1, route=Route(8, 9, 1, 0)), 0.0)
+    base.update(0.0)
+    assert base.route == Route(0, 50, 7, 0)
+    assert base.next_hop is None
+
+
+def test_several_bases_compete() -> None:
+    routing = table()
+    routing.hear(beacon(1, route=Route(100, 9, 40000, 2)), 0.0)
+    routing.hear(beacon(2, route=Route(200, 9, 3, 1)), 0.0)
+    routing.update(0.0)
+    announce(routing)
+    assert routing.route == Route(200, 9, 3, 2)
+    routing.hear(beacon(2, 1), 1.0)
+    routing.update(1.0)
+    assert routing.route == Route(100, 9, 40000, 3)
+
+
+def test_after_an_announcement_only_shorter_or_newer_routes_are_feasible() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0, Route(0, 9, 5, 2)), 0.0)
+    routing.update(0.0)
+    assert announce(routing) == Route(0, 9, 5, 3)
+    assert routing.feasible(Route(0, 9, 5, 2))
+    assert not routing.feasible(Route(0, 9, 5, 3))
+    assert not routing.feasible(Route(0, 9, 4, 0))
+    assert routing.feasible(Route(0, 9, 6, 200))
+    assert routing.feasible(Route(0, 10, 1, 200))
+    routing.hear(beacon(1, 1, Route(0, 9, 5, 3)), 1.0)
+    routing.update(1.0)
+    assert routing.route is None
+
+
+def test_without_an_announcement_nothing_is_forbidden() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0, Route(0, 9, 5, 2)), 0.0)
+    routing.update(0.0)
+    assert routing.feasible(Route(0, 9, 5, 100))
+
+
+def test_a_silent_neighbour_is_gone_with_all_it_said() -> None:
+    routing = table()
+    routing.hear(beacon(1, route=Route(0, 9, 1, 0)), 0.0)
+    routing.update(3.5)
+    assert routing.next_hop == 1
+    routing.update(3.6)
+    assert (routing.route, routing.next_hop, routing.neighbours) == (None, None, {})
+
+
+def test_doubled_and_late_beacons_are_ignored() -> None:
+    routing = table()
+    assert routing.hear(beacon(1, 0xFFFF), 0.0)
+    assert routing.hear(beacon(1, 0), 1.0)
+    assert not routing.hear(beacon(1, 0), 2.0)
+    assert not routing.hear(beacon(1, 0xFFF0), 2.0)
+    assert routing.neighbours[1].heard == 1.0
+
+
+def test_a_restarted_neighbour_starts_anywhere() -> None:
+    routing = table()
+    routing.hear(beacon(1, 1000), 0.0)
+    assert routing.hear(beacon(1, 7), 1.0)
+    assert routing.hear(beacon(1, 7, epoch=2), 1.0)
+
+
+def test_the_table_is_bounded_and_keeps_the_fittest() -> None:
+    routing = table(max_neighbours=2)
+    routing.hear(beacon(1, potential=10, route=Route(0, 9, 1, 0)), 0.0)
+    routing.hear(beacon(2, potential=5), 0.0)
+    assert not routing.hear(beacon(3, potential=5), 0.0)
+    assert routing.hear(beacon(4, potential=6), 0.0)
+    assert set(routing.neighbours) == {1, 4}
+
+
+def test_a_full_table_keeps_the_next_hop() -> None:
+    routing = table(max_neighbours=1)
+    routing.hear(beacon(1, potential=1, route=Route(0, 9, 1, 0)), 0.0)
+    routing.update(0.0)
+    assert not routing.hear(beacon(2, potential=9), 0.0)
+    assert routing.next_hop == 1
+
+
+def test_hop_counts_are_bounded() -> None:
+    routing = table(max_hops=4)
+    routing.hear(beacon(1, route=Route(0, 9, 1, 4)), 0.0)
+    routing.update(0.0)
+    assert routing.route is None
+    routing.hear(beacon(2, route=Route(0, 9, 1, 3)), 0.0)
+    routing.update(0.0)
+    assert routing.hops == 4
+    for wrong in (0, 255):
+        with pytest.raises(ValueError, match="max_hops"):
+            table(max_hops=wrong)
+
+
+def test_who_hears_nothing_feasible_asks_for_a_newer_number() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0, Route(0, 9, 5, 1)), 0.0)
+    routing.update(0.0)
+    announce(routing)
+    routing.hear(beacon(1, 1, Route(0, 9, 5, 2)), 1.0)
+    routing.update(1.0)
+    assert routing.wanted == (0, 6)
+    routing.hear(beacon(1, 2, Route(0, 9, 6, 2)), 2.0)
+    routing.update(2.0)
+    assert routing.wanted is None
+    assert routing.hops == 3
+
+
+def test_a_request_is_passed_on_by_who_has_a_route_until_it_is_fulfilled() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0, Route(0, 9, 5, 1)), 0.0)
+    routing.update(0.0)
+    routing.hear(beacon(2, 0, flags=BEACON_WANTED, wanted=(0, 6)), 0.5)
+    routing.update(1.0)
+    assert routing.wanted == (0, 6)
+    routing.hear(beacon(1, 1, Route(0, 9, 6, 1)), 1.5)
+    routing.update(2.0)
+    assert routing.wanted is None
+
+
+def test_a_request_dies_out_in_time_and_without_a_route() -> None:
+    routing = table()
+    routing.hear(beacon(2, 0, flags=BEACON_WANTED, wanted=(0, 6)), 0.0)
+    routing.update(0.0)
+    assert routing.wanted is None
+    routing.hear(beacon(1, 0, Route(0, 9, 5, 1)), 0.0)
+    routing.update(0.0)
+    routing.hear(beacon(2, 1, flags=BEACON_WANTED, wanted=(0, 6)), 0.0)
+    routing.hear(beacon(1, 1, Route(0, 9, 5, 1)), 4.0)
+    routing.update(4.0)
+    assert routing.wanted is None
+
+
+def test_a_base_raises_its_number_when_asked_for_a_newer_one_only() -> None:
+    base = table(0, base=True, number=0xFFFF)
+    base.hear(beacon(1, 0, flags=BEACON_WANTED, wanted=(0, 0xFFFF)), 0.0)
+    base.hear(beacon(1, 1, flags=BEACON_WANTED, wanted=(1, 0)), 0.0)
+    assert base.number == 0xFFFF
+    base.hear(beacon(1, 2, flags=BEACON_WANTED, wanted=(0, 0)), 0.0)
+    assert base.number == 0
+    assert base.route == Route(0, 50, 0, 0)
+
+
+def test_a_route_through_oneself_is_none() -> None:
+    routing = table(5)
+    routing.hear(beacon(1, route=Route(5, 9, 1, 0)), 0.0)
+    routing.update(0.0)
+    assert routing.route is None
+
+
+def test_a_restarted_node_waits_before_it_takes_a_route() -> None:
+    routing = table(hold_until=10.0)
+    routing.hear(beacon(1, route=Route(0, 9, 1, 0)), 8.0)
+    routing.update(9.9)
+    assert routing.route is None
+    routing.update(10.0)
+    assert routing.next_hop == 1
+
+
+def test_feasibility_of_the_route_in_use_outlives_many_other_bases() -> None:
+    routing = table()
+    own = Route(0, 9, 5, 1)
+    for n in range(2 * MAX_BASES):
+        routing.hear(beacon(1, 2 * n, own), float(n))
+        routing.hear(beacon(2, 2 * n), float(n))
+        routing.update(float(n))
+        announce(routing)
+        routing.hear(beacon(2, 2 * n + 1, Route(1000 + n, 9, 1, 0)), float(n))
+        routing.update(float(n))
+        assert announce(routing) == Route(1000 + n, 9, 1, 1)
+        assert not routing.feasible(Route(0, 9, 5, 2))

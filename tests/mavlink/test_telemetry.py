@@ -1,0 +1,177 @@
+"""What is believed of what an autopilot says, and what is not."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.mavlink import messages
+from rass_mav.mavlink.dialect import payload_of
+from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.telemetry import LocalPosition, Position, Reading, Telemetry
+
+
+def frame(message: messages.MavlinkMessage, system: int = 7, component: int = 1) -> Frame:
+    return Frame(message.get_msgId(), 0, system, component, payload_of(message), False)
+
+
+def reading(value: float = 3.5, *, name: str = "RAD", boot_ms: int = 1000) -> messages.MavlinkMessage:
+    return messages.named_value_float(name, value, boot_ms)
+
+
+def test_state_follows_the_autopilot() -> None:
+    telemetry = Telemetry(7)
+    assert telemetry.handle(frame(messages.autopilot_heartbeat(armed=True)), 10.0)
+    assert telemetry.handle(frame(messages.global_position_int(-35.5, 149.25, 590.5, 6.5, 1234)), 11.0)
+    assert telemetry.handle(frame(messages.local_position_ned(1.0, 2.0, -3.0, 1300)), 12.0)
+    assert telemetry.handle(frame(messages.home_position(-35.25, 149.5, 584.0)), 13.0)
+    assert telemetry.handle(frame(reading(3.5, boot_ms=1400)), 14.0)
+    assert (telemetry.heartbeat_at, telemetry.armed) == (10.0, True)
+    assert telemetry.position == Position(-35.5, 149.25, 590.5, 6.5, 11.0)
+    assert telemetry.local == LocalPosition(1.0, 2.0, -3.0, 12.0)
+    assert telemetry.home == Position(-35.25, 149.5, 584.0, 0.0, 13.0)
+    assert telemetry.reading == Reading(3.5, 14.0)
+    assert telemetry.boot_ms == 1400
+    assert telemetry.handle(frame(messages.autopilot_heartbeat(armed=False)), 15.0)
+    assert (telemetry.heartbeat_at, telemetry.armed) == (15.0, False)
+    assert (telemetry.reboots, telemetry.rejected, telemetry.foreign) == (0, 0, 0)
+
+
+def test_before_a_fix_there_is_no_position() -> None:
+    telemetry = Telemetry(7)
+    assert not telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 0.0, 0.0, 500)), 1.0)
+    assert not telemetry.handle(frame(messages.home_position(0.0, 0.0, 0.0)), 1.0)
+    assert telemetry.position is None
+    assert telemetry.home is None
+    assert telemetry.boot_ms == 500
+    # A fix that was there is not overwritten by one that is lost.
+    telemetry.handle(frame(messages.global_position_int(1.0, 2.0, 3.0, 4.0, 600)), 2.0)
+    telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 0.0, 0.0, 700)), 3.0)
+    assert telemetry.position == Position(1.0, 2.0, 3.0, 4.0, 2.0)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_readings_that_are_no_numbers_are_rejected(value: float) -> None:
+    telemetry = Telemetry(7)
+    telemetry.handle(frame(reading(2.0)), 1.0)
+    assert not telemetry.handle(frame(reading(value)), 2.0)
+    assert telemetry.reading == Reading(2.0, 1.0)
+    assert telemetry.rejected == 1
+    assert not telemetry.handle(frame(messages.local_position_ned(0.0, value, 0.0, 5)), 2.0)
+    assert telemetry.local is None
+    assert telemetry.rejected == 2
+
+
+def test_negative_readings_are_valid() -> None:
+    telemetry = Telemetry(7)
+    assert telemetry.handle(frame(reading(-0.25)), 1.0)
+    assert telemetry.reading == Reading(-0.25, 1.0)
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(900_000_001, 0), (-900_000_001, 5), (5, 1_800_000_001), (0, -(2**31))])
+def test_places_that_are_not_on_earth_are_rejected(lat: int, lon: int) -> None:
+    telemetry = Telemetry(7)
+    message = messages.global_position_int(1.0, 1.0, 1.0, 1.0, 1)
+    message.lat, message.lon = lat, lon
+    assert not telemetry.handle(frame(message), 1.0)
+    assert telemetry.position is None
+    assert telemetry.rejected == 1
+
+
+@pytest.mark.parametrize(("system", "component"), [(8, 1), (7, 191), (7, 0), (0, 1)])
+def test_others_are_not_believed(system: int, component: int) -> None:
+    telemetry = Telemetry(7)
+    before = vars(telemetry).copy()
+    others = [
+        messages.autopilot_heartbeat(),
+        messages.global_position_int(1.0, 2.0, 3.0, 4.0, 999),
+        messages.local_position_ned(1.0, 2.0, 3.0, 999),
+        messages.home_position(1.0, 2.0, 3.0),
+        reading(),
+    ]
+    assert not any(telemetry.handle(frame(message, system, component), 1.0) for message in others)
+    assert vars(telemetry) == {**before, "foreign": 1}
+
+
+def test_only_our_name_is_a_reading() -> None:
+    telemetry = Telemetry(7, reading_name="GEIGER")
+    for name in ("RAD", "GEIGER2", "GEIGE", "geiger"):
+        assert not telemetry.handle(frame(reading(name=name)), 1.0)
+        assert not telemetry.handle(frame(reading(name=name), system=9), 1.0)
+    assert telemetry.reading is None
+    assert telemetry.foreign == 0
+    assert telemetry.handle(frame(reading(name="GEIGER")), 2.0)
+
+
+def test_a_name_ends_at_its_zero() -> None:
+    telemetry = Telemetry(7)
+    untidy = payload_of(reading(4.0)).ljust(18, b"\0")[:8] + b"RAD\0junk\0x"
+    assert telemetry.handle(Frame(messages.NAMED_VALUE_FLOAT, 0, 7, 1, untidy, False), 1.0)
+    assert telemetry.reading == Reading(4.0, 1.0)
+
+
+def test_a_name_of_ten_characters_fills_the_field() -> None:
+    telemetry = Telemetry(7, reading_name="TENLETTERS")
+    assert telemetry.handle(frame(reading(name="TENLETTERS")), 1.0)
+
+
+@pytest.mark.parametrize("name", ["", "elevenchars", "µSv"])
+def test_a_configured_name_that_does_not_fit_is_an_error_of_the_configuration(name: str) -> None:
+    with pytest.raises(ConfigError, match="1 to 10 ASCII"):
+        Telemetry(7, reading_name=name)
+
+
+def test_system_0_latches_onto_the_first_autopilot() -> None:
+    telemetry = Telemetry(0)
+    # No autopilot has spoken yet: a companion, a camera, a reading and a position do not latch.
+    assert not telemetry.handle(frame(messages.companion_heartbeat(), 5, 191), 1.0)
+    assert not telemetry.handle(frame(messages.companion_heartbeat(), 5, 1), 1.0)
+    assert not telemetry.handle(frame(messages.autopilot_heartbeat(), 5, 100), 1.0)
+    assert not telemetry.handle(frame(messages.autopilot_heartbeat(), 0, 1), 1.0)
+    assert not telemetry.handle(frame(reading(), 6, 1), 1.0)
+    assert not telemetry.handle(frame(reading(), 0, 1), 1.0)
+    assert (telemetry.system_id, telemetry.heartbeat_at, telemetry.reading) == (0, None, None)
+    assert telemetry.handle(frame(messages.autopilot_heartbeat(), 6, 1), 2.0)
+    assert (telemetry.system_id, telemetry.heartbeat_at) == (6, 2.0)
+    # From now on only that one.
+    assert not telemetry.handle(frame(messages.autopilot_heartbeat(), 5, 1), 3.0)
+    assert not telemetry.handle(frame(reading(9.0), 5, 1), 3.0)
+    assert telemetry.handle(frame(reading(1.0), 6, 1), 4.0)
+    assert (telemetry.system_id, telemetry.heartbeat_at) == (6, 2.0)
+    assert telemetry.reading == Reading(1.0, 4.0)
+    assert telemetry.foreign == 1
+
+
+def test_a_reboot_is_seen_by_the_time_since_boot() -> None:
+    telemetry = Telemetry(7)
+    for boot_ms in (20_000, 20_200, 15_200, 20_400):  # overtaken on the way by up to 5 s: no reboot
+        telemetry.handle(frame(reading(boot_ms=boot_ms)), 1.0)
+    assert telemetry.reboots == 0
+    telemetry.handle(frame(messages.global_position_int(1.0, 2.0, 3.0, 4.0, 900)), 2.0)
+    assert (telemetry.reboots, telemetry.boot_ms) == (1, 900)
+    telemetry.handle(frame(messages.local_position_ned(1.0, 2.0, 3.0, 1100)), 2.0)
+    assert telemetry.reboots == 1
+
+
+def test_a_script_that_leaves_the_time_at_zero_is_no_reboot() -> None:
+    telemetry = Telemetry(7)
+    telemetry.handle(frame(messages.global_position_int(1.0, 2.0, 3.0, 4.0, 60_000)), 1.0)
+    assert telemetry.handle(frame(reading(boot_ms=0)), 2.0)
+    assert (telemetry.reboots, telemetry.boot_ms) == (0, 60_000)
+
+
+@given(
+    message_id=st.sampled_from([0, 32, 33, 242, 251, 385, 70_000]),
+    payload=st.binary(max_size=255),
+    system=st.sampled_from([0, 7, 8]),
+    configured=st.sampled_from([0, 7]),
+)
+def test_any_payload_is_survived(message_id: int, payload: bytes, system: int, configured: int) -> None:
+    telemetry = Telemetry(configured)
+    used = telemetry.handle(Frame(message_id, 0, system, 1, payload, False), 1.0)
+    known = (telemetry.position, telemetry.local, telemetry.home, telemetry.reading, telemetry.heartbeat_at)
+    assert used is any(value is not None for value in known)
+    if telemetry.reading is not None:
+        assert math.isfinite(telemetry.reading.value)

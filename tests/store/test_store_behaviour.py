@@ -1,0 +1,192 @@
+"""What holds for every store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from store_helpers import EPOCH, commit, datum, open_store
+
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.errors import StoreFullError
+from rass_mav.core.store import Store, StoredInfo
+from rass_mav.store import MemoryStore
+from rass_mav.store.quota import ROW_OVERHEAD
+
+Make = Callable[..., Store]
+
+
+@pytest.fixture(params=["memory", "sqlite"])
+def make(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Make]:
+    opened: list[Store] = []
+
+    def make(quota_bytes: int | None = None) -> Store:
+        if request.param == "memory":
+            opened.append(MemoryStore(EPOCH, quota_bytes=quota_bytes))
+        else:
+            opened.append(open_store(tmp_path / "node.db", quota_bytes=quota_bytes))
+        return opened[-1]
+
+    yield make
+    for store in opened:
+        store.close()
+
+
+@pytest.fixture
+def store(make: Make) -> Store:
+    return make()
+
+
+def test_a_new_store_is_fresh_and_empty(store: Store) -> None:
+    assert (store.epoch, store.fresh) == (EPOCH, True)
+    assert list(store.held()) == list(store.ids()) == list(store.losses()) == []
+    assert store.counters() == {}
+    assert store.get_meta("announcement") is None
+    assert store.get(DatumId(7, EPOCH, 0)) is None
+    assert store.take(force=True) is None
+
+
+def test_sequence_numbers_have_no_holes(store: Store) -> None:
+    numbers = []
+    for _ in range(5):
+        numbers.append(store.next_sequence())
+        commit(store)
+    assert numbers == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_what_is_put_is_there_at_once(store: Store, committed: bool) -> None:
+    first, second = datum(1), datum(2, 3000)
+    store.put(first)
+    store.put(second)
+    if committed:
+        commit(store)
+    assert store.get(first.id) == first
+    assert store.get(second.id) == second
+    assert store.get(second.id).intact  # type: ignore[union-attr]
+    assert list(store.held()) == [
+        StoredInfo(first.id, 1, 1.5, 0, first.crc, 50),
+        StoredInfo(second.id, 1, 1.5, 0, second.crc, 3000),
+    ]
+    assert sorted(store.ids()) == [first.id, second.id]
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_a_replaced_datum_is_the_latest(store: Store, committed: bool) -> None:
+    first, second = datum(1), datum(2)
+    store.put(first)
+    store.put(second)
+    if committed:
+        commit(store)
+    store.put(first._replace(hops=4))
+    if committed:
+        commit(store)
+    assert [(info.id, info.hops) for info in store.held()] == [(second.id, 0), (first.id, 4)]
+    assert store.get(first.id) == first._replace(hops=4)
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_what_is_removed_is_gone_at_once(store: Store, committed: bool) -> None:
+    store.put(datum(1))
+    store.put(datum(2))
+    if committed:
+        commit(store)
+    store.remove(datum(1).id, Fate.PASSED_ON)
+    assert store.get(datum(1).id) is None
+    assert [info.id for info in store.held()] == list(store.ids()) == [datum(2).id]
+    commit(store)
+    assert store.get(datum(1).id) is None
+    store.remove(datum(1).id, Fate.CORRUPTED)
+    assert list(store.losses()) == []
+
+
+def test_only_corrupted_and_expired_data_are_noted_as_losses(store: Store) -> None:
+    for number, fate in enumerate(Fate):
+        store.put(datum(number))
+        store.remove(datum(number).id, fate)
+    losses = {fate: id for id, fate in store.losses()}
+    assert set(losses) == {Fate.CORRUPTED, Fate.EXPIRED}
+    commit(store)
+    assert {fate: id for id, fate in store.losses()} == losses
+
+
+def test_the_first_fate_that_is_told_of_a_loss_stays(store: Store) -> None:
+    id = DatumId(9, 1, 5)
+    store.lose(id, Fate.OVERFLOW)
+    store.lose(id, Fate.EXPIRED)
+    commit(store)
+    store.lose(id, Fate.CORRUPTED)
+    assert list(store.losses()) == [(id, Fate.OVERFLOW)]
+    commit(store)
+    assert list(store.losses()) == [(id, Fate.OVERFLOW)]
+
+
+def test_counters_add_up_and_numbers_are_set(store: Store) -> None:
+    store.count("delivered")
+    commit(store)
+    store.count("delivered", 41)
+    store.count("overflow", 3)
+    store.set_meta("announcement", 65535)
+    store.set_meta("announcement", -1)
+    assert store.counters() == {"delivered": 42, "overflow": 3}
+    assert store.get_meta("announcement") == -1
+
+
+def test_what_is_handed_out_does_not_change_the_store(store: Store) -> None:
+    store.put(datum(1))
+    store.count("delivered")
+    store.counters()["delivered"] = 7
+    for id in store.ids():
+        store.remove(id, Fate.PASSED_ON)
+    assert store.counters() == {"delivered": 1}
+
+
+def test_the_store_may_change_while_it_is_listed(store: Store) -> None:
+    for number in range(20):
+        store.put(datum(number))
+        if number == 10:
+            commit(store)
+    for info in store.held():
+        store.remove(info.id, Fate.PASSED_ON)
+    assert list(store.ids()) == []
+
+
+def test_there_is_room_for_what_can_be_put_and_for_nothing_else(make: Make) -> None:
+    store = make(3 * (100 + ROW_OVERHEAD))
+    for number in range(3):
+        assert store.room_for(100)
+        store.put(datum(number, 100))
+    assert not store.room_for(0)
+    commit(store)
+    store.remove(datum(0).id, Fate.PASSED_ON)
+    for size in (0, 99, 100, 101, 1000):
+        if store.room_for(size):
+            store.put(datum(9, size))
+            store.remove(datum(9).id, Fate.PASSED_ON)
+        else:
+            with pytest.raises(StoreFullError):
+                store.put(datum(9, size))
+    assert store.room_for(100)
+    assert not store.room_for(101)
+
+
+def test_without_a_quota_there_is_room(store: Store) -> None:
+    assert store.room_for(1 << 20)
+
+
+def test_over_the_quota_nothing_changes(make: Make) -> None:
+    store = make(2 * (100 + ROW_OVERHEAD))
+    store.put(datum(1, 100))
+    store.put(datum(2, 100))
+    for refused in (datum(3, 0), datum(2, 101)):
+        with pytest.raises(StoreFullError, match="quota"):
+            store.put(refused)
+    assert store.get(datum(3).id) is None
+    assert [store.get(info.id) for info in store.held()] == [datum(1, 100), datum(2, 100)]
+    commit(store)
+    store.put(datum(2, 99))
+    store.remove(datum(1).id, Fate.PASSED_ON)
+    store.put(datum(3, 101))
+    with pytest.raises(StoreFullError):
+        store.put(datum(4, 0))

@@ -1,0 +1,167 @@
+"""A full disk, a disk that fails, a store that is in use, a path that cannot be."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from store_helpers import ROOT, commit, datum, open_store
+
+from rass_mav.core.datum import Fate
+from rass_mav.core.errors import StoreError, StoreFullError
+from rass_mav.store import SqliteReader, SqliteStore
+
+HOLDER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from store_helpers import open_store
+store = open_store(Path(sys.argv[1]))
+print("open", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "node.db"
+
+
+def fill(store: SqliteStore) -> int:
+    """Commit data of 5000 bytes until the disk is full. Returns how many are durable; the next one waits."""
+    for number in range(1000):
+        store.put(datum(number, 5000))
+        try:
+            commit(store)
+        except StoreFullError as error:
+            assert str(error).endswith("node.db: database or disk is full (while writing)")  # noqa: PT017
+            return number
+    pytest.fail("the disk is never full")
+
+
+def test_on_a_full_disk_nothing_is_lost(path: Path) -> None:
+    with open_store(path, file_limit=200_000) as store:
+        durable = fill(store)
+        assert durable > 10
+        with SqliteReader(path) as reader:
+            assert [id.sequence for id in reader.ids()] == list(range(durable))
+        assert [store.get(datum(number).id) for number in range(durable + 1)] == [
+            datum(number, 5000) for number in range(durable + 1)
+        ]
+        # Still full: the same batch fails again.
+        with pytest.raises(StoreFullError):
+            commit(store)
+        # Handing data on makes room, and what waited is written.
+        for number in range(3):
+            store.remove(datum(number).id, Fate.PASSED_ON)
+        commit(store)
+        with SqliteReader(path) as reader:
+            assert [id.sequence for id in reader.ids()] == list(range(3, durable + 1))
+        assert path.stat().st_size <= 200_000
+
+
+def test_a_store_that_filled_its_disk_opens_again(path: Path) -> None:
+    with pytest.raises(StoreFullError), open_store(path, file_limit=200_000) as store:
+        durable = fill(store)
+    with open_store(path, file_limit=200_000) as store:
+        assert not store.fresh
+        assert [id.sequence for id in store.ids()] == list(range(durable))
+
+
+def test_when_the_disk_fails_nothing_is_lost(path: Path, tmp_path: Path) -> None:
+    with open_store(path) as store:
+        store.put(datum(1))
+        commit(store)
+        store.put(datum(2, 20_000))
+        batch = store.take()
+        # From here on, no file of this process grows: the operating system fails the write half-way.
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, ((tmp_path / "node.db-wal").stat().st_size + 6000, hard))
+        try:
+            with pytest.raises(StoreError, match=r"node\.db"):
+                store.write(batch)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        store.put(datum(3))
+        assert [store.get(datum(number).id) is not None for number in (1, 2, 3)] == [True, True, True]
+        with SqliteReader(path) as reader:
+            assert [id.sequence for id in reader.ids()] == [1]
+        commit(store)
+        with SqliteReader(path) as reader:
+            assert [reader.get(id) for id in reader.ids()] == [datum(1), datum(2, 20_000), datum(3)]
+
+
+def test_two_stores_cannot_have_one_file(path: Path) -> None:
+    with open_store(path) as store:
+        store.put(datum(1))
+        with pytest.raises(StoreError, match=rf"node\.db: in use by another node \(process {os.getpid()}\)"):
+            open_store(path)
+        commit(store)
+    with open_store(path) as store:
+        assert store.get(datum(1).id) == datum(1)
+
+
+def test_the_lock_ends_with_the_process_that_holds_it(path: Path) -> None:
+    child = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path), str(Path(__file__).parent)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "open\n"
+    with pytest.raises(StoreError, match=f"process {child.pid}"):
+        open_store(path)
+    child.kill()
+    child.communicate()
+    with open_store(path) as store:
+        assert not store.fresh
+
+
+def test_the_lock_is_given_back_when_opening_fails(tmp_path: Path) -> None:
+    path = tmp_path / "node.db"
+    with pytest.raises(ValueError, match="32 bits"):
+        open_store(path, draw_epoch=lambda: 1 << 32)
+    with open_store(path) as store:
+        assert store.fresh
+
+
+def test_a_store_cut_off_while_it_was_made_is_made_again(path: Path) -> None:
+    path.with_name("node.db.new").write_bytes(b"half a database")
+    path.with_name("node.db.new-wal").write_bytes(b"half a log")
+    with open_store(path) as store:
+        assert store.report == (True, None, "")
+    assert sorted(file.name for file in path.parent.iterdir()) == ["node.db", "node.db.lock"]
+
+
+def test_paths_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "directory").mkdir()
+    for path, reason in {
+        "missing/node.db": "No such file or directory",
+        "file/node.db": "Not a directory",
+        "directory": "not a file",
+    }.items():
+        with pytest.raises(StoreError, match=reason) as error:
+            open_store(tmp_path / path)
+        assert str(tmp_path / path) in str(error.value)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_without_permission_to_write(path: Path) -> None:
+    with open_store(path) as store:
+        store.put(datum(1))
+    path.chmod(0o400)
+    with pytest.raises(StoreError, match=r"node\.db: no permission"):
+        open_store(path)
+    path.parent.chmod(0o500)
+    with SqliteReader(path) as reader:
+        assert reader.get(datum(1).id) == datum(1)
+    with pytest.raises(StoreError, match=r"other\.db.*Permission denied"):
+        open_store(path.with_name("other.db"))
+    path.parent.chmod(0o700)
