@@ -121,7 +121,7 @@ class Node:
             lifetime_s=lifetime,
             max_neighbours=settings.max_neighbours,
             max_hops=settings.max_hops,
-            hold_until=None if store.fresh else now + lifetime,
+            hold_until=None if store.fresh else now + 2 * lifetime,
             number=following(store.get_meta("announcement") or 0),
         )
         self.custody = Custody(rng)
@@ -347,7 +347,7 @@ class Node:
         if self.base:
             self.potential = POTENTIAL_BASE if free else 0
         else:
-            self.potential = self.policy.potential(NO_ROUTE if route is None else route.hops, risk, free)
+            self.potential = self.policy.potential(routing.distance, risk, free)
         routing.announced()
         wanted = routing.wanted
         flags = (BEACON_BASE if self.base else 0) | (BEACON_WANTED if wanted else 0)
@@ -384,9 +384,11 @@ class Node:
         self.transfers.age(now)
         if budget > 0 and neighbours:
             inventory = self.inventory
+            # A neighbour whose last beacon is missing may have moved away: only if nobody else is fit is it tried.
+            recent = now - 1.5 * settings.step_s
             view = View(
-                neighbours.values(),
-                self.routing.hops,
+                [n for n in neighbours.values() if n.heard >= recent],
+                self.routing.distance,
                 self.potential,
                 self.risk.risk(now),
                 budget,
@@ -394,7 +396,11 @@ class Node:
                 self.fresh,
                 self.rng,
             )
-            for id, target, move in self.policy.plan(view):
+            plan = self.policy.plan(view)
+            if not plan and len(view.neighbours) < len(neighbours):
+                view.neighbours = neighbours.values()
+                plan = self.policy.plan(view)
+            for id, target, move in plan:
                 datum = self.load(id)
                 if datum is None:
                     continue
@@ -419,10 +425,17 @@ class Node:
         """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent. Returns items sent."""
         settings = self.settings
         due = now - (settings.retry_steps - 0.5) * settings.step_s
+        # Two beacons missed: it has probably moved away, so another is tried before the routing table gives it up.
+        silent = now - 2.5 * settings.step_s
         neighbours = self.routing.neighbours
         sent = 0
         for pending in list(self.custody.pending.values()):
-            if pending.neighbour not in neighbours or pending.tries >= settings.max_tries:
+            neighbour = neighbours.get(pending.neighbour)
+            if (
+                neighbour is None
+                or neighbour.heard < silent
+                or pending.tries >= settings.max_tries
+            ):
                 self.custody.cancel(pending.id)
                 self.transfers.cancel(pending.id)
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -31,7 +31,7 @@ class Transfer(NamedTuple):
 class View:
     """What a policy may look at when it plans a step."""
 
-    neighbours: Iterable[Neighbour]
+    neighbours: Collection[Neighbour]
     """Neighbours heard lately."""
     hops: int
     """Own hop count, or NO_ROUTE."""

@@ -62,6 +62,9 @@ class RoutingTable:
         self.next_hop: int | None = None
         self.route: Route | None = Route(node_id, epoch, number, 0) if base else None
         """The chosen route; its hops are counted from this node."""
+        self.distance = 0 if base else NO_ROUTE
+        """Fewest hops that any neighbour announces, plus one: h of Eq. 3. It is known even while no route is feasible;
+        then it is not announced, so that nobody counts on it."""
         self.wanted: tuple[int, int] | None = None
         """(base id, number) this node asks for, for itself or for a neighbour."""
         self._hold_until = hold_until
@@ -117,6 +120,7 @@ class RoutingTable:
         oldest = now - self.lifetime_s
         neighbours = self.neighbours
         gone = None
+        nearest = NO_ROUTE
         best: Beacon | None = None
         blocked: tuple[int, int] | None = None
         node_id = self.node_id
@@ -129,6 +133,8 @@ class RoutingTable:
             hops = b.hops
             if hops >= self.max_hops or (best is not None and hops > best.hops) or b.base == node_id:
                 continue
+            if hops < nearest:
+                nearest = hops
             own = feasible.get((b.base, b.base_epoch))
             if own is not None:
                 ahead = (b.route_number - own[0]) & 0xFFFF
@@ -146,6 +152,7 @@ class RoutingTable:
                 del neighbours[id]
         if self.base:
             return
+        self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
         if best is None or (self._hold_until is not None and now < self._hold_until):
             self.route = None
             self.next_hop = None
@@ -182,16 +189,18 @@ class RoutingTable:
         if route is None or self.base:
             return
         key = (route.base, route.base_epoch)
-        own = self._feasible.get(key)
+        feasible = self._feasible
+        own = feasible.get(key)
+        best = (route.number, route.hops)
         if own is not None:
-            if own[0] == route.number:
-                if route.hops >= own[1]:
-                    return
-            elif not newer(route.number, own[0]):
-                return
-        elif len(self._feasible) >= MAX_BASES:
-            del self._feasible[next(iter(self._feasible))]
-        self._feasible[key] = (route.number, route.hops)
+            if (route.hops >= own[1]) if own[0] == route.number else not newer(route.number, own[0]):
+                best = own
+            if len(feasible) > 1:
+                # Kept in the order of use, so that the base in use is the last to be forgotten.
+                del feasible[key]
+        elif len(feasible) >= MAX_BASES:
+            del feasible[next(iter(feasible))]
+        feasible[key] = best
 
     @property
     def hops(self) -> int:
