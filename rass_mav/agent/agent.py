@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 HEARTBEAT_S = 1.0
 #: A rival under the same node id is told to the ground at most this often, seconds.
 RIVAL_REPORT_S = 30.0
+#: Refused measurements likewise.
+FULL_REPORT_S = 30.0
 _CRITICAL = 2
 _WARNING = 4
 _NO_BROADCAST_TARGET = (Beacon, Receipt, Put)
@@ -84,6 +86,9 @@ class Agent:
         """TUNNEL payloads of another version, type or purpose."""
         self.steps = 0
         """Steps done."""
+        self.beacon_from: int | None = None
+        """Node id of the sender of the last beacon. A driver whose links learn addresses sets it to None before
+        `peer_bytes` and looks at it after."""
         self._rng = rng
         self._unsigned = verifier is None
         self._payload_type = mavlink.payload_type
@@ -92,6 +97,8 @@ class Agent:
         self._next_heartbeat = now
         self._text_id = 0
         self._next_rival_report = now
+        self._refused = 0
+        self._next_full_report = now
         self._reading_at: float | None = None
 
     # -- what comes in -------------------------------------------------------------------------------------------------
@@ -149,6 +156,8 @@ class Agent:
             return ()
         if message is None:
             return ()
+        if type(message) is Beacon:
+            self.beacon_from = message.sender
         answers = self.node.receive(message, now)
         return self._encoded(answers, now) if answers else ()
 
@@ -212,7 +221,10 @@ class Agent:
         try:
             return node.put(payload, now, Kind.MEASUREMENT)
         except StoreFullError:
-            log.warning("no room for a new measurement")
+            self._refused += 1
+            if now >= self._next_full_report:
+                self._next_full_report = now + FULL_REPORT_S
+                self.tell_ground(_WARNING, f"RASS: store full, {self._refused} measurements refused so far")
             return None
 
     def tell_ground(self, severity: int, text: str) -> None:

@@ -36,7 +36,7 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
-            mark = self.peek_event().start_mark
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
             raise yaml.constructor.ConstructorError(None, None, "aliases (*name) are not supported", mark)
         return super().compose_node(parent, index)
 
@@ -86,7 +86,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 
 def _parse(text: str) -> Any:
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 (a SafeLoader)
+        return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f"line {mark.line + 1}: " if mark is not None else ""
@@ -274,7 +274,7 @@ def _option(info: Any) -> str:
 
 def _bounds(info: Any) -> str:
     bounds = ((">=", info.ge), (">", info.gt), ("<=", info.le), ("<", info.lt))
-    said = [f"{sign} {bound:g}" if abs(bound) < 1e6 else f"{sign} {bound}" for sign, bound in bounds if bound is not None]
+    said = [f"{sign} {bound}" for sign, bound in bounds if bound is not None]
     return " " + " and ".join(said) if said else ""
 
 

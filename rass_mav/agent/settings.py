@@ -25,7 +25,14 @@ class Section(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=T
     """Base of all sections: unknown keys are errors."""
 
 
-class PolicySettings(Section):
+def only_value(key: str, value: object, only: object) -> None:
+    """Refuse, with a ValueError, a value that belongs to a later version: this one knows just `only`."""
+    if value != only:
+        words = [str(v).lower() if isinstance(v, bool) else str(v) for v in (only, value)]
+        raise ValueError(f"{key}: expected {words[0]}, got {words[1]} (not available in this version)")
+
+
+class PolicySettings(Section, frozen=True):
     """Who is fit, and what goes to whom."""
 
     name: Literal["rass", "rass-literal", "hop-count", "stigmergy"] = "rass"
@@ -41,7 +48,7 @@ class PolicySettings(Section):
         return make_policy(self.name, Weights(self.alpha, self.beta, self.threshold))
 
 
-class RiskSettings(Section):
+class RiskSettings(Section, frozen=True):
     """From readings to risk."""
 
     gain: Annotated[float, Meta(gt=0, le=1)] = 1.0
@@ -69,7 +76,7 @@ class RiskSettings(Section):
         return RiskEstimator(gain=self.gain, stale_s=self.stale_s, worst=self.worst)
 
 
-class RoutingSettings(Section):
+class RoutingSettings(Section, frozen=True):
     """The routing table."""
 
     seq_period: Annotated[int, Meta(ge=0)] = 30
@@ -80,7 +87,7 @@ class RoutingSettings(Section):
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
 
 
-class CustodySettings(Section):
+class CustodySettings(Section, frozen=True):
     """The duty to keep data."""
 
     mode: Literal["acknowledged", "none"] = "acknowledged"
@@ -91,9 +98,18 @@ class CustodySettings(Section):
     """A hand-over without an answer is sent again after so many steps."""
     max_tries: Count = 8
     """After so many sendings without an answer another neighbour may be chosen."""
+    mirror: bool = False
+    """Keep a spare copy after custody has passed on; only false in this version."""
+    copies: Count | Literal["auto"] = 1
+    """How many copies of a datum there should be; only 1 in this version."""
+
+    def __post_init__(self) -> None:
+        """What this version cannot do yet."""
+        only_value("custody.mirror", self.mirror, False)
+        only_value("custody.copies", self.copies, 1)
 
 
-class StoreSettings(Section):
+class StoreSettings(Section, frozen=True):
     """What a node can hold and send."""
 
     path: str | None = None
@@ -110,7 +126,7 @@ class StoreSettings(Section):
     """Checksums verified in a step, going round; null: all."""
 
 
-class DataSettings(Section):
+class DataSettings(Section, frozen=True):
     """What a node creates by itself."""
 
     interval_steps: Annotated[int, Meta(ge=0)] = 10
@@ -123,7 +139,7 @@ class DataSettings(Section):
     """Data older than this expire; null: never."""
 
 
-class MavlinkSettings(Section):
+class MavlinkSettings(Section, frozen=True):
     """Identity and framing."""
 
     system_id: Annotated[int, Meta(ge=1, le=255)] | None = None
@@ -138,7 +154,7 @@ class MavlinkSettings(Section):
     """Name of the NAMED_VALUE_FLOAT that carries the reading."""
 
 
-class AgentSettings(Section):
+class AgentSettings(Section, frozen=True):
     """All of one node."""
 
     node_id: int

@@ -59,6 +59,10 @@ class Inventory:
             return False
         return self.capacity_items is None or len(self._items) < self.capacity_items
 
+    def room_to_grow(self, growth: int) -> bool:
+        """Whether a held datum may be replaced by one that is `growth` bytes longer."""
+        return self.capacity_bytes is None or self._bytes + growth <= self.capacity_bytes
+
     def info(self, id: DatumId) -> StoredInfo:
         """What is known of a held datum; KeyError if it is not held."""
         return self._items[id]

@@ -121,7 +121,7 @@ class Node:
             lifetime_s=lifetime,
             max_neighbours=settings.max_neighbours,
             max_hops=settings.max_hops,
-            hold_until=None if store.fresh else now + 2 * lifetime,
+            restarted=None if store.fresh else now,
             number=following(store.get_meta("announcement") or 0),
         )
         self.custody = Custody(rng)
@@ -225,9 +225,9 @@ class Node:
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
         """Accept a datum that arrived whole and intact. False: no room, the giver keeps it."""
         id = datum.id
-        if self.has_custody(giver, number, id):
+        if self.has_custody(giver, number, id, datum.crc):
             return True
-        if not self.room_for(len(datum.payload)):
+        if id in self.inventory or not self.room_for(len(datum.payload)):
             self.refused += 1
             if number == 0:
                 self.observer.dropped(id, Fate.OVERFLOW)
@@ -240,12 +240,21 @@ class Node:
             self.custody.accept(giver, number, id)
         return True
 
-    def has_custody(self, giver: int, number: int, id: DatumId) -> bool:
-        """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken."""
-        if id in self.archive or (number and self.custody.has_accepted(giver, number, id)):
+    def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
+        """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken.
+
+        False with `id` still in the inventory: what is held under this id is another datum, so the offer is refused.
+        """
+        if id in self.archive:
             return True
         if id not in self.inventory:
+            return bool(number) and self.custody.has_accepted(giver, number, id)
+        # The giver will delete its copy on our word, so ours must be good at this moment; a bad one is dropped here.
+        held = self.load(id)
+        if held is None or held.crc != crc:
             return False
+        if number and self.custody.has_accepted(giver, number, id):
+            return True
         # The datum has come round: whatever we offered of it, nobody's answer may delete it any more.
         self.custody.cancel(id)
         self.transfers.cancel(id)
@@ -348,7 +357,7 @@ class Node:
             self.potential = POTENTIAL_BASE if free else 0
         else:
             self.potential = self.policy.potential(routing.distance, risk, free)
-        routing.announced()
+        routing.announced(now)
         wanted = routing.wanted
         flags = (BEACON_BASE if self.base else 0) | (BEACON_WANTED if wanted else 0)
         base, base_epoch, number, hops = route if route is not None else (0, 0, 0, NO_ROUTE)

@@ -29,7 +29,8 @@ class Replica:
     def wrote(self, id: DatumId) -> None:
         """This node wrote an entry: it is new to everybody."""
         lamport, _ = self.versions.get(id, (0, 0))
-        self.versions[id] = (lamport + 1, self.node.id)
+        # 16 bits on the wire: at the end of the scale a write is no longer later than another.
+        self.versions[id] = (min(lamport + 1, 0xFFFF), self.node.id)
         self.node.fresh[id] = None
 
     def message(self, datum: Datum) -> Put:
@@ -50,6 +51,10 @@ class Replica:
         if held:
             lamport, writer = self.versions.get(id, (1, id.origin))
             if not wins(put.lamport, put.writer, lamport, writer):
+                return
+            growth = len(put.datum.payload) - node.inventory.info(id).size
+            if growth > 0 and not (node.store.room_for(growth) and node.inventory.room_to_grow(growth)):
+                node.refused += 1
                 return
             node.inventory.add(put.datum.arrived())
         elif node.room_for(len(put.datum.payload)):

@@ -4,15 +4,25 @@ Alg. 2 as written counts to infinity when the base vanishes: two nodes go on quo
 announcement of a base carries a number, and a neighbour's route is taken only if it is feasible (Babel, RFC 8966,
 section 2.4 and 3.5): newer than what this node has announced itself, or as new and strictly shorter. So the
 graph of next hops has no cycle at any instant, and a route without a base dies out in as many steps as it has hops.
+
+Feasibility compares announcements of one base. Between bases, a node that changes over announces no route for as long as
+somebody may still remember its old one; then nobody relies on it, and it cannot close a cycle.
 """
 
 from __future__ import annotations
+
+from math import inf
 
 from .messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Route
 from .serial import following, newer
 
 #: A beacon this little behind the newest one is a late or doubled frame; one further behind is a restarted neighbour.
 _LATE_WINDOW = 32
+#: A node changes over to another base when its own is out of reach, or this many hops farther than the other.
+CHANGE_OVER_HOPS = 3
+#: For so many lifetimes somebody may count on a route after its last announcement: a beacon travels for one at most, is
+#: remembered for another, and forgotten at the next step only.
+HOLD_LIFETIMES = 2.5
 #: How many bases a node remembers feasibility distances of.
 MAX_BASES = 16
 
@@ -41,13 +51,13 @@ class RoutingTable:
         lifetime_s: float,
         max_neighbours: int = 128,
         max_hops: int = 250,
-        hold_until: float | None = None,
+        restarted: float | None = None,
         number: int = 0,
     ) -> None:
-        """`lifetime_s`: a neighbour silent for longer is gone. `max_hops` 1..254.
+        """`lifetime_s`: a neighbour silent for longer is gone; no frame travels for longer. `max_hops` 1..254.
 
-        `hold_until`: a node that restarts without its feasibility distances takes no route before this time, by when
-        all neighbours have forgotten the routes it used to announce. `number`: a base's first announcement number.
+        `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:
+        it takes no route until all neighbours have forgotten those. `number`: a base's first announcement number.
         """
         if not 1 <= max_hops <= 254:
             raise ValueError("max_hops must be in 1..254")
@@ -67,7 +77,9 @@ class RoutingTable:
         then it is not announced, so that nobody counts on it."""
         self.wanted: tuple[int, int] | None = None
         """(base id, number) this node asks for, for itself or for a neighbour."""
-        self._hold_until = hold_until
+        self._bound: tuple[int, int] | None = None if restarted is None else (-1, -1)
+        """The base that this node announced a route to last: no other may be taken before `_bound_until`."""
+        self._bound_until = -inf if restarted is None else restarted + HOLD_LIFETIMES * lifetime_s
         self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
         self._asked: tuple[int, int, float] | None = None
 
@@ -117,10 +129,13 @@ class RoutingTable:
 
     def update(self, now: float) -> None:
         """Forget silent neighbours and choose the route: fewest hops, then newest, then the present next hop."""
+        if now >= self._bound_until:
+            self._bound = None
+        bound_base, bound_epoch = self._bound or (None, None)
         oldest = now - self.lifetime_s
         neighbours = self.neighbours
         gone = None
-        nearest = NO_ROUTE
+        nearest = other = NO_ROUTE
         best: Beacon | None = None
         blocked: tuple[int, int] | None = None
         node_id = self.node_id
@@ -145,6 +160,9 @@ class RoutingTable:
                 elif ahead >= 0x8000:
                     blocked = (b.base, following(own[0]))
                     continue
+            if bound_base is not None and (b.base != bound_base or b.base_epoch != bound_epoch):
+                other = min(other, hops)
+                continue
             if best is None or hops < best.hops or self._preferred(b, best):
                 best = b
         if gone is not None:
@@ -153,7 +171,7 @@ class RoutingTable:
         if self.base:
             return
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
-        if best is None or (self._hold_until is not None and now < self._hold_until):
+        if best is None or other + CHANGE_OVER_HOPS <= best.hops:
             self.route = None
             self.next_hop = None
             self.wanted = blocked
@@ -183,12 +201,14 @@ class RoutingTable:
             return newer(b.route_number, best.route_number)
         return b.sender == self.next_hop
 
-    def announced(self) -> None:
+    def announced(self, now: float) -> None:
         """The chosen route has been put into a beacon: from now on only better ones are feasible (RFC 8966, 3.7.3)."""
         route = self.route
         if route is None or self.base:
             return
         key = (route.base, route.base_epoch)
+        self._bound = key
+        self._bound_until = now + HOLD_LIFETIMES * self.lifetime_s
         feasible = self._feasible
         own = feasible.get(key)
         best = (route.number, route.hops)

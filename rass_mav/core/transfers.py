@@ -91,7 +91,7 @@ class Transfers:
         """A neighbour offers a large datum: it is here already, there is no room, or it may come."""
         node = self._node
         id = offer.id
-        if node.has_custody(offer.sender, offer.number, id):
+        if node.has_custody(offer.sender, offer.number, id, offer.crc):
             return [Committed(node.id, offer.sender, ((offer.number, offer.crc),), ())]
         running = next((t for t in self._in.values() if t.offer.sender == offer.sender), None)
         if running is not None:
@@ -117,6 +117,7 @@ class Transfers:
             offer.size > MAX_PAYLOAD
             or -(-offer.size // offer.chunk_size) > MAX_CHUNKS
             or len(self._in) >= MAX_TRANSFERS
+            or offer.id in node.inventory
         ):
             return False
         return node.room_for(offer.size + sum(t.offer.size for t in self._in.values()))

@@ -44,10 +44,7 @@ class Link(ABC):
     def __init__(self, name: str) -> None:
         """`name`: how status and log call it."""
         self.name = name
-        self.sent = 0
-        self.received = 0
-        self.dropped_out = 0
-        self.echoes = 0
+        self._received = 0
         self._inbox: deque[Datagram] = deque()
         self._wake: Callable[[], None] = _nobody
 
@@ -72,8 +69,8 @@ class Link(ABC):
         """A beacon of this node came from there. What the configuration says of it stays."""
 
     @abstractmethod
-    def dropped_in(self) -> int:
-        """Datagrams lost on the way in, for want of room. Not for every datagram: may ask the system."""
+    def counters(self) -> LinkCounters:
+        """What has been done so far. Not for every datagram: may ask the system."""
 
     @abstractmethod
     def close(self) -> None:
@@ -83,10 +80,6 @@ class Link(ABC):
     def waiting(self) -> bool:
         """Whether something has arrived."""
         return bool(self._inbox)
-
-    def counters(self) -> LinkCounters:
-        """What has been done so far."""
-        return LinkCounters(self.sent, self.received, self.dropped_in(), self.dropped_out, self.echoes)
 
 
 def _nobody() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from .base import MAX_INBOX, Address, Datagram, Link
+from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
 
 
 class LoopbackHub:
@@ -54,6 +54,7 @@ class LoopbackLink(Link):
         self._hub = hub
         self._capacity = capacity
         self._names: dict[int, str] = {}
+        self._sent = 0
         self._dropped_in = 0
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -68,7 +69,7 @@ class LoopbackLink(Link):
         """What has arrived."""
         arrived = list(self._inbox)
         self._inbox.clear()
-        self.received += len(arrived)
+        self._received += len(arrived)
         return arrived
 
     def send(self, frame: bytes, target: int) -> None:
@@ -76,7 +77,7 @@ class LoopbackLink(Link):
         hearers = self._hub.hearers(self.name)
         known = hearers.get(self._names.get(target, ""))
         for hearer in (known,) if known is not None else tuple(hearers.values()):
-            self.sent += 1
+            self._sent += 1
             hearer.deliver(Datagram(frame, (self.name, 0)))
 
     def deliver(self, datagram: Datagram) -> None:
@@ -97,9 +98,9 @@ class LoopbackLink(Link):
         if source[0] in self._hub.hearers(self.name):
             self._names[node_id] = source[0]
 
-    def dropped_in(self) -> int:
-        """What found the inbox full."""
-        return self._dropped_in
+    def counters(self) -> LinkCounters:
+        """What has been done so far; dropped in is what found the inbox full."""
+        return LinkCounters(self._sent, self._received, self._dropped_in, 0, 0)
 
     def close(self) -> None:
         """Leave the hub."""

@@ -25,7 +25,7 @@ _BUFFER_BYTES = 1 << 19
 
 
 def bound_socket(name: str, address: Address) -> socket.socket:
-    """A non-blocking UDP socket bound to an address (port 0: any). Raises `LinkError`: `name: address already in use`."""
+    """A non-blocking UDP socket bound to an address (port 0: any). Raises `LinkError`, say for a port in use."""
     sock = udp_socket()
     try:
         sock.bind(address)
@@ -48,7 +48,12 @@ class Reader:
     """Drains a socket into an inbox whenever there is something, up to a bound; then the kernel has to keep it."""
 
     def __init__(
-        self, sock: socket.socket, inbox: deque[Datagram], wake: Callable[[], None], *, is_echo: Callable[[Address], bool]
+        self,
+        sock: socket.socket,
+        inbox: deque[Datagram],
+        wake: Callable[[], None],
+        *,
+        is_echo: Callable[[Address], bool],
     ) -> None:
         """`is_echo`: whether a datagram from there is one of our own."""
         self._sock = sock
@@ -161,7 +166,7 @@ class Sender:
 
 
 def kernel_drops(sock: socket.socket) -> int:
-    """Datagrams that found the socket's receive buffer full; 0 where the system (Linux: /proc/net/udp) does not tell."""
+    """Datagrams that found the socket's receive buffer full; 0 where the system does not tell (Linux does)."""
     try:
         inode = str(os.fstat(sock.fileno()).st_ino)
         with Path("/proc/net/udp").open(encoding="ascii") as table:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from rass_mav.core.errors import LinkError
 
 from .address import resolve
-from .base import MAX_INBOX, Address, Datagram, Link
+from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
 from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
 
 #: Addresses learned from beacons that a link remembers; beyond it the longest silent one is forgotten.
@@ -70,15 +70,16 @@ class UdpLink(Link):
         self._readers: list[Reader] = []
         self._socket = bound_socket(self.name, resolve(listen, self.name))
         self._sockets = [self._socket]
-        try:
-            self.address: Address = self._socket.getsockname()
-            self.name = f"udp:{self.address[0]}:{self.address[1]}"
-            if multicast is not None:
-                self._sockets.append(self._join(multicast, interface, ttl))
-        except BaseException:
-            self.close()
-            raise
+        self.address: Address = self._socket.getsockname()
+        """Own address, with the port that was chosen if it was 0."""
+        self.name = f"udp:{self.address[0]}:{self.address[1]}"
         self._sender = Sender(self._socket, self.name)
+        if multicast is not None:
+            try:
+                self._sockets.append(self._join(multicast, interface, ttl))
+            except LinkError:
+                self._socket.close()
+                raise
 
     def _join(self, group: Address, interface: str | None, ttl: int) -> socket.socket:
         own = socket.inet_aton(interface or "0.0.0.0")
@@ -108,7 +109,7 @@ class UdpLink(Link):
         """What has arrived."""
         arrived = list(self._inbox)
         self._inbox.clear()
-        self.received += len(arrived)
+        self._received += len(arrived)
         if len(arrived) >= MAX_INBOX:
             for reader in self._readers:
                 reader.resume()
@@ -134,8 +135,6 @@ class UdpLink(Link):
         else:
             for address in self._everybody:
                 self._sender.send(frame, address)
-        self.sent = self._sender.sent
-        self.dropped_out = self._sender.dropped
 
     def reaches(self, target: int) -> bool:
         """Whether the node is configured with its id, or has been heard."""
@@ -151,22 +150,20 @@ class UdpLink(Link):
         if len(learned) > MAX_LEARNED:
             learned.popitem(last=False)
 
-    def dropped_in(self) -> int:
-        """What the kernel had no room for."""
-        return sum(kernel_drops(sock) for sock in self._sockets)
-
-    @property
-    def echoes(self) -> int:
-        """Own datagrams that came back."""
-        return sum(reader.echoes for reader in self._readers)
-
-    @echoes.setter
-    def echoes(self, value: int) -> None:
-        assert value == 0
+    def counters(self) -> LinkCounters:
+        """What has been done so far; dropped in is what the kernel had no room for."""
+        return LinkCounters(
+            self._sender.sent,
+            self._received,
+            sum(kernel_drops(sock) for sock in self._sockets),
+            self._sender.dropped,
+            sum(reader.echoes for reader in self._readers),
+        )
 
     def close(self) -> None:
         """Release the sockets."""
         for reader in self._readers:
             reader.stop()
+        self._sender.stop()
         for sock in self._sockets:
             sock.close()

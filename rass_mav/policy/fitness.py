@@ -46,7 +46,8 @@ class FitnessPolicy:
         cost = self.alpha * hops + self.beta * risk
         if cost * (POTENTIAL_BASE - 1) <= POTENTIAL_ONE:
             return POTENTIAL_BASE - 1
-        return int(POTENTIAL_ONE / cost + 0.5)
+        # Never 0: that says there is no room.
+        return max(1, int(POTENTIAL_ONE / cost + 0.5))
 
     def plan(self, view: View) -> list[Transfer]:
         """Everything to the fittest neighbour if this node is unfit, within the budget and the neighbour's room."""

@@ -19,8 +19,9 @@ from rass_mav.core.errors import StoreDamagedError, StoreError
 from .errors import Unsound, explained
 from .schema import APPLICATION_ID, SCHEMA_VERSION, TABLES, check_all, create_tables
 
-#: Files up to this size (the log included) are checked from end to end at every start: 0.15 s on a laptop, a few
-#: seconds on a Pi Zero. In larger ones damage shows when it is read, and then the store is opened as suspect.
+#: Files up to this size (the log included) are checked from end to end at every start: 0.15 s on a desktop, and on a
+#: small board the time to read the file from its card. In larger ones damage shows when it is read, and then the store
+#: is opened as suspect.
 CHECK_LIMIT = 32 << 20
 
 _LOG_ENDINGS = ("-wal", "-shm")

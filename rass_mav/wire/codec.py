@@ -222,7 +222,10 @@ def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | 
 
 
 def _decode_beacon(p: bytes, now: float) -> Beacon:
-    return Beacon._make(_BEACON.unpack_from(p, 1))
+    beacon = Beacon._make(_BEACON.unpack_from(p, 1))
+    if beacon.sender == BROADCAST:
+        raise MalformedError("a beacon from everybody")
+    return beacon
 
 
 def _decode_data(p: bytes, now: float) -> Data:

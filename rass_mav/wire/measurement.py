@@ -14,6 +14,8 @@ MEASUREMENT_BYTES = _MEASUREMENT.size
 _VERSION = 1
 _HAS_POSITION = 1
 _HAS_READING = 2
+#: Largest 32-bit float.
+_FLOAT_MAX = 3.4028234663852886e38
 
 
 class Measurement(NamedTuple):
@@ -40,7 +42,7 @@ def encode_measurement(m: Measurement) -> bytes:
         flags |= _HAS_POSITION
         lat, lon = round(m.latitude * 1e7), round(m.longitude * 1e7)
         alt = max(-(1 << 31), min((1 << 31) - 1, round((m.altitude or 0.0) * 1000)))
-    if m.reading is not None and math.isfinite(m.reading):
+    if m.reading is not None and abs(m.reading) <= _FLOAT_MAX:
         flags |= _HAS_READING
         reading = m.reading
     return _MEASUREMENT.pack(_VERSION, flags, lat, lon, alt, reading, round(m.risk * 65535))
@@ -59,6 +61,6 @@ def decode_measurement(payload: bytes) -> Measurement:
         lat / 1e7 if here else None,
         lon / 1e7 if here else None,
         alt / 1000 if here else None,
-        reading if flags & _HAS_READING else None,
+        reading if flags & _HAS_READING and math.isfinite(reading) else None,
         risk / 65535,
     )

@@ -153,6 +153,18 @@ def test_values_of_a_wrong_type_are_found(path: Path, assignment: str, found_at_
             store.get(datum(3).id)
 
 
+def test_an_id_that_changed_is_found_by_the_index(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    # The id lies in the row, shortly before its payload, and once more in the index.
+    row = content.index(payload(21, sizes(21)))
+    id = b"\x07\x00\x00\xfe\xdc\x00\x01\x15"
+    assert (EPOCH, content.count(id)) == (0xFEDC0001, 2)
+    at = content.rindex(id, row - 40, row) + len(id) - 1
+    content[at] ^= 64
+    path.write_bytes(content)
+    assert assert_set_aside(path, "index").read_bytes() == content
+
+
 def test_a_database_without_our_tables(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("DROP TABLE loss")

@@ -1,0 +1,1 @@
+"""The running program: configuration file, asyncio driver, local control socket."""

@@ -1,0 +1,71 @@
+"""The other end of the control socket. Blocking, and light: no event loop."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import msgspec
+
+from rass_mav.core.errors import ControlError
+
+#: How long an answer may take, seconds. `put` waits for the disk.
+ANSWER_S = 30.0
+
+
+class ControlClient:
+    """A connection to a running node."""
+
+    def __init__(self, path: str | Path, *, timeout_s: float = ANSWER_S) -> None:
+        """Raises `ControlError` if nobody listens at `path`."""
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            reason = (error.strerror or str(error)).lower()
+            raise ControlError(f"{path}: no running node there ({reason})") from None
+        self._file = self._socket.makefile("rb")
+
+    def ask(self, command: str, **fields: Any) -> dict[str, Any]:
+        """One request, one answer. Bytes travel as base64. Raises `ControlError`, also for what the node refuses."""
+        return next(self.ask_all(command, **fields))
+
+    def ask_all(self, command: str, **fields: Any) -> Iterator[dict[str, Any]]:
+        """One request, its answers: more than one for `ls`."""
+        try:
+            self._socket.sendall(msgspec.json.encode({"command": command, **fields}) + b"\n")
+            while True:
+                line = self._file.readline()
+                if not line.endswith(b"\n"):
+                    raise ControlError(f"{self._path}: the node ended the connection")
+                answer: dict[str, Any] = msgspec.json.decode(line)
+                if not answer.pop("ok"):
+                    raise ControlError(answer["error"])
+                yield answer
+                if not answer.get("more"):
+                    return
+        except TimeoutError:
+            raise ControlError(f"{self._path}: the node does not answer") from None
+        except OSError as error:
+            raise ControlError(f"{self._path}: {(error.strerror or str(error)).lower()}") from None
+        except msgspec.DecodeError as error:
+            raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
+
+    def close(self) -> None:
+        """End the connection."""
+        self._file.close()
+        self._socket.close()
+
+    def __enter__(self) -> ControlClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()

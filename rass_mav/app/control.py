@@ -1,0 +1,241 @@
+"""The local control socket: newline-delimited JSON over a unix stream socket, for `status`, `put`, `get` and `ls`.
+
+A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`; so is an answer,
+`{"ok": true, ...}` or `{"ok": false, "error": "..."}`. `ls` answers with several lines, all but the last with
+`"more": true`. Who may open the socket's file may use it; it is made for the node's own user.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+import stat
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
+from rass_mav.core.errors import ControlError, MalformedError, RassError, StoreDamagedError
+
+from .driver import Driver
+from .payloads import describe, parse_id, unpack_file
+from .status import status
+
+log = logging.getLogger(__name__)
+
+#: Longest line, bytes: the largest payload in base64, and what stands around it.
+MAX_LINE = (MAX_PAYLOAD + 2) // 3 * 4 + 4096
+#: Clients at a time; each may hold two lines in memory.
+MAX_CLIENTS = 8
+#: A client that says nothing for so long, seconds, is sent away.
+IDLE_S = 60.0
+#: Entries in one line of `ls`: so few that listing does not delay a step.
+LS_PAGE = 64
+# At the end, answers that are under way get so long, seconds.
+_LAST_WORDS_S = 2.0
+
+
+class StatusRequest(msgspec.Struct, tag_field="command", tag="status", forbid_unknown_fields=True):
+    """What the node knows."""
+
+
+class PutRequest(msgspec.Struct, tag_field="command", tag="put", forbid_unknown_fields=True):
+    """Create a datum; answered when it is on disk."""
+
+    payload: bytes
+    """1 byte to 1 MiB; base64 in JSON."""
+    kind: Annotated[int, Meta(ge=0, le=255)] = Kind.BYTES
+
+
+class GetRequest(msgspec.Struct, tag_field="command", tag="get", forbid_unknown_fields=True):
+    """The bytes of a datum that this node holds."""
+
+    id: str
+
+
+class LsRequest(msgspec.Struct, tag_field="command", tag="ls", forbid_unknown_fields=True):
+    """All data that this node holds."""
+
+
+Request: TypeAlias = StatusRequest | PutRequest | GetRequest | LsRequest
+_decoder = msgspec.json.Decoder(StatusRequest | PutRequest | GetRequest | LsRequest)
+
+
+class ControlServer:
+    """Answers on a unix socket for a driver."""
+
+    def __init__(self, driver: Driver, path: Path) -> None:
+        """`path`: of the socket's file."""
+        self._driver = driver
+        self._path = path
+        self._started = driver.now()
+        self._server: asyncio.Server | None = None
+        self._clients: set[asyncio.Task[None]] = set()
+        self._busy: set[asyncio.Task[None]] = set()
+
+    async def start(self) -> None:
+        """Begin to listen. Raises `ControlError` if another node listens there, or the file cannot be made."""
+        sock = _listening_socket(self._path)
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=MAX_LINE)
+
+    async def close(self) -> None:
+        """Listen no more, and finish what is being answered."""
+        if self._server is None:
+            return
+        self._server.close()
+        self._path.unlink(missing_ok=True)
+        for task in self._clients - self._busy:
+            task.cancel()
+        if self._clients:
+            _, late = await asyncio.wait(self._clients, timeout=_LAST_WORDS_S)
+            for task in late:
+                task.cancel()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._clients.add(task)
+        try:
+            if len(self._clients) > MAX_CLIENTS:
+                await _say(writer, {"ok": False, "error": "too many clients"})
+                return
+            await self._converse(reader, writer, task)
+        except (ConnectionError, asyncio.CancelledError):
+            pass  # the client went away, or the node is stopping
+        except BaseException as error:
+            # Nobody waits for this task: a bug must not stay here.
+            self._driver.fail(error)
+            raise
+        finally:
+            self._clients.discard(task)
+            writer.close()
+
+    async def _converse(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, task: asyncio.Task[None]
+    ) -> None:
+        while self._server is not None and self._server.is_serving():
+            try:
+                line = await asyncio.wait_for(reader.readline(), IDLE_S)
+            except ValueError:
+                await _say(writer, {"ok": False, "error": f"a request has at most {MAX_LINE} bytes"})
+                return
+            except asyncio.TimeoutError:
+                return
+            if not line.endswith(b"\n"):
+                return
+            self._busy.add(task)
+            try:
+                async for answer in self._answers(line):
+                    await _say(writer, {"ok": True, **answer})
+            except StoreDamagedError as error:
+                await _say(writer, {"ok": False, "error": str(error)})
+                self._driver.fail(error)
+                return
+            except RassError as error:
+                await _say(writer, {"ok": False, "error": str(error)})
+            finally:
+                self._busy.discard(task)
+
+    async def _answers(self, line: bytes) -> AsyncIterator[dict[str, Any]]:
+        try:
+            request: Request = _decoder.decode(line)
+        except msgspec.DecodeError as error:
+            raise ControlError(f"not a request: {error}") from None
+        driver = self._driver
+        if isinstance(request, StatusRequest):
+            yield {"status": status(driver, self._started)}
+        elif isinstance(request, PutRequest):
+            yield {"id": str(await driver.put(request.payload, request.kind))}
+        elif isinstance(request, GetRequest):
+            yield self._get(parse_id(request.id))
+        else:
+            async for page in self._ls():
+                yield page
+
+    def _get(self, id: DatumId) -> dict[str, Any]:
+        store = self._driver.agent.store
+        datum = store.get(id)
+        if datum is None:
+            raise ControlError(f"{id}: not here")
+        if not datum.intact:
+            raise ControlError(f"{id}: corrupt, its checksum does not fit")
+        now = self._driver.now()
+        answer: dict[str, Any] = {
+            "id": str(id),
+            "kind": datum.kind,
+            "hops": datum.hops,
+            "created": round(datum.created, 3),
+            "age_s": round(now - datum.created, 3),
+            "payload": datum.payload,
+        }
+        if datum.kind == Kind.FILE:
+            try:
+                answer["name"] = unpack_file(datum.payload)[0]
+            except MalformedError as error:
+                answer["malformed"] = str(error)
+        return answer
+
+    async def _ls(self) -> AsyncIterator[dict[str, Any]]:
+        store = self._driver.agent.store
+        now = self._driver.now()
+        page: list[dict[str, Any]] = []
+        for info in store.held():
+            if len(page) == LS_PAGE:
+                yield {"data": page, "more": True}
+                page = []
+                # Let a step come in between.
+                await asyncio.sleep(0)
+            page.append(describe(info, store, now))
+        yield {"data": page, "more": False}
+
+
+async def _say(writer: asyncio.StreamWriter, answer: dict[str, Any]) -> None:
+    writer.write(msgspec.json.encode(answer) + b"\n")
+    await writer.drain()
+
+
+def _listening_socket(path: Path) -> socket.socket:
+    """Bind the socket's file. One that a killed node has left behind is replaced; a living one is not."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        try:
+            if stat.S_ISSOCK(path.lstat().st_mode):
+                if _answers_there(path):
+                    raise ControlError(f"{path}: another node is running there")
+                path.unlink()
+            else:
+                raise ControlError(f"{path}: exists, and is no socket")
+        except FileNotFoundError:
+            pass
+        # Made for its owner alone from the first moment.
+        before = os.umask(0o177)
+        try:
+            sock.bind(str(path))
+        finally:
+            os.umask(before)
+        sock.listen(MAX_CLIENTS)
+        sock.setblocking(False)
+    except OSError as error:
+        sock.close()
+        raise ControlError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except ControlError:
+        sock.close()
+        raise
+    return sock
+
+
+def _answers_there(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except TimeoutError:
+            return True
+    return True

@@ -1,0 +1,69 @@
+"""What people put into data, and how data look to them."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
+from rass_mav.core.errors import DatumError, MalformedError
+from rass_mav.core.store import Store, StoredInfo
+from rass_mav.wire.measurement import decode_measurement
+
+_ID = re.compile(r"(\d{1,5})-([0-9a-f]{8})-(\d{1,10})", re.ASCII)
+
+
+def parse_id(text: str) -> DatumId:
+    """The opposite of `str(DatumId)`. Raises `DatumError`."""
+    match = _ID.fullmatch(text)
+    if match is None:
+        raise DatumError(f"expected an id like 7-0123abcd-42, got {text!r}")
+    return DatumId(int(match[1]), int(match[2], 16), int(match[3]))
+
+
+def pack_file(name: str, content: bytes) -> bytes:
+    """Payload of a datum of kind FILE: one byte with the length of the name, the name in UTF-8, the content.
+
+    Raises `DatumError` if the name has no 1..255 bytes, or all of it does not fit a datum.
+    """
+    encoded = name.encode(errors="replace")
+    if not 1 <= len(encoded) <= 255:
+        raise DatumError(f"expected a file name of 1 to 255 bytes, got {len(encoded)}")
+    if 1 + len(encoded) + len(content) > MAX_PAYLOAD:
+        raise DatumError(f"{name}: too large, at most {MAX_PAYLOAD - 1 - len(encoded)} bytes fit a datum")
+    return bytes((len(encoded),)) + encoded + content
+
+
+def unpack_file(payload: bytes) -> tuple[str, bytes]:
+    """Name and content. The name is what a stranger wrote: for showing, not for opening. Raises `MalformedError`."""
+    size = payload[0] if payload else 0
+    if not size or len(payload) < 1 + size:
+        raise MalformedError("truncated file name")
+    return payload[1 : 1 + size].decode(errors="replace"), payload[1 + size :]
+
+
+def describe(info: StoredInfo, store: Store, now: float) -> dict[str, Any]:
+    """One datum of a list, as plain values; measurements and file names decoded."""
+    try:
+        kind: str | int = Kind(info.kind).name.lower()
+    except ValueError:
+        kind = info.kind
+    entry: dict[str, Any] = {
+        "id": str(info.id),
+        "kind": kind,
+        "size": info.size,
+        "hops": info.hops,
+        "created": round(info.created, 3),
+        "age_s": round(now - info.created, 3),
+    }
+    if info.kind in (Kind.MEASUREMENT, Kind.FILE):
+        datum = store.get(info.id)
+        if datum is not None:
+            try:
+                if info.kind == Kind.MEASUREMENT:
+                    entry["measurement"] = decode_measurement(datum.payload)._asdict()
+                else:
+                    entry["name"] = unpack_file(datum.payload)[0]
+            except MalformedError as error:
+                entry["malformed"] = str(error)
+    return entry

@@ -1,0 +1,144 @@
+"""One node from start to end: opens store, links and control socket, runs the driver, and closes everything."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import random
+import secrets
+import signal
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
+from typing import Any
+
+from rass_mav.agent.agent import Agent
+from rass_mav.core.errors import StoreDamagedError
+from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
+from rass_mav.link.udp import Peer, UdpLink
+from rass_mav.link.vehicle import VehicleLink
+from rass_mav.store.sqlite import SqliteStore
+
+from .clock import Clock
+from .config import LinkSection, RunConfig
+from .control import ControlServer
+from .driver import Driver
+
+log = logging.getLogger(__name__)
+
+#: A store that is damaged so often within `LIFE_S` seconds is on a disk that is beyond help.
+MAX_DAMAGES = 3
+LIFE_S = 60.0
+_CRITICAL = 2
+
+
+class Runtime:
+    """Runs a node until SIGTERM or SIGINT; a second signal ends the process at once."""
+
+    def __init__(self, config: RunConfig, ready: Callable[[dict[str, Any]], None] | None = None) -> None:
+        """`ready`: called whenever the node has been started, with its id, role, epoch and control socket."""
+        self._config = config
+        self._ready = ready
+        self._clock = Clock()
+        self._stopped = False
+        self._driver: Driver | None = None
+
+    def run(self) -> None:
+        """Blocking. Raises `RassError`s: a port in use, a store that another node uses, a disk that fails."""
+        asyncio.run(self._main())
+
+    async def _main(self) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._on_signal, number)
+        suspect = False
+        damages = 0
+        while not self._stopped:
+            begun = self._clock.now()
+            try:
+                await self._live(suspect)
+            except StoreDamagedError as error:
+                damages = damages + 1 if self._clock.now() - begun < LIFE_S else 1
+                if damages >= MAX_DAMAGES:
+                    raise
+                log.error("%s; opening the store anew", error)
+                suspect = True
+
+    def _on_signal(self, number: int) -> None:
+        if self._stopped:
+            log.error("second signal: leaving at once")
+            os._exit(128 + number)
+        log.info("signal %d: stopping", number)
+        self._stopped = True
+        if self._driver is not None:
+            self._driver.stop()
+
+    async def _live(self, suspect: bool) -> None:
+        """One life: until the stop, or until the store proves damaged."""
+        config = self._config
+        settings = config.agent_settings()
+        async with AsyncExitStack() as stack:
+            store = SqliteStore.open(
+                config.store_path,
+                draw_epoch=lambda: secrets.randbits(32),
+                quota_bytes=settings.store.quota_bytes,
+                suspect=suspect,
+            )
+            stack.callback(store.abandon)  # does nothing after `close`
+            vehicle = None
+            if config.autopilot.url is not None:
+                vehicle = VehicleLink(parse_vehicle_url(config.autopilot.url))
+                stack.callback(vehicle.close)
+            links = []
+            for section in config.links:
+                links.append(open_link(section))
+                stack.callback(links[-1].close)
+            # One thread: one write at a time.
+            executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
+            rng = random.Random(secrets.randbits(128))
+            agent = Agent(settings, store, rng, now=self._clock.now())
+            if store.report.set_aside is not None:
+                aside = store.report.set_aside
+                log.error("damaged store set aside as %s: %s", aside, store.report.reason)
+                agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
+            driver = Driver(agent, links, vehicle, self._clock.now, executor)
+            control = ControlServer(driver, config.socket_path)
+            await control.start()
+            self._driver = driver
+            if self._stopped:
+                driver.stop()
+            log.info("node %d (%s) runs, store %s", settings.node_id, config.node.role, config.store_path)
+            if self._ready is not None:
+                self._ready(
+                    {
+                        "node_id": settings.node_id,
+                        "role": config.node.role,
+                        "epoch": f"{store.epoch:08x}",
+                        "socket": str(config.socket_path),
+                    }
+                )
+            try:
+                try:
+                    await driver.run()
+                finally:
+                    await control.close()
+            except StoreDamagedError:
+                raise
+            except BaseException:
+                # Whatever it was: what can be made durable is.
+                store.close()
+                raise
+            store.close()
+
+
+def open_link(section: LinkSection) -> UdpLink:
+    """The link that a section of the configuration describes. Raises `LinkError`."""
+    return UdpLink(
+        parse_address(section.listen, any_port=True),
+        peers=[Peer(parse_address(peer.address), peer.id) for peer in section.peers],
+        broadcast=None if section.broadcast is None else parse_address(section.broadcast),
+        multicast=None if section.multicast is None else parse_multicast(section.multicast),
+        interface=section.interface,
+        ttl=section.ttl,
+    )

@@ -1,0 +1,127 @@
+"""What `rass-mav status` tells (docs/configuration.md)."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Protocol, cast
+
+from rass_mav import __version__
+from rass_mav.core.messages import NO_ROUTE
+from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.core.routing import Neighbour, is_base
+from rass_mav.store.quota import ROW_OVERHEAD
+
+from .driver import Driver
+
+
+def status(driver: Driver, started: float) -> dict[str, Any]:
+    """The state of a running node as plain values. Ages and times in seconds; null: unknown or none.
+
+    `started`: when it was started, on the driver's timeline.
+    """
+    agent = driver.agent
+    node, telemetry, settings = agent.node, agent.telemetry, agent.settings
+    routing = node.routing
+    now = driver.now()
+    route = routing.route
+    reading, position = telemetry.reading, telemetry.position
+    heartbeat = telemetry.heartbeat_at
+    return {
+        "node_id": node.id,
+        "role": "base" if node.base else "drone",
+        "version": __version__,
+        "pid": os.getpid(),
+        "epoch": f"{node.store.epoch:08x}",
+        "uptime_s": round(now - started, 3),
+        "steps": agent.steps,
+        "skipped_steps": driver.skipped_steps,
+        "policy": settings.policy.name,
+        "hop_count": None if routing.hops == NO_ROUTE else routing.hops,
+        "next_hop": routing.next_hop,
+        "base": None if route is None else {"node_id": route.base, "epoch": f"{route.base_epoch:08x}"},
+        "risk": node.risk.risk(now),
+        "risk_known": node.risk.known(now),
+        "fitness": _fitness(node.potential, node.base),
+        "reading": None if reading is None else {"value": reading.value, "age_s": round(now - reading.at, 3)},
+        "position": None
+        if position is None
+        else {
+            "latitude": position.latitude,
+            "longitude": position.longitude,
+            "altitude": position.altitude,
+            "age_s": round(now - position.at, 3),
+        },
+        "autopilot": None
+        if heartbeat is None
+        else {
+            "system_id": telemetry.system_id,
+            "heartbeat_age_s": round(now - heartbeat, 3),
+            "armed": telemetry.armed,
+            "reboots": telemetry.reboots,
+        },
+        "neighbours": [_neighbour(n, now, node.policy.tag) for n in sorted(routing.neighbours.values(), key=_id)],
+        "store": _store(driver),
+        "ledger": {
+            **node.store.counters(),
+            "sent_data": node.sent_data,
+            "refused": node.refused,
+            "corrupt_received": node.corrupt_received,
+            "handovers_pending": len(node.custody.pending),
+        },
+        "commits": {
+            "done": driver.commits,
+            "failed": driver.failed_commits,
+            "frames_waiting": driver.waiting,
+            "frames_dropped": driver.held_dropped,
+        },
+        "links": [{"name": link.name, **link.counters()._asdict()} for link in driver.links],
+        "vehicle": None
+        if driver.vehicle is None
+        else {"name": driver.vehicle.name, **driver.vehicle.counters()._asdict()},
+        "malformed": agent.malformed + agent.peer_reader.malformed,
+        "foreign": agent.foreign,
+        "vehicle_malformed": agent.vehicle_reader.malformed,
+        "rivals": [{"epoch": f"{epoch:08x}", "age_s": round(now - at, 3)} for epoch, at in sorted(node.rivals.items())],
+    }
+
+
+def _id(neighbour: Neighbour) -> int:
+    return neighbour.id
+
+
+def _fitness(potential: int, base: bool) -> float | None:
+    """The paper's phi; None for a base, which is fitter than any drone."""
+    return None if base else potential / POTENTIAL_ONE
+
+
+def _neighbour(neighbour: Neighbour, now: float, tag: int) -> dict[str, Any]:
+    beacon = neighbour.beacon
+    return {
+        "node_id": neighbour.id,
+        "base": is_base(beacon),
+        "hops": None if beacon.hops == NO_ROUTE else beacon.hops,
+        "risk": beacon.risk / 65535,
+        "fitness": _fitness(beacon.potential, is_base(beacon)),
+        "free_items": beacon.free,
+        "same_policy": beacon.policy == tag,
+        "age_s": round(now - neighbour.heard, 3),
+    }
+
+
+class _Measured(Protocol):
+    """What both stores have beyond core's protocol."""
+
+    @property
+    def used_bytes(self) -> int: ...
+
+
+def _store(driver: Driver) -> dict[str, Any]:
+    node, settings = driver.agent.node, driver.agent.settings.store
+    items = len(list(node.store.ids()))
+    return {
+        "items": items,
+        "bytes": cast(_Measured, node.store).used_bytes - items * ROW_OVERHEAD,
+        "capacity_items": None if node.sink else settings.capacity_items,
+        "capacity_bytes": None if node.sink else settings.capacity_bytes,
+        "quota_bytes": settings.quota_bytes,
+    }

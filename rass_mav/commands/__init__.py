@@ -1,0 +1,1 @@
+"""The commands of `rass-mav`: each module here has `register(subparsers)`; see `rass_mav.cli`."""

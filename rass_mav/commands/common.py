@@ -1,0 +1,65 @@
+"""What the commands share: options, output, logging."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Callable
+from typing import Any
+
+#: What argparse calls the object that `add_subparsers` returns.
+Subparsers = Any
+
+
+def add_command(
+    subparsers: Subparsers, name: str, run: Callable[[argparse.Namespace], int], *, help: str, example: str
+) -> argparse.ArgumentParser:
+    """A command with -v and --json. `run` gets the parsed options and returns the exit code."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        name,
+        help=help,
+        description=help[0].upper() + help[1:] + ".",
+        epilog=f"example: {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="logs on stderr; -vv for more")
+    parser.add_argument("--json", action="store_true", help="print exactly one JSON object")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """The option --set."""
+    parser.add_argument(
+        "--set",
+        metavar="KEY.PATH=VALUE",
+        action="append",
+        default=[],
+        dest="assignments",
+        help="override a key of the file; the value as YAML; may be given more than once",
+    )
+
+
+def start_logging(verbose: int, level: str = "warning") -> None:
+    """Logs go to stderr. `verbose`: how often -v was given; 0: `level` (debug, info, warning or error)."""
+    chosen = {0: level.upper(), 1: "INFO"}.get(verbose, "DEBUG")
+    logging.basicConfig(
+        stream=sys.stderr, level=chosen, format="%(asctime)s %(levelname)s %(name)s: %(message)s", force=True
+    )
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One JSON object on stdout."""
+    say(json.dumps(value))
+
+
+def say(text: str) -> None:
+    """A line on stdout."""
+    sys.stdout.write(text + "\n")
+
+
+def clean(text: str) -> str:
+    """Text from a stranger, fit for a terminal: control characters are shown as such, not carried out."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

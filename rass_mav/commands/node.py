@@ -1,0 +1,202 @@
+"""`run`, `check`, and what one asks a running node: `status`, `put`, `get`, `ls`."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from rass_mav.core.errors import ConfigError, DatumError, RassError
+
+from .common import Subparsers, add_command, add_set, clean, print_json, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.app.client import ControlClient
+    from rass_mav.app.config import RunConfig
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the commands."""
+    run = add_command(
+        subparsers, "run", _run, help="run a node, on a drone or at the base, until SIGTERM",
+        example="rass-mav run drone.yaml",
+    )  # fmt: skip
+    check = add_command(
+        subparsers, "check", _check, help="say what is wrong with a configuration",
+        example="rass-mav check drone.yaml --print",
+    )  # fmt: skip
+    check.add_argument("--print", action="store_true", dest="show", help="show it with all defaults filled in")
+    for parser in (run, check):
+        parser.add_argument("config", metavar="CONFIG.yaml", help="the configuration")
+        add_set(parser)
+    status = add_command(
+        subparsers, "status", _status, help="show what the running node knows",
+        example="rass-mav status drone.yaml --json",
+    )  # fmt: skip
+    ls = add_command(
+        subparsers, "ls", _ls, help="list the data that the running node holds, at a base all that have arrived",
+        example="rass-mav ls base.yaml",
+    )  # fmt: skip
+    put = add_command(
+        subparsers, "put", _put, help="hand a file or a line to the running node; returns when it is on its disk",
+        example="rass-mav put -c drone.yaml --line 'all well'",
+    )  # fmt: skip
+    get = add_command(
+        subparsers, "get", _get, help="fetch a datum from the running node",
+        example="rass-mav get -c base.yaml 7-0123abcd-42 -o photo.jpg",
+    )  # fmt: skip
+    for parser in (status, ls):
+        parser.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
+    for parser in (put, get):
+        parser.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
+    for parser in (status, ls, put, get):
+        parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
+    what = put.add_mutually_exclusive_group(required=True)
+    what.add_argument("file", metavar="FILE", nargs="?", help="a file, with its name; - for stdin, without")
+    what.add_argument("--line", metavar="TEXT", help="a line of text")
+    get.add_argument("id", metavar="ID", help="as put and ls print it")
+    get.add_argument("-o", "--output", metavar="FILE", help="where to write it; otherwise stdout")
+
+
+def _config(options: argparse.Namespace) -> RunConfig:
+    from rass_mav.app.config import load_config
+
+    return load_config(options.config, getattr(options, "assignments", ()))
+
+
+def _run(options: argparse.Namespace) -> int:
+    config = _config(options)
+    start_logging(options.verbose, config.log.level)
+    from rass_mav.app.run import Runtime
+
+    told = False
+
+    def ready(about: dict[str, Any]) -> None:
+        nonlocal told
+        if not told and options.json:
+            print_json(about)
+            sys.stdout.flush()
+        told = True
+
+    Runtime(config, ready).run()
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rass_mav.agent.loading import dump_yaml, to_plain
+    from rass_mav.app.config import filled_in
+
+    config = _config(options)
+    if options.json:
+        print_json({"ok": True, "config": to_plain(filled_in(config))})
+    elif options.show:
+        sys.stdout.write(dump_yaml(filled_in(config)))
+    else:
+        say(f"{options.config}: ok ({config.node.role}, node {config.node_id})")
+    return 0
+
+
+def _client(options: argparse.Namespace) -> ControlClient:
+    start_logging(options.verbose)
+    from rass_mav.app.client import ControlClient
+
+    if options.socket and options.config:
+        raise ConfigError("--socket: not together with a configuration")
+    if options.socket:
+        return ControlClient(options.socket)
+    if options.config:
+        return ControlClient(_config(options).socket_path)
+    found = sorted(Path().glob("rass-*.sock"))
+    if len(found) != 1:
+        what = "no" if not found else "more than one"
+        raise ConfigError(f"{what} control socket rass-*.sock in this directory: name the configuration or --socket")
+    return ControlClient(found[0])
+
+
+def _status(options: argparse.Namespace) -> int:
+    with _client(options) as client:
+        status = client.ask("status")["status"]
+    if options.json:
+        print_json(status)
+        return 0
+    from .report import status_lines
+
+    for line in status_lines(status):
+        say(line)
+    return 0
+
+
+def _put(options: argparse.Namespace) -> int:
+    from rass_mav.app.payloads import pack_file
+    from rass_mav.core.datum import MAX_PAYLOAD, Kind
+
+    kind = Kind.BYTES
+    if options.line is not None:
+        payload = options.line.encode(errors="surrogateescape")
+    elif options.file == "-":
+        payload = _read(sys.stdin.buffer, MAX_PAYLOAD)
+    else:
+        kind = Kind.FILE
+        path = Path(options.file)
+        try:
+            with path.open("rb") as file:
+                payload = pack_file(path.name, _read(file, MAX_PAYLOAD))
+        except OSError as error:
+            raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    if not 0 < len(payload) <= MAX_PAYLOAD:
+        raise DatumError(f"a datum holds 1 to {MAX_PAYLOAD} bytes, got {'more' if payload else 'none'}")
+    with _client(options) as client:
+        answer = client.ask("put", payload=payload, kind=int(kind))
+    if options.json:
+        print_json({"id": answer["id"], "bytes": len(payload)})
+    else:
+        say(answer["id"])
+    return 0
+
+
+def _read(file: BinaryIO, limit: int) -> bytes:
+    """At most one byte more than `limit`: enough to see that it is too much."""
+    return file.read(limit + 1)
+
+
+def _get(options: argparse.Namespace) -> int:
+    from rass_mav.app.payloads import parse_id, unpack_file
+    from rass_mav.core.datum import Kind
+
+    parse_id(options.id)
+    with _client(options) as client:
+        answer = client.ask("get", id=options.id)
+    content = base64.b64decode(answer.pop("payload"))
+    if answer["kind"] == Kind.FILE and "name" in answer:
+        content = unpack_file(content)[1]
+    answer["bytes"] = len(content)
+    if options.output is not None:
+        try:
+            Path(options.output).write_bytes(content)
+        except OSError as error:
+            raise RassError(f"{options.output}: {(error.strerror or str(error)).lower()}") from None
+    elif options.json:
+        answer["content"] = base64.b64encode(content).decode()
+    else:
+        sys.stdout.buffer.write(content)
+    if options.json:
+        print_json(answer)
+    return 0
+
+
+def _ls(options: argparse.Namespace) -> int:
+    from .report import datum_line
+
+    every: list[dict[str, Any]] = []
+    with _client(options) as client:
+        for page in client.ask_all("ls"):
+            if options.json:
+                every += page["data"]
+            else:
+                for entry in page["data"]:
+                    say(clean(datum_line(entry)))
+    if options.json:
+        print_json({"data": every})
+    return 0

@@ -1,0 +1,55 @@
+"""How status and data look to people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+
+def status_lines(status: dict[str, Any]) -> Iterator[str]:
+    """The answer of `status` in lines."""
+    s = status
+    yield f"node {s['node_id']} ({s['role']}), epoch {s['epoch']}, up {s['uptime_s']:.0f} s, {s['steps']} steps"
+    if s["role"] == "drone":
+        way = f"{s['hop_count']} hops, next {s['next_hop']}" if s["hop_count"] is not None else "none"
+        yield f"route to a base: {way}"
+        unknown = "" if s["risk_known"] else " (unknown, counts as the worst)"
+        yield f"risk {s['risk']:.3f}{unknown}, fitness {s['fitness']:.6f}, policy {s['policy']}"
+    if s["reading"] is not None:
+        yield f"reading {s['reading']['value']:g}, {s['reading']['age_s']:.1f} s old"
+    if s["position"] is not None:
+        at = s["position"]
+        yield f"position {at['latitude']:.7f} {at['longitude']:.7f} {at['altitude']:.1f} m, {at['age_s']:.1f} s old"
+    store = s["store"]
+    bound = "" if store["capacity_items"] is None else f" of {store['capacity_items']}"
+    yield f"store: {store['items']}{bound} items, {store['bytes']} bytes"
+    yield f"neighbours: {len(s['neighbours'])}"
+    for n in s["neighbours"]:
+        hops = "no route" if n["hops"] is None else f"{n['hops']} hops"
+        fitness = "base" if n["base"] else f"fitness {n['fitness']:.6f}"
+        yield f"  node {n['node_id']}: {hops}, risk {n['risk']:.3f}, {fitness}, heard {n['age_s']:.1f} s ago"
+    for link in [*s["links"], *([s["vehicle"]] if s["vehicle"] else [])]:
+        yield (
+            f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
+            f"dropped {link['dropped_in']} in, {link['dropped_out']} out"
+        )
+    yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
+    yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
+    if s["commits"]["failed"]:
+        yield f"WARNING: {s['commits']['failed']} commits failed"
+    for rival in s["rivals"]:
+        yield f"WARNING: another node with this id, epoch {rival['epoch']}, heard {rival['age_s']:.0f} s ago"
+
+
+def datum_line(entry: dict[str, Any]) -> str:
+    """One datum of `ls`."""
+    line = f"{entry['id']} {entry['kind']} {entry['size']} B {entry['hops']} hops {entry['age_s']:.1f} s"
+    if "name" in entry:
+        line += f" {entry['name']}"
+    m = entry.get("measurement")
+    if m is not None:
+        if m["latitude"] is not None:
+            line += f" at {m['latitude']:.7f} {m['longitude']:.7f} {m['altitude']:.1f} m"
+        line += f" reading {m['reading']:g}" if m["reading"] is not None else " no reading"
+        line += f" risk {m['risk']:.3f}"
+    return line

@@ -1,0 +1,50 @@
+"""How the summary of a swarm looks to people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+
+def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
+    """The summary of `swarm` or `replay` in lines."""
+    s = summary
+    bases = "base" if s["bases"] == 1 else "bases"
+    yield (
+        f"{s['nodes'] - s['bases']} drones and {s['bases']} {bases}, topology {s['topology']}, policy {s['policy']}, "
+        f"{s['steps']} steps, seed {s['seed']}"
+    )
+    yield ""
+    created = s["created"]
+    lost = s["lost"]
+    yield _count(created, "data created by the drones")
+    yield _count(s["delivered"], "arrived at a base", created)
+    yield _count(s["held"], "held by drones, on their way", created)
+    reasons = ", ".join(f"{reason} {count:,}" for reason, count in lost.items() if count)
+    yield _count(sum(lost.values()), f"lost{': ' + reasons if reasons else ''}", created)
+    yield ""
+    delay, hops = s["delay_steps"], s["hops"]
+    if delay["mean"] is not None:
+        yield (
+            f"reliability {s['reliability']:.3f}; a datum took {delay['mean']:.1f} steps to a base "
+            f"(half of them at most {delay['p50']}, 95 % at most {delay['p95']}), {hops['mean']:.1f} hops"
+        )
+    else:
+        yield f"reliability {s['reliability']:.3f}; nothing has arrived"
+    yield (
+        f"drones' memory used {s['memory_used_percent']:.2f} %, {s['copies_mean']:.2f} copies a datum, "
+        f"{s['transmissions_per_datum']:.1f} transmissions a datum"
+    )
+    frames = s["frames"]
+    yield (
+        f"on the air: {frames['sent']:,} MAVLink frames, {s['bytes_sent'] / 1e6:.1f} MB; heard {frames['received']:,} "
+        f"times, lost {frames['dropped']:,} times, {frames['malformed']:,} malformed"
+    )
+    yield f"altered data: {s['altered']}; routing loops: {s['routing']['loops']}"
+    if "wall_s" in s:
+        yield f"{s['wall_s']:.1f} s, {s['robot_steps_per_s']:,} robot-steps a second"
+
+
+def _count(count: int, what: str, whole: int | None = None) -> str:
+    share = f"{100 * count / whole:5.1f} %" if whole else " " * 7
+    return f"  {count:>9,} {share}  {what}"

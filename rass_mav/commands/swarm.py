@@ -1,0 +1,133 @@
+"""`swarm`: the mock swarm."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rass_mav.core.errors import ConfigError, RassError
+
+from .common import Subparsers, add_command, add_set, print_json, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.swarm.scenario import Scenario
+    from rass_mav.swarm.world import World
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    parser = add_command(
+        subparsers, "swarm", _swarm,
+        help="run a mock swarm: real nodes and real MAVLink bytes, over a simulated radio",
+        example="rass-mav swarm --nodes 100 --steps 500 --topology grid --seed 1",
+    )  # fmt: skip
+    parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="a YAML file, or a name (--list shows them)")
+    parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
+    parser.add_argument("--nodes", type=int, metavar="N", help="nodes, the base included")
+    parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
+    parser.add_argument("--policy", metavar="NAME", help="rass, rass-literal, hop-count or stigmergy")
+    parser.add_argument(
+        "--topology", metavar="NAME", help="grid, scale-free, lennard-jones, random-walk, line or islands"
+    )
+    parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
+    parser.add_argument("--arena", type=float, metavar="METRES", help="side of the arena")
+    parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
+    parser.add_argument("--duplicate", type=float, metavar="P", help="a hearer gets a frame twice")
+    parser.add_argument("--reorder", type=float, metavar="P", help="a frame is overtaken by others")
+    parser.add_argument("--capacity", type=int, metavar="ITEMS", help="data that a drone can hold")
+    parser.add_argument("--transport", metavar="NAME", help="loopback (virtual time) or udp (processes, real time)")
+    parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
+    add_set(parser)
+
+
+def _scenario(options: argparse.Namespace) -> Scenario:
+    from rass_mav.swarm.catalogue import DEFAULT, DEFAULT_UDP, load_scenario
+    from rass_mav.swarm.scenario import OPTION_KEYS
+
+    keys = {key: getattr(options, name) for name, key in OPTION_KEYS.items() if getattr(options, name) is not None}
+    name = options.scenario or (DEFAULT_UDP if options.transport == "udp" else DEFAULT)
+    return load_scenario(name, keys, options.assignments)
+
+
+def _swarm(options: argparse.Namespace) -> int:
+    start_logging(options.verbose, "error")
+    if options.list:
+        from rass_mav.swarm.catalogue import load_scenario, shipped
+
+        for name in shipped():
+            say(f"{name:22} {load_scenario(name).title}")
+        return 0
+    scenario = _scenario(options)
+    if scenario.transport == "udp":
+        from rass_mav.swarm.processes import run
+
+        for name in ("record", "check"):
+            if getattr(options, name):
+                raise ConfigError(f"--{name} needs --transport loopback")
+        summary = run(scenario)
+    else:
+        summary = _in_virtual_time(scenario, options)
+    if options.json:
+        print_json(summary)
+    else:
+        from .summary import summary_lines
+
+        for line in summary_lines(summary):
+            say(line)
+    return 0
+
+
+def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
+    from rass_mav.swarm.invariants import check
+    from rass_mav.swarm.world import World
+
+    with _recorder(options.record, scenario.node.step_s) as record:
+        world = World(scenario, record=record and (lambda frame: record(frame, world.t)))
+        after: Callable[[World], None] | None = check if options.check else None
+        begin = time.perf_counter()
+        with progress(scenario.steps, "steps", quiet=options.json) as advance:
+            for _ in range(scenario.steps):
+                world.step()
+                if after is not None:
+                    after(world)
+                advance()
+        wall = time.perf_counter() - begin
+    summary = world.statistics.summary()
+    summary["wall_s"] = round(wall, 3)
+    summary["robot_steps_per_s"] = round(scenario.nodes * scenario.steps / wall) if wall else 0
+    return summary
+
+
+@contextlib.contextmanager
+def _recorder(path: str | None, step_s: float) -> Iterator[Callable[[bytes, int], None] | None]:
+    """Writes frames to a .tlog; virtual time begins at 2020-01-01 00:00 UTC, so the same run gives the same file."""
+    if path is None:
+        yield None
+        return
+    from rass_mav.mavlink.tlog import TlogWriter
+
+    try:
+        with Path(path).open("wb") as file:
+            writer = TlogWriter(file)
+            yield lambda frame, step: writer.record(frame, 1_577_836_800.0 + step * step_s)
+    except OSError as error:
+        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+
+
+@contextlib.contextmanager
+def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[], object]]:
+    """A progress bar on stderr: on a terminal, if tqdm is installed (the extra `sim`), and unless `quiet`."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        yield lambda: None
+        return
+    # disable=None: no bar unless stderr is a terminal.
+    with tqdm(total=total, unit=f" {unit}", disable=True if quiet else None, leave=False) as bar:
+        yield bar.update

@@ -1,0 +1,87 @@
+"""The way to the autopilot over UDP: `udpin:` listens and answers to whoever spoke last, `udpout:` speaks first."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from rass_mav.core.errors import LinkError
+
+from .address import VehicleUrl, resolve
+from .base import MAX_INBOX, Address, Datagram, LinkCounters
+from .sockets import Reader, Sender, bound_socket, kernel_drops, udp_socket
+
+
+class VehicleLink:
+    """Bytes from and to the autopilot. Opens its socket when made."""
+
+    def __init__(self, url: VehicleUrl) -> None:
+        """Raises `LinkError`, for example `udpin:0.0.0.0:14550: address already in use`."""
+        self.name = str(url)
+        self._inbox: deque[Datagram] = deque()
+        self._received = 0
+        self._reader: Reader | None = None
+        self._listens = url.mode == "udpin"
+        self._heard: Address | None = None
+        self._unheard = 0
+        address = resolve(url.address, self.name)
+        if self._listens:
+            self._socket = bound_socket(self.name, address)
+        else:
+            self._socket = udp_socket()
+            try:
+                # Connected, so that the kernel lets nothing in but from there.
+                self._socket.connect(address)
+            except OSError as error:
+                self._socket.close()
+                raise LinkError(f"{self.name}: {(error.strerror or str(error)).lower()}") from None
+        self.address: Address = self._socket.getsockname()
+        """Own address."""
+        self._sender = Sender(self._socket, self.name)
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
+        self._reader = Reader(self._socket, self._inbox, wake, is_echo=_never)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something has arrived."""
+        return bool(self._inbox)
+
+    def receive(self) -> list[bytes]:
+        """What has arrived, at most `MAX_INBOX` datagrams."""
+        if not self._inbox:
+            return []
+        arrived = [datagram.data for datagram in self._inbox]
+        self._heard = self._inbox[-1].source
+        self._inbox.clear()
+        self._received += len(arrived)
+        if len(arrived) >= MAX_INBOX and self._reader is not None:
+            self._reader.resume()
+        return arrived
+
+    def send(self, frame: bytes) -> None:
+        """Send to the autopilot; with `udpin`, as long as nobody has spoken, to nobody."""
+        if not self._listens:
+            self._sender.send(frame, None)
+        elif self._heard is not None:
+            self._sender.send(frame, self._heard)
+        else:
+            self._unheard += 1
+
+    def counters(self) -> LinkCounters:
+        """What has been done so far. Frames that were meant for nobody yet count as dropped."""
+        return LinkCounters(
+            self._sender.sent, self._received, kernel_drops(self._socket), self._sender.dropped + self._unheard, 0
+        )
+
+    def close(self) -> None:
+        """Release the socket."""
+        if self._reader is not None:
+            self._reader.stop()
+        self._sender.stop()
+        self._socket.close()
+
+
+def _never(source: Address) -> bool:
+    return False

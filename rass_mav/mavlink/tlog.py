@@ -1,0 +1,17 @@
+"""Telemetry logs (.tlog): for each message 8 bytes, big-endian microseconds since 1970, then the MAVLink frame."""
+
+from __future__ import annotations
+
+from typing import BinaryIO
+
+
+class TlogWriter:
+    """Writes frames as ground stations do, so that MAVExplorer, QGroundControl and pymavlink read them."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        """`file`: open for writing, in binary; the caller closes it."""
+        self._write = file.write
+
+    def record(self, frame: bytes, unix_s: float) -> None:
+        """A frame at a time, in seconds since 1970."""
+        self._write(round(unix_s * 1e6).to_bytes(8, "big") + frame)

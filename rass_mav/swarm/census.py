@@ -1,0 +1,125 @@
+"""The ledger of a swarm of processes, read from outside: from the nodes' stores on disk."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.store.reader import SqliteReader
+from rass_mav.swarm.invariants import InvariantError
+from rass_mav.swarm.ledger import LOST
+
+
+class Census:
+    """Counts distinct data over all stores: created = delivered + held + lost.
+
+    A datum is created when it was durable in its origin's store: it has a sequence number below the next one that this
+    store knows. What is durable in no store at the end, neither at a base nor on a drone nor in a table of losses, has
+    vanished; with custody that never happens.
+    """
+
+    def __init__(self, stores: Sequence[Path], bases: int, step_s: float) -> None:
+        """`stores`: the file of each node, by node id. Nodes 0 .. bases - 1 are bases."""
+        self._stores = list(stores)
+        self._bases = bases
+        self._step_s = step_s
+        self._created: dict[tuple[int, int], int] = {}
+        """(origin, epoch) -> how many sequence numbers are used: the most that was ever seen durable."""
+        self.delays: dict[DatumId, int] = {}
+        """Whole steps from creation to the arrival at a base, of all that has arrived."""
+        self.hops: dict[DatumId, int] = {}
+        self.samples = 0
+        """How often copies have been counted."""
+        self.stored = 0
+        """Copies that drones hold, summed over samples."""
+        self.waiting = 0
+        """Data with a copy that have not arrived, summed over samples."""
+        self.waiting_copies = 0
+        """Their copies."""
+        self.overflow = 0
+        """Measurements that full nodes refused; after `close`."""
+        self.altered = 0
+        """Data at bases with a checksum that does not fit; after `close`."""
+        self.held = 0
+        """Data on drones that have not arrived; after `close`."""
+        self._lost: Counter[Fate] = Counter()
+
+    @property
+    def created(self) -> int:
+        """Data created, with those that were refused."""
+        return sum(self._created.values()) + self.overflow
+
+    @property
+    def delivered(self) -> int:
+        """Data that have arrived at a base."""
+        return len(self.delays)
+
+    def losses(self) -> dict[str, int]:
+        """Lost data by reason; after `close`."""
+        return {fate.value: self._lost[fate] for fate in LOST}
+
+    def look_at_bases(self, now: float) -> None:
+        """Note what has arrived since the last look. `now`: wall time in seconds, as the nodes keep it."""
+        for node_id in range(self._bases):
+            with self._open(node_id) as store:
+                for info in store.held():
+                    if info.id not in self.delays:
+                        # It arrived up to one look earlier: rounding down makes up for that.
+                        self.delays[info.id] = max(0, int((now - info.created) / self._step_s))
+                        self.hops[info.id] = info.hops
+
+    def look_at_all(self, now: float) -> None:
+        """The same, and what every node has created."""
+        for node_id in range(self._bases, len(self._stores)):
+            self._open(node_id).close()
+        self.look_at_bases(now)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all that was seen created has been seen at a base."""
+        return sum(self._created.values()) == len(self.delays)
+
+    def on_disk(self, node_id: int) -> list[DatumId]:
+        """What is in a node's store. More than the node holds: rows wait to be deleted until something is written."""
+        with self._open(node_id) as store:
+            return store.ids()
+
+    def sample(self, held: Iterable[Iterable[DatumId]]) -> None:
+        """Count copies. `held`: what each drone holds at this moment."""
+        copies = Counter(id for ids in held for id in ids)
+        waiting = [count for id, count in copies.items() if id not in self.delays]
+        self.samples += 1
+        self.stored += sum(copies.values())
+        self.waiting += len(waiting)
+        self.waiting_copies += sum(waiting)
+
+    def close(self, now: float) -> None:
+        """The last look, when all nodes have ended. Raises `InvariantError` for data that nobody created."""
+        self.look_at_bases(now)
+        on_drones: set[DatumId] = set()
+        losses: dict[DatumId, Fate] = {}
+        for node_id in range(len(self._stores)):
+            with self._open(node_id) as store:
+                self.overflow += store.counters().get(Fate.OVERFLOW.value, 0)
+                losses.update(store.losses())
+                if node_id >= self._bases:
+                    on_drones.update(store.ids())
+                    continue
+                for id in store.ids():
+                    datum = store.get(id)
+                    self.altered += datum is None or not datum.intact
+        created = {DatumId(*key, sequence) for key, count in self._created.items() for sequence in range(count)}
+        found = on_drones | self.delays.keys()
+        if not found <= created:
+            raise InvariantError(f"data that nobody created: {sorted(found - created)[:3]}")
+        self.held = len(on_drones - self.delays.keys())
+        self._lost = Counter(losses.get(id, Fate.VANISHED) for id in created - found)
+        self._lost[Fate.OVERFLOW] += self.overflow
+
+    def _open(self, node_id: int) -> SqliteReader:
+        store = SqliteReader(self._stores[node_id])
+        key = (node_id, store.epoch)
+        self._created[key] = max(self._created.get(key, 0), store.next_sequence)
+        return store

@@ -1,0 +1,194 @@
+"""Child processes that never outlive the block they were started in, and whose unexpected end is an error."""
+
+from __future__ import annotations
+
+import selectors
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from rass_mav.core.errors import RassError
+
+#: How long a process may take to end after SIGTERM, seconds.
+STOP_S = 20.0
+# A process that has closed its pipes is given so long to be gone, seconds.
+_LAST_BREATH_S = 2.0
+# How much of a dead child's stderr is told: characters, and lines.
+_TAIL_CHARACTERS = 4000
+_TAIL_LINES = 5
+
+
+class SwarmError(RassError):
+    """A process of a swarm ended that should not have, or did not begin."""
+
+
+class Child:
+    """A child process. Its stdin is a pipe that closes when we end; its stderr is a file."""
+
+    def __init__(self, name: str, arguments: list[str], log: Path) -> None:
+        """`name`: for errors. `arguments`: of the Python interpreter. `log`: stderr is appended to it."""
+        self.name = name
+        self.log = log
+        with log.open("ab") as stderr:
+            # A session of its own: Ctrl-C on a terminal reaches the parent only, which ends the others in order.
+            self._process = subprocess.Popen(
+                [sys.executable, *arguments],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                bufsize=0,
+                start_new_session=True,
+            )
+        self._lines: list[bytes] = []
+        self._rest = b""
+        self._ended = False
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    @property
+    def file(self) -> int:
+        """File descriptor of its stdout."""
+        assert self._process.stdout is not None
+        return self._process.stdout.fileno()
+
+    def tell(self, line: str) -> None:
+        """Write a line to its stdin. Raises `SwarmError` if it is gone."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(line.encode("ascii") + b"\n")
+        except BrokenPipeError:
+            raise self.failed() from None
+
+    def read(self) -> bool:
+        """Take in what it has written on stdout; call it when there is something. False: it has ended."""
+        assert self._process.stdout is not None
+        data = self._process.stdout.read(65536)
+        *lines, self._rest = (self._rest + (data or b"")).split(b"\n")
+        self._lines += lines
+        self._ended = not data
+        return bool(data)
+
+    def next_line(self) -> bytes | None:
+        """The next whole line that was read, or None."""
+        return self._lines.pop(0) if self._lines else None
+
+    def wait_line(self, timeout_s: float) -> bytes:
+        """Wait for the next line. Raises `SwarmError`: it has ended, or says nothing."""
+        until = time.monotonic() + timeout_s
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.file, selectors.EVENT_READ)
+            while True:
+                line = self.next_line()
+                if line is not None:
+                    return line
+                if self._ended:
+                    raise self.failed()
+                left = until - time.monotonic()
+                if left <= 0:
+                    raise SwarmError(f"{self.name}: says nothing for {timeout_s:g} s{self._tail()}")
+                if selector.select(left):
+                    self.read()
+
+    def kill(self) -> None:
+        """SIGKILL, and wait until it is gone. Does no harm to a process that has ended."""
+        self._process.kill()
+        self._process.wait()
+        self._close()
+
+    def terminate(self) -> None:
+        """SIGTERM; see `wait_stopped`."""
+        self._process.terminate()
+
+    def wait_stopped(self, timeout_s: float = STOP_S) -> None:
+        """Wait until it has ended of itself. Raises `SwarmError`: it does not, or it failed."""
+        try:
+            code = self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            raise SwarmError(f"{self.name}: does not end within {timeout_s:g} s of SIGTERM{self._tail()}") from None
+        self._close()
+        if code:
+            raise self.failed()
+
+    def failed(self, otherwise: str = "closed its output") -> SwarmError:
+        """The error that says how it ended, with the last lines of its stderr; `otherwise`, if it has not."""
+        try:
+            code = self._process.wait(_LAST_BREATH_S)
+        except subprocess.TimeoutExpired:
+            return SwarmError(f"{self.name}: {otherwise}{self._tail()}")
+        try:
+            how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        except ValueError:
+            how = f"killed by signal {-code}"
+        return SwarmError(f"{self.name}: {how}{self._tail()}")
+
+    def _tail(self) -> str:
+        text = self.log.read_bytes()[-_TAIL_CHARACTERS:].decode(errors="replace")
+        lines = [line.strip() for line in text.splitlines() if line.strip()][-_TAIL_LINES:]
+        return ": " + " | ".join(lines) if lines else ""
+
+    def _close(self) -> None:
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            pipe.close()
+
+
+class Children:
+    """All child processes of a swarm. Leaving the block kills those that are left."""
+
+    def __init__(self) -> None:
+        self._all: list[Child] = []
+
+    def start(self, name: str, arguments: list[str], log: Path) -> Child:
+        """See `Child`."""
+        child = Child(name, arguments, log)
+        self._all.append(child)
+        return child
+
+    def kill(self, child: Child) -> None:
+        """SIGKILL for one."""
+        child.kill()
+        self._all.remove(child)
+
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for child in self._all:
+            child.kill()
+
+
+@contextmanager
+def orderly_end() -> Iterator[None]:
+    """Within the block, SIGTERM raises SystemExit, so that what has been started is also ended. Main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)
+
+
+def wait_any(files: dict[int, Callable[[], None]], timeout_s: float) -> None:
+    """Wait at most so long for any of these file descriptors to have something to read, and make the calls of those."""
+    with selectors.DefaultSelector() as selector:
+        for file, call in files.items():
+            selector.register(file, selectors.EVENT_READ, call)
+        for key, _ in selector.select(max(timeout_s, 0.0)):
+            key.data()

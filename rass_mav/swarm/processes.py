@@ -1,0 +1,395 @@
+"""The mock swarm as real processes in real time: one `rass-mav run` a node, one for the radio, UDP between them.
+
+docs/simulation-udp.md says what this shows that virtual time cannot, and how each figure is obtained.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import random
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from rass_mav.agent.loading import dump_yaml
+from rass_mav.app.client import ControlClient
+from rass_mav.app.clock import Clock
+from rass_mav.app.config import AutopilotSection, ControlSection, LinkSection, NodeSection, PeerSection, RunConfig
+from rass_mav.app.payloads import parse_id
+from rass_mav.core.datum import DatumId
+from rass_mav.core.errors import ConfigError, ControlError
+from rass_mav.swarm.census import Census
+from rass_mav.swarm.children import Child, Children, SwarmError, orderly_end, wait_any
+from rass_mav.swarm.invariants import count_loops
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.udp_radio import Figures, Ports, RadioOrder
+
+log = logging.getLogger(__name__)
+
+#: More processes than this are no test of anything but the machine.
+MAX_NODES = 64
+#: After the scenario's steps, data that are on their way get at least so long to arrive, seconds.
+DRAIN_S = 10.0
+# Further steps for each node: with loss, a hop takes more than one.
+_DRAIN_STEPS_A_NODE = 5
+# Until a process has to be ready, seconds, for itself and for each that starts with it.
+_START_S = 20.0
+_START_EACH_S = 2.0
+# Seconds between two looks at the drones' stores and next hops.
+_SAMPLE_S = 1.0
+# An answer of a node may take so long, seconds.
+_ANSWER_S = 5.0
+# Looks at the bases' stores take at most this part of the time.
+_LOOK_SHARE = 0.1
+
+
+class NodeProcess:
+    """One node: its files, its process, and what it said of itself last."""
+
+    def __init__(self, node_id: int, directory: Path, socket: Path) -> None:
+        """`directory`: for configuration, store and log. `socket`: of the control socket, at most 107 bytes."""
+        self.node_id = node_id
+        self.name = f"node {node_id}"
+        self.config = directory / f"node-{node_id}.yaml"
+        self.store = directory / f"node-{node_id}.db"
+        self.log = directory / f"node-{node_id}.log"
+        self.socket = socket
+        self.until_step = 0
+        """Steps in which this life of the node makes data."""
+        self.ready = False
+        self.status: dict[str, Any] = {}
+        """Last answer to `status` in this life."""
+        self.earlier = {"malformed": 0, "skipped_steps": 0}
+        """Sums over earlier lives, as far as they were asked."""
+        self.child: Child
+        self._client: ControlClient | None = None
+
+    def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
+        """Write the configuration of the next life. Raises `ConfigError`."""
+        settings = scenario.agent_settings(self.node_id)
+        self.until_step = until_step
+        radio = f"127.0.0.1:{ports.air[self.node_id]}"
+        config = RunConfig(
+            node=NodeSection(id=self.node_id, role="base" if settings.base else "drone", step_s=settings.step_s),
+            # The node speaks first, from any free port: so the radio learns where it is, and no port can be in use.
+            autopilot=AutopilotSection(url=f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}"),
+            links=(LinkSection(listen="127.0.0.1:0", peers=(PeerSection(address=radio),)),),
+            policy=settings.policy,
+            risk=settings.risk,
+            routing=settings.routing,
+            custody=settings.custody,
+            store=msgspec.structs.replace(settings.store, path=str(self.store)),
+            data=msgspec.structs.replace(settings.data, until_step=until_step),
+            mavlink=settings.mavlink,
+            control=ControlSection(socket=str(self.socket)),
+        )
+        config.check()
+        self.config.write_text(dump_yaml(config), encoding="utf-8")
+
+    def start(self, children: Children) -> None:
+        """Begin a life. It is under way when `ready`."""
+        self.ready = False
+        arguments = ["-m", "rass_mav.swarm.tether", "run", str(self.config), "--json"]
+        self.child = children.start(self.name, arguments, self.log)
+
+    def heard(self) -> None:
+        """There is something on its stdout: the line that says it is ready, or the end. Raises `SwarmError`."""
+        if not self.child.read():
+            raise self.child.failed()
+        line = self.child.next_line()
+        if line is not None:
+            # If it could not start, it says why on stderr too, and the end of its output follows.
+            self.ready = "error" not in msgspec.json.decode(line)
+
+    def ask(self) -> int | None:
+        """Ask for its status. Returns its next hop. Raises `SwarmError`."""
+        (answer,) = self._ask("status")
+        self.status = answer["status"]
+        next_hop: int | None = self.status["next_hop"]
+        return next_hop
+
+    def ask_held(self) -> list[DatumId]:
+        """Ask for what it holds. Raises `SwarmError`."""
+        return [parse_id(entry["id"]) for page in self._ask("ls") for entry in page["data"]]
+
+    def _ask(self, command: str) -> list[dict[str, Any]]:
+        try:
+            if self._client is None:
+                self._client = ControlClient(self.socket, timeout_s=_ANSWER_S)
+            return list(self._client.ask_all(command))
+        except ControlError as error:
+            raise self.child.failed(str(error)) from error
+
+    def total(self, key: str) -> int:
+        """A figure of `status`, summed over all lives."""
+        return int(self.earlier[key] + self.status.get(key, 0))
+
+    @property
+    def creates(self) -> bool:
+        """Whether it may still make data, as far as it was asked."""
+        return not self.status or bool(self.status["steps"] < self.until_step)
+
+    @property
+    def empty(self) -> bool:
+        """Whether it held nothing when it was asked last."""
+        return bool(self.status) and not self.status["store"]["items"]
+
+    def hang_up(self) -> None:
+        """End the conversation: the life is over."""
+        for key in self.earlier:
+            self.earlier[key] = self.total(key)
+        self.status = {}
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+
+class ProcessSwarm:
+    """A swarm of processes from start to end. `run` does it all; see there."""
+
+    def __init__(self, scenario: Scenario, directory: Path, sockets: Path, children: Children) -> None:
+        """`directory`: where everything is written. `sockets`: where control sockets are."""
+        self._scenario = scenario
+        self._step_s = scenario.node.step_s
+        self._directory = directory
+        self._children = children
+        self._clock = Clock()
+        self._nodes = [NodeProcess(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
+        self._drones = self._nodes[scenario.bases :]
+        self._census = Census([node.store for node in self._nodes], scenario.bases, self._step_s)
+        self._kill_rng = random.Random(f"{scenario.seed}:kills")
+        self._radio: Child
+        self._ports: Ports
+        self._begun = 0.0
+        self._next_look = self._next_sample = 0.0
+        self._loops = 0
+        self.kills = 0
+        """Processes killed with SIGKILL and started again."""
+
+    # -- the phases ----------------------------------------------------------------------------------------------------
+
+    def start(self, record: Path | None) -> None:
+        """Start radio and nodes; returns when all are ready and the world turns."""
+        order = self._directory / "radio.json"
+        order.write_bytes(
+            msgspec.json.encode(RadioOrder(self._scenario, None if record is None else str(record.absolute())))
+        )
+        arguments = ["-m", "rass_mav.swarm.udp_radio", str(order)]
+        self._radio = self._children.start("radio", arguments, self._directory / "radio.log")
+        self._ports = msgspec.json.decode(self._radio.wait_line(_START_S), type=Ports)
+        until = self._until_step()
+        for node in self._nodes:
+            node.configure(self._scenario, self._ports, until)
+            node.start(self._children)
+        deadline = time.monotonic() + _START_S + _START_EACH_S * len(self._nodes)
+        while not all(node.ready for node in self._nodes):
+            if time.monotonic() > deadline:
+                silent = next(node for node in self._nodes if not node.ready)
+                raise SwarmError(f"{silent.name}: not ready in time")
+            self._wait(deadline)
+        self._radio.tell("start")
+        self._begun = time.monotonic()
+
+    def fly(self, progress: Callable[[int], None] | None) -> None:
+        """The scenario's steps, in real time, with its failures."""
+        every = self._scenario.failures.kill_every_s
+        end = self._begun + self._scenario.steps * self._step_s
+        next_kill = self._begun + every if every is not None and self._drones else end
+        while (now := time.monotonic()) < end:
+            if now >= next_kill:
+                self._kill(self._kill_rng.choice(self._drones))
+                next_kill += every or 0.0
+            self._look(now)
+            if progress is not None:
+                progress(int((now - self._begun) / self._step_s))
+            self._wait(min(end, next_kill, self._next_look))
+
+    def drain(self) -> None:
+        """Let arrive what is on its way, until all has or nothing is left; at most `DRAIN_S` and some steps."""
+        deadline = time.monotonic() + DRAIN_S + _DRAIN_STEPS_A_NODE * self._scenario.nodes * self._step_s
+        complete = 0
+        # Twice in a row: what was created in the last step may not have been durable yet at the first look.
+        while complete < 2 and (now := time.monotonic()) < deadline:
+            self._ask_all()
+            self._census.look_at_all(self._clock.now())
+            done = not any(node.creates for node in self._drones) and (
+                self._census.complete or all(node.empty for node in self._drones)
+            )
+            complete = complete + 1 if done else 0
+            self._wait(min(deadline, now + max(self._step_s, 0.1)))
+
+    def stop(self) -> Figures:
+        """End the nodes with SIGTERM, then the radio, and read the ledger. Raises `SwarmError` for who does not."""
+        self._ask_all()
+        self.hang_up()
+        for node in self._nodes:
+            node.child.terminate()
+        for node in self._nodes:
+            node.child.wait_stopped()
+        self._radio.tell("stop")
+        figures = msgspec.json.decode(self._radio.wait_line(_START_S), type=Figures)
+        self._radio.wait_stopped()
+        self._census.close(self._clock.now())
+        return figures
+
+    def hang_up(self) -> None:
+        """End all conversations with nodes."""
+        for node in self._nodes:
+            node.hang_up()
+
+    # -- meanwhile -----------------------------------------------------------------------------------------------------
+
+    def _wait(self, until: float) -> None:
+        """Until a time of `time.monotonic`, or until a process says something. Raises `SwarmError` if one ended."""
+        files = {node.child.file: node.heard for node in self._nodes}
+        wait_any({**files, self._radio.file: self._radio_heard}, until - time.monotonic())
+
+    def _radio_heard(self) -> None:
+        if not self._radio.read():
+            raise self._radio.failed()
+
+    def _until_step(self) -> int:
+        until = self._scenario.data.until_step
+        return self._scenario.steps if until is None else min(until, self._scenario.steps)
+
+    def _kill(self, node: NodeProcess) -> None:
+        """SIGKILL, and a new life on the same store at once."""
+        log.info("killing node %d", node.node_id)
+        self._children.kill(node.child)
+        node.hang_up()
+        self._radio.tell(f"off {node.node_id}")
+        # The new life counts its steps from 0 again; it makes data as long as the others do.
+        gone = int((time.monotonic() - self._begun) / self._step_s)
+        node.configure(self._scenario, self._ports, max(0, self._until_step() - gone))
+        node.start(self._children)
+        self.kills += 1
+
+    def _look(self, now: float) -> None:
+        """At the bases' stores about once a step; at the drones and their next hops about once a second."""
+        if now < self._next_look:
+            return
+        if now >= self._next_sample:
+            self._next_sample = now + _SAMPLE_S
+            self._sample()
+        begun = time.monotonic()
+        self._census.look_at_bases(self._clock.now())
+        took = time.monotonic() - begun
+        self._next_look = max(self._next_look + self._step_s, begun + took / _LOOK_SHARE)
+
+    def _sample(self) -> None:
+        self._census.sample(
+            node.ask_held() if node.ready else self._census.on_disk(node.node_id) for node in self._drones
+        )
+        before = self._ask_all()
+        if count_loops(before):
+            # Not all were asked at the same moment. A next hop that is the same after as before was so in between.
+            after = self._ask_all()
+            self._loops += count_loops([b if b == a else None for b, a in zip(before, after, strict=True)])
+
+    def _ask_all(self) -> list[int | None]:
+        """Ask all nodes for their status. Returns their next hops; None also for who is just starting."""
+        return [node.ask() if node.ready else None for node in self._nodes]
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def summary(self, radio: Figures) -> dict[str, Any]:
+        """What `swarm --json` prints, but for the wall times (docs/simulation-udp.md)."""
+        scenario, census = self._scenario, self._census
+        created = census.created
+        lost = census.losses()
+        kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
+        room = len(self._drones) * census.samples * (scenario.store.capacity_items or 0)
+        return {
+            "nodes": scenario.nodes,
+            "bases": scenario.bases,
+            "steps": scenario.steps,
+            "seed": scenario.seed,
+            "policy": scenario.policy.name,
+            "topology": scenario.topology,
+            "created": created,
+            "delivered": census.delivered,
+            "held": census.held,
+            "lost": lost,
+            "altered": census.altered,
+            "reliability": round(kept / created, 6) if created else 1.0,
+            "delay_steps": spread(list(census.delays.values())),
+            "hops": spread(list(census.hops.values())),
+            "memory_used_percent": round(100 * census.stored / room, 4) if room else 0.0,
+            "copies_mean": round(census.waiting_copies / census.waiting, 4) if census.waiting else 0.0,
+            "transmissions_per_datum": round(radio.data_sent / created, 4) if created else 0.0,
+            "frames": {
+                "sent": radio.sent,
+                "received": radio.received,
+                "dropped": radio.dropped,
+                "malformed": radio.malformed + sum(node.total("malformed") for node in self._nodes),
+            },
+            "bytes_sent": radio.bytes_sent,
+            "air_sha256": radio.sha256,
+            "routing": {"max_hop_count": radio.max_hop_count, "loops": self._loops},
+            "transport": {
+                "name": "udp",
+                "corruption": False,
+                "kills": self.kills,
+                "heartbeats": radio.heartbeats,
+                "late_steps": radio.late_steps,
+                "skipped_steps": sum(node.total("skipped_steps") for node in self._nodes),
+                "samples": census.samples,
+            },
+        }
+
+
+def run(
+    scenario: Scenario,
+    *,
+    keep: Path | None = None,
+    record: Path | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, Any]:
+    """Run a scenario as processes, in real time, and return its summary.
+
+    Takes `steps` * `node.step_s` seconds, some for the start and, at the end, up to `DRAIN_S` and a few steps for each
+    node until all data have arrived. On Linux and other POSIX systems; in the main thread SIGTERM is handled too.
+
+    `keep`: a directory, new or empty, for configurations, stores and logs; None: a temporary one. `record`: a .tlog of
+    all frames put on the air. `progress` is called with the present step.
+
+    Raises `ConfigError`: more than `MAX_NODES` nodes, a swarm that cannot be placed, a directory that cannot be used;
+    `SwarmError`: a process that ended unexpectedly, with the last lines of its log; `StoreError`: a store that
+    cannot be read.
+    """
+    if scenario.nodes > MAX_NODES:
+        raise ConfigError(f"nodes: expected at most {MAX_NODES} with transport udp, got {scenario.nodes}")
+    Surroundings(scenario)  # says here, and not in the radio process, what cannot be placed
+    if keep is not None:
+        _prepare(keep)
+    begin = time.perf_counter()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(orderly_end())
+        # Always a short path: a unix socket's may have 107 bytes.
+        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
+        children = stack.enter_context(Children())
+        swarm = ProcessSwarm(scenario, (keep or sockets).absolute(), sockets, children)
+        stack.callback(swarm.hang_up)
+        swarm.start(record)
+        swarm.fly(progress)
+        swarm.drain()
+        summary = swarm.summary(swarm.stop())
+    wall = time.perf_counter() - begin
+    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
+
+
+def _prepare(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        used = any(directory.iterdir())
+    except OSError as error:
+        raise ConfigError(f"{directory}: {(error.strerror or str(error)).lower()}") from None
+    if used:
+        raise ConfigError(f"{directory}: expected a new or an empty directory")

@@ -1,0 +1,66 @@
+"""What a mock swarm stands in: where the nodes are, who hears whom, how much radiates there. Step by step."""
+
+from __future__ import annotations
+
+import random
+
+from rass_mav.swarm.mobility import make_mobility
+from rass_mav.swarm.neighbours import Position, RangeGraph
+from rass_mav.swarm.radiation import RadiationField, Source, random_sources
+from rass_mav.swarm.scenario import Scenario
+
+
+class Surroundings:
+    """Places, links and levels of a scenario. The same seed gives the same ones in any process."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """As they are at step 0. Raises `ConfigError` for a swarm that cannot be placed."""
+        seed = scenario.seed
+        # One generator for each purpose: what one part draws does not disturb the others. Seeding with a text is
+        # the same in every process.
+        self.mobility = make_mobility(
+            scenario.topology,
+            nodes=scenario.nodes,
+            range_m=scenario.radio.range_m,
+            arena_m=scenario.arena,
+            rng=random.Random(f"{seed}:places"),
+            bases=scenario.bases,
+            pitch_m=scenario.mobility.pitch_m,
+            split_step=scenario.mobility.split_step,
+            rejoin_step=scenario.mobility.rejoin_step,
+            gap_m=scenario.mobility.gap_m,
+            positions=scenario.mobility.positions,
+        )
+        radiation = scenario.radiation
+        rng = random.Random(f"{seed}:field")
+        if radiation.sources is None:
+            sources = random_sources(rng, radiation.random_sources, radiation.spread_m)
+        else:
+            sources = [Source(*source) for source in radiation.sources]
+        self.field = RadiationField(
+            sources, decay=radiation.decay, drift=radiation.drift, rng=rng, bounds=scenario.arena / 2
+        )
+        self.graph = RangeGraph(self.mobility.positions, scenario.radio.range_m)
+        self.levels: list[float] = []
+        """Radiation at each node without the sensor's noise, Eq. 1."""
+        self.t = 0
+        """The present step."""
+        self.mobility.step(0)
+        self._measure()
+
+    @property
+    def positions(self) -> list[Position]:
+        """Of each node, metres east and north of the arena's centre."""
+        return self.mobility.positions
+
+    def step(self) -> None:
+        """Go on to the next step."""
+        self.t += 1
+        moved = self.mobility.step(self.t)
+        if moved:
+            self.graph.update(self.mobility.positions)
+        if self.field.step() or moved:
+            self._measure()
+
+    def _measure(self) -> None:
+        self.levels = [self.field.level(x, y) for x, y in self.mobility.positions]

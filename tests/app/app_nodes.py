@@ -1,0 +1,142 @@
+"""Real nodes for the tests: `rass-mav run` as processes, and patience with a deadline."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from rass_mav.app.client import ControlClient
+
+ROOT = Path(__file__).resolve().parents[2]
+DEADLINE_S = 30.0
+STEP_S = 0.05
+
+
+def free_ports(count: int) -> list[int]:
+    """UDP ports that nobody uses at this moment."""
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for sock in sockets:
+        sock.bind(("127.0.0.1", 0))
+    ports = [sock.getsockname()[1] for sock in sockets]
+    for sock in sockets:
+        sock.close()
+    return ports
+
+
+def command(directory: Path, *arguments: str, stdin: bytes | None = None) -> subprocess.CompletedProcess[bytes]:
+    """Run `rass-mav` to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "rass_mav", *arguments],
+        cwd=directory,
+        env=environment(),
+        input=stdin,
+        capture_output=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+class RunningNode:
+    """A `rass-mav run` in a directory of its own swarm. Its configuration is `n<id>.yaml` there."""
+
+    def __init__(self, directory: Path, node_id: int, name: str | None = None, **sections: Any) -> None:
+        self.directory = directory
+        self.name = name or f"n{node_id}"
+        self.config = f"{self.name}.yaml"
+        self.process: subprocess.Popen[bytes] | None = None
+        node = {"id": node_id, "step_s": STEP_S, **sections.pop("node", {})}
+        data = {"interval_steps": 0, **sections.pop("data", {})}
+        store = {"path": f"{self.name}.db", **sections.pop("store", {})}
+        plain = {"node": node, "data": data, "store": store, **sections}
+        (directory / self.config).write_text(yaml.safe_dump(plain))
+
+    def start(self) -> RunningNode:
+        """Returns when it runs."""
+        with (self.directory / f"{self.name}.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "rass_mav", "run", self.config, "--json", "-v"],
+                cwd=self.directory,
+                env=environment(),
+                stdout=subprocess.PIPE,
+                stderr=log,
+            )
+        assert self.process.stdout is not None
+        ready, _, _ = select.select([self.process.stdout], [], [], DEADLINE_S)
+        line = self.process.stdout.readline() if ready else b""
+        assert line, f"{self.name} did not start: {self.log()}"
+        self.about = json.loads(line)
+        return self
+
+    def client(self) -> ControlClient:
+        return ControlClient(os.path.relpath(self.directory / f"{self.name}.sock"))
+
+    def ask(self, request: str, **fields: Any) -> dict[str, Any]:
+        with self.client() as client:
+            return client.ask(request, **fields)
+
+    def status(self) -> dict[str, Any]:
+        status: dict[str, Any] = self.ask("status")["status"]
+        return status
+
+    def listing(self) -> dict[str, dict[str, Any]]:
+        """What it holds, by id."""
+        with self.client() as client:
+            return {entry["id"]: entry for page in client.ask_all("ls") for entry in page["data"]}
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        """Ask again and again until it is so. A node that ends, or a deadline that passes, is a failure."""
+        assert self.process is not None
+        assert self.process.stdout is not None
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"{self.name}: not in time; {self.log()}"
+            # Waits for the next step or so; returns at once when the process ends.
+            ended, _, _ = select.select([self.process.stdout], [], [], STEP_S)
+            assert not ended, f"{self.name} has ended: {self.log()}"
+
+    def signal(self, number: int) -> int:
+        """Send a signal and wait for the end. Returns the exit code."""
+        assert self.process is not None
+        self.process.send_signal(number)
+        code = self.process.wait(DEADLINE_S)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        self.process = None
+        return code
+
+    def log(self) -> str:
+        return (self.directory / f"{self.name}.log").read_text()
+
+    def end(self) -> None:
+        """For tidying up after a failure."""
+        if self.process is not None:
+            self.signal(signal.SIGKILL)
+
+
+def line_of(directory: Path, ids: list[int], **sections: Any) -> list[RunningNode]:
+    """Nodes that hear only those next to them; the first is the base. Not started."""
+    ports = free_ports(len(ids))
+    nodes = []
+    for index, node_id in enumerate(ids):
+        peers = [
+            {"id": ids[i], "address": f"127.0.0.1:{ports[i]}"} for i in (index - 1, index + 1) if 0 <= i < len(ids)
+        ]
+        link = {"listen": f"127.0.0.1:{ports[index]}", "peers": peers}
+        role = {"role": "base" if index == 0 else "drone"}
+        nodes.append(RunningNode(directory, node_id, node=role, links=[link], **sections))
+    return nodes

@@ -1,0 +1,227 @@
+"""Configuration files: what is read, and what is said of those that are wrong."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import msgspec
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.agent.loading import convert, dump_yaml, read_yaml, set_key, to_plain
+from rass_mav.app.config import RunConfig, filled_in, load_config
+from rass_mav.core.errors import ConfigError
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+DRONE = "node: {id: 7}\nlinks: [{peers: [{address: '10.0.0.1:14600'}]}]\n"
+
+
+def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes) -> str:
+    monkeypatch.chdir(tmp_path)
+    path = Path("node.yaml")
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    said = str(caught.value)
+    assert "\n" not in said
+    return said
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("policy: {alpha: ten}", "node.yaml: policy.alpha: expected a number >= 0, got 'ten'"),
+        ("policy: {alpha: -1}", "node.yaml: policy.alpha: expected a number >= 0, got -1"),
+        ("policy: {alpha: .nan}", "node.yaml: policy.alpha: expected a finite number, got nan"),
+        ("policy: {alfa: 1}", "node.yaml: policy.alfa: unknown key (did you mean 'alpha'?)"),
+        ("polic: {}", "node.yaml: polic: unknown key (did you mean 'policy'?)"),
+        ("log: {zzz: 1}", "node.yaml: log.zzz: unknown key (known: level)"),
+        ("policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, got 3"),
+        ("policy: {name: best}",
+         "node.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, got 'best'"),
+        (DRONE + "policy: {alpha: 0, beta: 0}", "node.yaml: policy.alpha: alpha and beta must not both be 0"),
+        ("risk: {gain: 1.5}", "node.yaml: risk.gain: expected a number > 0 and <= 1, got 1.5"),
+        ("risk: {low: 1, high: 1}", "node.yaml: risk.high: expected a number above risk.low (1), got 1"),
+        ("node: {id: 65535}", "node.yaml: node.id: expected a whole number >= 0 and <= 65534, got 65535"),
+        ("node: {role: king}", "node.yaml: node.role: expected one of base, drone, got 'king'"),
+        ("node: {forward: immediate}",
+         "node.yaml: node.forward: expected step, got immediate (not available in this version)"),
+        ("custody: {mirror: true}",
+         "node.yaml: custody.mirror: expected false, got true (not available in this version)"),
+        ("custody: {copies: auto}", "node.yaml: custody.copies: expected 1, got auto (not available in this version)"),
+        ("custody: {copies: some}", "node.yaml: custody.copies: expected a whole number >= 1 or auto, got 'some'"),
+        ("custody: {receipts: 2}", "node.yaml: custody.receipts: expected true or false, got 2"),
+        ("mavlink: {reading_name: ''}",
+         "node.yaml: mavlink.reading_name: expected text of 1 to 10 characters, got ''"),
+        ("mavlink: {system_id: null}",
+         "node.yaml: node.id: missing, expected a whole number 0..65534 (or give mavlink.system_id)"),
+        ("node: {id: 1}", "node.yaml: links: a drone needs at least one"),
+        ("links: 3", "node.yaml: links: expected a list, got 3"),
+        ("links: [{peers: [{id: 3}]}]", "node.yaml: links[0].peers[0].address: missing, expected text"),
+        ("links: [{peers: [{id: x, address: 'a:1'}]}]",
+         "node.yaml: links[0].peers[0].id: expected a whole number >= 0 and <= 65534, got 'x'"),
+        ("node: {id: 1}\nlinks: [{peers: [{address: '10.0.0.1'}]}]",
+         "node.yaml: links[0].peers[0].address: expected host:port (IPv4 address or name), got '10.0.0.1'"),
+        ("node: {id: 1}\nlinks: [{listen: 'x:99999', broadcast: 'b:1'}]",
+         "node.yaml: links[0].listen: expected a port 0..65535 behind the colon, got 'x:99999'"),
+        ("node: {id: 1}\nlinks: [{broadcast: '10.0.0.255:0'}]",
+         "node.yaml: links[0].broadcast: expected a port 1..65535 behind the colon, got '10.0.0.255:0'"),
+        ("node: {id: 1}\nlinks: [{multicast: '10.0.0.1:1'}]",
+         "node.yaml: links[0].multicast: expected a multicast group 224.0.0.0 .. 239.255.255.255 and a port, "
+         "got '10.0.0.1:1'"),
+        ("node: {id: 1}\nlinks: [{multicast: '239.0.0.1:1', interface: wlan0}]",
+         "node.yaml: links[0].interface: expected an own IPv4 address, got 'wlan0'"),
+        ("node: {id: 1}\nlinks: [{}]",
+         "node.yaml: links[0]: expected at least one of peers, broadcast and multicast"),
+        (DRONE + "autopilot: {url: 'serial:///dev/ttyAMA0'}",
+         "node.yaml: autopilot.url: expected udpin:host:port or udpout:host:port (for example udpin:0.0.0.0:14550), "
+         "got 'serial:///dev/ttyAMA0'"),
+        (DRONE + f"control: {{socket: {'x' * 200}}}",
+         f"node.yaml: control.socket: expected a path of at most 107 bytes, got '{'x' * 200}'"),
+        (DRONE + "store: {path: ''}", "node.yaml: store.path: expected a path, got ''"),
+        (DRONE + "policy: {name: stigmergy}\ndata: {bytes: 500}", None),
+        ("a: 1\nb: [1, 2", "node.yaml: line 2: expected ',' or ']', but got '<stream end>'"),
+        ("node: {id: 1}\nnode: {id: 2}", "node.yaml: line 2: key 'node' stands twice"),
+        ("node:\n  id: 1\n  id: 1", "node.yaml: line 3: key 'id' stands twice"),
+        ("1: 2", "node.yaml: line 1: expected a name as key, got 1"),
+        ("a: &x 1\nb: *x", "node.yaml: line 2: aliases (*name) are not supported"),
+        ("- 1", "node.yaml: expected keys with values, got [1]"),
+        ("x: " + "[" * 5000, "node.yaml: nested too deeply"),
+        (b"\xff\xfe\x00", "node.yaml: not UTF-8 text (byte 0)"),
+        (b"a: \x00", None),
+        ("a: 2026-99-99", "node.yaml: not YAML: month must be in 1..12"),
+        ("#" * (1 << 20) + "#", "node.yaml: larger than 1048576 bytes"),
+    ],
+)  # fmt: skip
+def test_each_mistake_is_one_line_that_names_file_and_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes, expected: str | None
+) -> None:
+    said = complaint(tmp_path, monkeypatch, text)
+    assert said.startswith("node.yaml: ")
+    if expected is not None:
+        assert said == expected
+
+
+def test_a_missing_file_and_a_directory(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.yaml: no such file or directory$"):
+        read_yaml(tmp_path / "none.yaml")
+    with pytest.raises(ConfigError, match="is a directory$"):
+        read_yaml(tmp_path)
+
+
+def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text("# nothing\n")
+    assert convert(read_yaml(path), RunConfig, "node.yaml") == RunConfig()
+
+
+def test_numbers_without_a_dot_are_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE + "risk: {low: 1e-3, high: 2E+1}\n")
+    risk = load_config(path).risk
+    assert (risk.low, risk.high) == (0.001, 20.0)
+
+
+def test_set_overrides_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE)
+    config = load_config(
+        path,
+        ["policy.name=hop-count", "store.capacity_items=null", "links.0.peers.0.id=3", "node.step_s=0.5", "risk.low=-1"],
+    )
+    assert config.policy.name == "hop-count"
+    assert config.store.capacity_items is None
+    assert config.links[0].peers[0].id == 3
+    assert config.node.step_s == 0.5
+    assert config.risk.low == -1
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected"),
+    [
+        ("policy.name", "--set: expected key.path=value, got 'policy.name'"),
+        ("=3", "--set: expected key.path=value, got '=3'"),
+        ("a..b=3", "--set: expected key.path=value, got 'a..b=3'"),
+        ("node.id.x=3", "--set node.id.x: node.id is a value, not a section"),
+        ("links.7.listen=x", "--set links.7.listen: links has items 0 to 0, not 7"),
+        ("node.id=[", "--set node.id: line 1: expected the node content, but found '<stream end>'"),
+    ],
+)
+def test_set_that_makes_no_sense(assignment: str, expected: str) -> None:
+    raw = yaml.safe_load(DRONE)
+    with pytest.raises(ConfigError) as caught:
+        set_key(raw, assignment)
+    assert str(caught.value) == expected
+
+
+def test_names_that_follow_from_others(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text("mavlink: {system_id: 9}\nlinks: [{broadcast: '10.0.0.255:14600'}]\n")
+    config = load_config(path)
+    assert config.node_id == 9
+    assert str(config.store_path) == "rass-9.db"
+    assert str(config.socket_path) == "rass-9.sock"
+    assert load_config(path, ["store.path=/var/lib/rass/node.db"]).socket_path == Path("/var/lib/rass/node.sock")
+
+
+def test_what_print_shows_is_the_same_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE)
+    config = filled_in(load_config(path))
+    path.write_text(dump_yaml(config))
+    assert load_config(path) == config
+    assert filled_in(config) == config
+
+
+@pytest.mark.parametrize("name", ["drone.yaml", "base.yaml"])
+def test_the_examples_are_good_and_explain_every_key(name: str) -> None:
+    config = load_config(EXAMPLES / name)
+    raw = read_yaml(EXAMPLES / name)
+
+    def keys(plain: object, at: str) -> set[str]:
+        if isinstance(plain, dict):
+            return {f"{at}{key}" for key in plain} | {k for key, v in plain.items() for k in keys(v, f"{at}{key}.")}
+        return set()
+
+    assert keys(raw, "") == keys(to_plain(config), "")
+
+
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+NAMES = st.sampled_from(
+    ["node", "id", "role", "policy", "alpha", "links", "peers", "address", "listen", "risk", "low", "high", "store",
+     "custody", "copies", "mirror", "autopilot", "url", "data", "bytes", "mavlink", "x"]
+)  # fmt: skip
+TREES = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=4), max_leaves=12
+)
+
+
+@given(st.dictionaries(NAMES, TREES, max_size=5))
+def test_any_tree_converts_or_is_refused_in_one_line(raw: dict[str, object]) -> None:
+    try:
+        config = convert(raw, RunConfig, "node.yaml")
+    except ConfigError as error:
+        assert str(error).startswith("node.yaml: ")
+        assert "\n" not in str(error).replace("\\n", "")
+    else:
+        assert convert(to_plain(config), RunConfig, "again") == config
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(data)
+        file.flush()
+        try:
+            assert isinstance(read_yaml(file.name), dict)
+        except ConfigError as error:
+            assert str(error).startswith(f"{file.name}: ")
+
+
+def test_sections_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        RunConfig().node.id = 3  # type: ignore[misc]
+    assert msgspec.structs.asdict(RunConfig())["links"] == ()

@@ -1,0 +1,323 @@
+"""The asyncio driver: commit, then send; steps on time; bounded whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
+
+from rass_mav.app.driver import MAX_WAITING
+from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
+from rass_mav.core.messages import Committed
+from rass_mav.link.loopback import LoopbackHub
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.store import MemoryStore, SqliteStore
+
+STATUSTEXT = 253
+
+
+def a_datum(sequence: int, size: int = 20) -> Datum:
+    return make_datum(DatumId(9, 0xABCD, sequence), 0, 0.0, sequence.to_bytes(4, "big") + os.urandom(size - 4))
+
+
+def open_store(path: Path, epoch: int = 77) -> SqliteStore:
+    return SqliteStore.open(path, draw_epoch=lambda: epoch)
+
+
+def test_two_agents_over_the_loopback_bring_data_to_the_base() -> None:
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        a, b = hub.endpoint("drone"), hub.endpoint("base")
+        hub.connect(a, b)
+        arrivals = Arrivals()
+        sent = {}
+        async with (
+            running(a, MemoryStore(1), settings(2)) as drone,
+            running(b, MemoryStore(2), settings(1, base=True), observer=arrivals),
+        ):
+            for payload in (b"one", b"two", os.urandom(3000)):
+                sent[await drone.put(payload, 0)] = payload
+            await asyncio.wait_for(arrivals.until(3), TIMEOUT_S)
+            assert a.reaches(1), "the base's address was learned from its beacons"
+            assert drone.agent.node.routing.hops == 1
+        assert {id: datum.payload for id, datum in arrivals.data.items()} == sent
+
+    run(scenario)
+
+
+def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        a, b = hub.endpoint("neighbour"), hub.endpoint("node")
+        hub.connect(a, b)
+        disk = HeldExecutor()
+        store = open_store(tmp_path / "node.db")
+        neighbour = NeighbourEnd(a, 9)
+        async with running(b, store, settings(1, base=True), executor=disk) as driver:
+            # A base stores its announcement number first of all.
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            disk.release()
+            await neighbour.beacons(1)
+            disk.arrived.clear()
+            first = a_datum(0)
+            neighbour.hand_over(1, 100, first)
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            # It is held in memory, but not durable: only beacons go out, and what arrives meanwhile is the next batch.
+            assert first.id in driver.agent.node.archive
+            neighbour.hand_over(1, 101, a_datum(1))
+            neighbour.hand_over(1, 102, a_datum(2))
+            await neighbour.beacons(3)
+            assert neighbour.kinds() == []
+            assert driver.committing
+            assert len(disk.submitted) == 1, "one commit at a time"
+            disk.arrived.clear()
+            disk.release()
+            await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
+            assert [m.committed for m in neighbour.heard if isinstance(m, Committed)] == [((100, first.crc),)]
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            disk.arrived.clear()
+            disk.release()
+            await neighbour.until(lambda heard: sum(isinstance(m, Committed) for m in heard) == 3)
+            assert driver.commits == 3, "what came in together was committed together"
+            driver.stop()
+            finish = asyncio.ensure_future(_release_all(disk))
+            await driver_done(driver)
+            finish.cancel()
+        store.close()
+
+    run(scenario)
+
+
+async def _release_all(disk: HeldExecutor) -> None:
+    while True:
+        while disk.submitted:
+            disk.release()
+        disk.arrived.clear()
+        await disk.arrived.wait()
+
+
+async def driver_done(driver: object) -> None:
+    """The loop gets a turn; `running` waits for the end."""
+    await asyncio.wait_for(asyncio.get_running_loop().run_in_executor(None, int), TIMEOUT_S)
+
+
+def test_a_put_is_answered_when_it_is_durable(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        link = LoopbackHub().endpoint("node")
+        disk = HeldExecutor()
+        store = open_store(tmp_path / "node.db")
+        async with running(link, store, settings(3), executor=disk) as driver:
+            putting = asyncio.ensure_future(driver.put(b"hello", 0))
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            assert not putting.done()
+            disk.release()
+            id = await asyncio.wait_for(putting, TIMEOUT_S)
+            for wrong in (b"", bytes((1 << 20) + 1)):
+                with pytest.raises(DatumError):
+                    await driver.put(wrong, 0)
+        store.abandon()
+        with open_store(tmp_path / "node.db") as again:
+            found = again.get(id)
+            assert found is not None
+            assert found.payload == b"hello"
+
+    run(scenario)
+
+
+def test_a_full_node_refuses_a_put() -> None:
+    async def scenario() -> None:
+        link = LoopbackHub().endpoint("node")
+        async with running(link, MemoryStore(1), settings(3, capacity_items=2)) as driver:
+            await driver.put(b"1", 0)
+            await driver.put(b"2", 0)
+            with pytest.raises(StoreFullError):
+                await driver.put(b"3", 0)
+            assert driver.agent.node.store.counters()["overflow"] == 1
+
+    run(scenario)
+
+
+def test_stopping_commits_what_waits(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        link = LoopbackHub().endpoint("node")
+        store = open_store(tmp_path / "node.db")
+        async with running(link, store, settings(3)) as driver:
+            putting = [asyncio.ensure_future(driver.put(b"%d" % n, 0)) for n in range(10)]
+            await driver_done(driver)
+            driver.stop()
+            ids = await asyncio.wait_for(asyncio.gather(*putting), TIMEOUT_S)
+            with pytest.raises(StoreError, match="stopping"):
+                await driver.put(b"too late", 0)
+        store.abandon()
+        with open_store(tmp_path / "node.db") as again:
+            assert {i.id for i in again.held()} == set(ids)
+
+    run(scenario)
+
+
+def test_missed_steps_are_skipped_and_the_schedule_stays() -> None:
+    class JumpingLoop(asyncio.SelectorEventLoop):
+        jump = 0.0
+
+        def time(self) -> float:
+            return super().time() + self.jump
+
+    loop = JumpingLoop()
+
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        a, b = hub.endpoint("neighbour"), hub.endpoint("node")
+        hub.connect(a, b)
+        neighbour = NeighbourEnd(a, 9)
+        async with running(b, MemoryStore(1), settings(3)) as driver:
+            await neighbour.beacons(2)
+            before = driver.agent.steps
+            loop.jump += 100 * STEP_S
+            await neighbour.beacons(1)
+            assert driver.agent.steps == before + 1, "no burst"
+            assert driver.skipped_steps >= 99
+            await neighbour.beacons(1)
+            assert driver.agent.steps == before + 2
+
+    try:
+        loop.run_until_complete(scenario())
+    finally:
+        loop.close()
+
+
+def test_what_waits_for_the_disk_is_bounded_and_the_rest_is_dropped_by_the_link(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        a, b = hub.endpoint("neighbour"), hub.endpoint("node")
+        hub.connect(a, b)
+        disk = HeldExecutor()
+        store = open_store(tmp_path / "node.db")
+        neighbour = NeighbourEnd(a, 9)
+        async with running(b, store, settings(1, base=True), executor=disk) as driver:
+            numbers = itertools.count(1)
+            datum = a_datum(0)
+            while not b.counters().dropped_in:
+                for _ in range(200):
+                    neighbour.hand_over(1, next(numbers), datum)
+                await neighbour.beacons(1)
+                assert driver.waiting <= MAX_WAITING
+            assert driver.waiting >= MAX_WAITING // 2
+            releasing = asyncio.ensure_future(_release_all(disk))
+            await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
+            await neighbour.beacons(2)
+            assert driver.waiting < MAX_WAITING // 2, "it goes on"
+            driver.stop()
+            await driver_done(driver)
+            releasing.cancel()
+        store.close()
+
+    run(scenario)
+
+
+@contextmanager
+def disk_that_refuses() -> Iterator[None]:
+    """No file of this process may grow: the system refuses, as a disk does that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def statustexts(frames: list[bytes]) -> list[bytes]:
+    reader = FrameReader()
+    return [f.payload[1:51] for frame in frames for f in reader.feed(frame) if f.message_id == STATUSTEXT]
+
+
+def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rass_mav.app.driver.RETRY_S", 2 * STEP_S)
+
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        a, b = hub.endpoint("neighbour"), hub.endpoint("node")
+        hub.connect(a, b)
+        store = open_store(tmp_path / "node.db")
+        neighbour = NeighbourEnd(a, 9)
+        async with running(b, store, settings(3)) as driver:
+            told: list[bytes] = []
+            driver._to_vehicle = lambda: told.extend(_taken(driver))  # type: ignore[method-assign]
+            await neighbour.beacons(1)
+            with disk_that_refuses():
+                neighbour.hand_over(3, 100, a_datum(0))
+                with pytest.raises(StoreError, match="not on disk yet"):
+                    await asyncio.wait_for(driver.put(b"mine", 0), TIMEOUT_S)
+                while driver.failed_commits < 3:
+                    await neighbour.beacons(1)
+                assert neighbour.kinds() == [], "nothing is promised"
+                assert len(statustexts(told)) == 2, "told once, in two pieces"
+                assert b"trying again" in b"".join(statustexts(told))
+            await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
+            assert driver.commits >= 1
+        store.abandon()
+        with open_store(tmp_path / "node.db") as again:
+            payloads = {d.payload for i in again.held() if (d := again.get(i.id)) is not None}
+        assert b"mine" in payloads
+        assert len(payloads) == 2
+
+    run(scenario)
+
+
+def _taken(driver: object) -> list[bytes]:
+    agent = driver.agent  # type: ignore[attr-defined]
+    frames, agent.to_vehicle = agent.to_vehicle, []
+    return list(frames)
+
+
+def test_a_full_database_file_is_told_as_a_full_disk(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario() -> None:
+        link = LoopbackHub().endpoint("node")
+        store = SqliteStore.open(tmp_path / "node.db", draw_epoch=lambda: 5, file_limit=64 << 10)
+        with pytest.raises(StoreError, match="the last data could not be written"):
+            async with running(link, store, settings(3, capacity_items=None)) as driver:
+                with pytest.raises(StoreError, match="full"):
+                    for _ in range(100):
+                        await asyncio.wait_for(driver.put(os.urandom(4000), 0), TIMEOUT_S)
+        store.abandon()
+
+    run(scenario)
+    assert any("RASS: disk full" in record.message for record in caplog.records)
+
+
+def test_damage_ends_the_run(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        a, b = hub.endpoint("neighbour"), hub.endpoint("node")
+        hub.connect(a, b)
+        path = tmp_path / "node.db"
+        with open_store(path) as store:
+            for sequence in range(50):
+                store.put(a_datum(sequence, 2000))
+        store = open_store(path)
+        neighbour = NeighbourEnd(a, 9)
+        with pytest.raises(StoreDamagedError):
+            async with running(b, store, settings(3)) as driver:
+                await neighbour.beacons(1)
+                with path.open("r+b") as file:
+                    file.seek(4096)
+                    file.write(os.urandom(path.stat().st_size - 4096))
+                await neighbour.until(lambda heard: driver._stopping or store_is_lost(store))
+        store.abandon()
+
+    def store_is_lost(store: SqliteStore) -> bool:
+        try:
+            return any(store.get(id) is None for id in store.ids())
+        except StoreDamagedError:
+            return True
+
+    run(scenario)

@@ -1,0 +1,349 @@
+from __future__ import annotations
+
+import pytest
+
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.errors import DatumError, StoreFullError
+from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Receipt, ReceiptEntry, Route
+from rass_mav.core.node import Node
+from rass_mav.core.observer import Observer
+from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
+
+from .build import beacon, data, datum, make_node, of, talk
+from .durable import DurableStore
+
+ROUTE = Route(0, 9, 1, 0)
+
+
+class Book(Observer):
+    """Keeps what a node tells."""
+
+    def __init__(self) -> None:
+        self.fates: list[tuple[DatumId, Fate]] = []
+        self.overflows = 0
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        self.fates.append((id, fate))
+
+    def overflow(self) -> None:
+        self.overflows += 1
+
+
+def with_base(node: Node, now: float = 0.0, number: int = 0) -> Node:
+    """The node hears a base, node 0, of its own policy."""
+    node.receive(
+        beacon(0, number, ROUTE, flags=BEACON_BASE, free=UNBOUNDED_FREE, policy=node.policy.tag,
+               potential=POTENTIAL_BASE), now,
+    )  # fmt: skip
+    return node
+
+
+def fitter(node: Node, sender: int = 2, number: int = 0, *, free: int = 50, now: float = 0.0) -> Node:
+    """The node hears a neighbour that is fitter than any drone without a route."""
+    node.receive(beacon(sender, number, free=free, policy=node.policy.tag, potential=POTENTIAL_ONE), now)
+    return node
+
+
+# -- Alg. 1 and Eq. 3, 4 -----------------------------------------------------------------------------------------------
+
+
+def test_a_step_updates_route_then_fitness_then_evicts() -> None:
+    node = make_node(1, risk=0.2)
+    id = node.put(b"x", 0.0)
+    with_base(node)
+    out = node.step(1.0)
+    assert [type(m) for m in out] == [Beacon, Data]
+    said = out[0]
+    assert isinstance(said, Beacon)
+    assert (said.base, said.hops) == (0, 1)
+    # Eq. 3 with alpha 1, beta 10: 1 / (1 * 1 + 10 * 0.2).
+    assert said.potential == round(POTENTIAL_ONE / 3.0)
+    assert said.risk == round(0.2 * 65535)
+    assert said.free == 49
+    [sent] = of(Data, out)
+    assert (sent.target, sent.handovers[0].datum.id) == (0, id)
+
+
+def test_without_neighbours_nothing_is_evicted() -> None:
+    node = make_node(1, risk=1.0)
+    node.put(b"x", 0.0)
+    assert [type(m) for m in node.step(1.0)] == [Beacon]
+
+
+def test_equal_neighbours_do_not_exchange_data() -> None:
+    # Fitness 1/3 is no binary fraction: what is compared must be rounded alike on both sides.
+    nodes = {i: make_node(i, risk=0.2) for i in (1, 2)}
+    for i, node in nodes.items():
+        node.receive(beacon(0, 0, ROUTE, potential=0, policy=node.policy.tag), 0.0)
+        node.put(b"x", 0.0)
+        assert i == node.id
+    for turn in range(3):
+        beacons = [node.step(float(turn)) for node in nodes.values()]
+        assert [len(out) for out in beacons] == [1, 1]
+        for out in beacons:
+            talk(nodes, out, float(turn))
+
+
+def test_the_fitter_neighbour_gets_the_data_and_the_giver_deletes_on_its_word() -> None:
+    nodes = {1: make_node(1, risk=0.5), 2: make_node(2, risk=0.1)}
+    id = nodes[1].put(b"x", 0.0)
+    talk(nodes, nodes[2].step(0.0), 0.0)
+    said = talk(nodes, nodes[1].step(0.5), 0.5)
+    assert [type(m) for m in said] == [Beacon, Data, Committed]
+    assert id not in nodes[1].inventory
+    taken = nodes[2].store.get(id)
+    assert taken is not None
+    assert (taken.payload, taken.hops) == (b"x", 1)
+
+
+def test_the_bandwidth_bounds_what_is_sent_retransmissions_included() -> None:
+    node = fitter(make_node(1, bandwidth_items=3))
+    for _ in range(8):
+        node.put(b"x", 0.0)
+    first = of(Data, node.step(1.0))
+    assert sum(len(d.handovers) for d in first) == 3
+    fitter(node, number=1, now=1.0)
+    again = of(Data, node.step(2.0))
+    assert [h.number for d in again for h in d.handovers] == [h.number for d in first for h in d.handovers]
+    assert len(node.custody.pending) == 3
+
+
+def test_the_oldest_data_go_first_and_no_more_than_the_neighbour_has_room_for() -> None:
+    node = fitter(make_node(1), free=2)
+    ids = [node.put(b"x", 0.0) for _ in range(5)]
+    [sent] = of(Data, node.step(1.0))
+    assert [h.datum.id for h in sent.handovers] == ids[:2]
+
+
+def test_a_silent_neighbour_is_given_up_and_another_one_chosen() -> None:
+    node = fitter(make_node(1))
+    node.put(b"x", 0.0)
+    [first] = of(Data, node.step(1.0))
+    fitter(node, 3, now=5.0)
+    [second] = of(Data, node.step(5.0))
+    assert (first.target, second.target) == (2, 3)
+    assert first.handovers[0].number != second.handovers[0].number
+
+
+def test_after_max_tries_a_hand_over_gets_a_new_number() -> None:
+    node = make_node(1, max_tries=2)
+    node.put(b"x", 0.0)
+    numbers = []
+    for turn in range(3):
+        fitter(node, number=turn, now=float(turn))
+        numbers += [h.number for d in of(Data, node.step(float(turn))) for h in d.handovers]
+    assert numbers[0] == numbers[1] != numbers[2]
+
+
+# -- custody -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_full_node_refuses_and_the_giver_keeps_the_datum() -> None:
+    full = make_node(2, capacity_items=1)
+    full.put(b"own", 0.0)
+    giver = fitter(make_node(1))
+    id = giver.put(b"x", 0.0)
+    [sent] = of(Data, giver.step(0.0))
+    [answer] = full.receive(sent, 0.0)
+    assert answer == Committed(2, 1, (), (sent.handovers[0].number,))
+    giver.receive(answer, 0.0)
+    assert id in giver.inventory
+    assert not giver.custody.pending
+    assert full.refused == 1
+
+
+def test_a_lost_answer_is_said_again_even_when_the_datum_has_gone_on() -> None:
+    node = fitter(make_node(1))
+    d = datum()
+    [first] = node.receive(data(7, 1, (55, d)), 0.0)
+    [onward] = of(Data, node.step(0.5))
+    node.receive(Committed(2, 1, ((onward.handovers[0].number, d.crc),), ()), 0.5)
+    assert d.id not in node.inventory
+    assert node.receive(data(7, 1, (55, d)), 1.0) == [first]
+    assert d.id not in node.inventory
+    # Under another number it is a new hand-over: there are no tombstones.
+    node.receive(data(7, 1, (56, d)), 1.0)
+    assert d.id in node.inventory
+
+
+def test_two_nodes_that_hand_each_other_the_same_datum_both_keep_it() -> None:
+    a, b, d = fitter(make_node(1), 2), fitter(make_node(2), 1), datum()
+    for node in (a, b):
+        node.receive(data(7, node.id, (5, d)), 0.0)
+    [to_b], [to_a] = of(Data, a.step(0.0)), of(Data, b.step(0.0))
+    from_b, from_a = b.receive(to_b, 0.0), a.receive(to_a, 0.0)
+    a.receive(from_b[0], 0.0)
+    b.receive(from_a[0], 0.0)
+    assert d.id in a.inventory
+    assert d.id in b.inventory
+
+
+def test_an_answer_with_another_checksum_deletes_nothing() -> None:
+    node = fitter(make_node(1))
+    id = node.put(b"x", 0.0)
+    number = of(Data, node.step(0.0))[0].handovers[0].number
+    node.receive(Committed(2, 1, ((number, 12345),), ()), 0.0)
+    assert id in node.inventory
+
+
+def test_custody_is_not_taken_over_for_a_copy_that_has_gone_bad_here() -> None:
+    node, d = make_node(1), datum()
+    node.receive(data(7, 1, (5, d)), 0.0)
+    node.store.flip_bit(d.id)  # type: ignore[attr-defined]
+    # A good copy comes round, before the scrub found the bad one: it must replace it, not be deleted on our word.
+    for number in (5, 6):
+        [answer] = node.receive(data(8, 1, (number, d)), 0.0)
+        assert answer.committed == ((number, d.crc),)  # type: ignore[union-attr]
+        held = node.store.get(d.id)
+        assert held is not None
+        assert held.intact
+    node.store.flip_bit(d.id)  # type: ignore[attr-defined]
+    node.receive(data(7, 1, (5, d)), 0.0)
+    held = node.store.get(d.id)
+    assert held is not None
+    assert held.intact
+
+
+def test_another_datum_under_the_same_id_is_not_said_to_be_kept() -> None:
+    # A copied card gives two nodes one identity.
+    node, d, twin = make_node(1), datum(payload=b"one"), datum(payload=b"two")
+    node.receive(data(7, 1, (5, d)), 0.0)
+    [answer] = node.receive(data(8, 1, (6, twin)), 0.0)
+    assert answer == Committed(1, 8, (), (6,))
+    kept = node.store.get(d.id)
+    assert kept is not None
+    assert kept.payload == b"one"
+
+
+def test_without_custody_what_is_sent_is_deleted_at_once() -> None:
+    node = fitter(make_node(1, acknowledged=False))
+    id = node.put(b"x", 0.0)
+    [sent] = of(Data, node.step(0.0))
+    assert sent.handovers[0].number == 0
+    assert id not in node.inventory
+    assert make_node(2).receive(sent, 0.0) == []
+
+
+def test_a_corrupted_frame_is_neither_taken_nor_answered() -> None:
+    node, d = make_node(1), datum()
+    assert node.receive(data(7, 1, (5, d._replace(payload=b"Reading"))), 0.0) == []
+    assert d.id not in node.inventory
+    assert node.corrupt_received == 1
+
+
+# -- care of what is held ----------------------------------------------------------------------------------------------
+
+
+def test_the_scrub_finds_a_flipped_bit() -> None:
+    book = Book()
+    node = make_node(1, observer=book)
+    good, bad = node.put(b"good", 0.0), node.put(b"bad", 0.0)
+    node.store.flip_bit(bad)  # type: ignore[attr-defined]
+    node.step(1.0)
+    assert list(node.inventory) == [good]
+    assert book.fates == [(bad, Fate.CORRUPTED)]
+    assert list(node.store.losses()) == [(bad, Fate.CORRUPTED)]
+    assert node.store.counters()["corrupted"] == 1
+
+
+def test_a_scrub_of_a_few_items_goes_round() -> None:
+    node = make_node(1, scrub_items=2)
+    ids = [node.put(b"x", 0.0) for _ in range(5)]
+    for id in ids:
+        node.store.flip_bit(id)  # type: ignore[attr-defined]
+    left = []
+    for turn in range(6):
+        node.step(float(turn))
+        left.append(len(node.inventory))
+    assert left[0] == 3
+    assert left[-1] == 0
+
+
+def test_data_expire() -> None:
+    book = Book()
+    node = make_node(1, lifetime_s=5.0, observer=book)
+    old = node.put(b"x", 0.0)
+    young = node.put(b"y", 3.0)
+    node.step(5.0)
+    assert old in node.inventory
+    node.step(5.5)
+    assert list(node.inventory) == [young]
+    assert book.fates == [(old, Fate.EXPIRED)]
+
+
+def test_a_full_node_counts_its_own_measurement_as_overflow_and_gives_no_number_away() -> None:
+    book = Book()
+    node = make_node(1, capacity_items=1, observer=book)
+    node.put(b"x", 0.0)
+    with pytest.raises(StoreFullError):
+        node.put(b"y", 0.0)
+    assert book.overflows == node.store.counters()["overflow"] == 1
+    node.drop(next(iter(node.inventory)), Fate.PASSED_ON)
+    assert node.put(b"z", 0.0).sequence == 1
+
+
+@pytest.mark.parametrize("payload", [b"", bytes((1 << 20) + 1)])
+def test_impossible_data_are_refused(payload: bytes) -> None:
+    with pytest.raises(DatumError):
+        make_node(1).put(payload, 0.0)
+
+
+def test_a_store_over_quota_refuses_and_says_so_in_its_beacon() -> None:
+    node = make_node(1, store=DurableStore(1, quota_bytes=10), inline_bytes=8)
+    node.put(b"12345678", 0.0)
+    [said] = node.step(0.0)
+    assert isinstance(said, Beacon)
+    assert (said.free, said.potential) == (0, 0)
+    [answer] = node.receive(data(7, 1, (5, datum())), 0.0)
+    assert answer == Committed(1, 7, (), (5,))
+
+
+# -- bases -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_base_keeps_everything_once_and_says_so() -> None:
+    base, d = make_node(0, base=True, capacity_items=1), datum()
+    for number in (5, 6):
+        [answer] = base.receive(data(7, 0, (number, d), (number + 10, datum(sequence=1))), 0.0)
+        assert len(answer.committed) == 2  # type: ignore[union-attr]
+    assert set(base.store.ids()) == {d.id, datum(sequence=1).id}
+    said, receipt = base.step(1.0)
+    assert isinstance(said, Beacon)
+    assert (said.hops, said.potential, said.free, said.flags) == (0, POTENTIAL_BASE, UNBOUNDED_FREE, BEACON_BASE)
+    assert receipt == Receipt(0, base.store.epoch, (ReceiptEntry(9, 77, 2, 0),))
+    assert len(base.step(2.0)) == 1
+
+
+def test_a_receipt_frees_the_copies() -> None:
+    node = make_node(1)
+    d, other = datum(), datum(sequence=1)
+    node.receive(data(7, 1, (5, d), (6, other)), 0.0)
+    node.receive(Receipt(0, 9, (ReceiptEntry(9, 77, 1, 0),)), 0.0)
+    assert list(node.inventory) == [other.id]
+    # What has arrived need not be taken again.
+    [answer] = node.receive(data(8, 1, (9, d)), 0.0)
+    assert answer == Committed(1, 8, ((9, d.crc),), ())
+    assert list(node.inventory) == [other.id]
+
+
+def test_a_restarted_base_knows_what_has_arrived() -> None:
+    store = DurableStore(1)
+    base = make_node(0, base=True, store=store)
+    base.receive(data(7, 0, (5, datum())), 0.0)
+    store.commit()
+    again = make_node(0, base=True, store=store.crashed())
+    assert datum().id in again.archive
+    assert again.routing.number == base.routing.number + 1
+
+
+def test_echoes_and_rivals_are_told_apart() -> None:
+    node = make_node(1)
+    [own] = node.step(0.0)
+    node.receive(own, 0.0)
+    node.receive(beacon(1, epoch=4242), 3.0)
+    assert node.echoes == 1
+    assert node.rivals == {4242: 3.0}
+    assert node.routing.neighbours == {}
+    for epoch in range(100):
+        node.receive(beacon(1, epoch=epoch), 4.0)
+    assert len(node.rivals) <= 16

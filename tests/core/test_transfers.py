@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rass_mav.core.datum import MAX_PAYLOAD
+from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
+from rass_mav.core.node import Node
+from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.core.transfers import MAX_TRANSFERS
+
+from .build import beacon, datum, make_node, of, talk
+
+
+def giver_of(payload: bytes, node_id: int = 1, **more: int) -> Node:
+    node = make_node(node_id, **more)
+    node.put(payload, 0.0)
+    return node
+
+
+def fit(node: Node, receiver: Node, now: float) -> None:
+    """The giver hears that the receiver is fitter."""
+    number = int(now * 8) & 0xFFFF
+    node.receive(
+        beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.inventory.free()),
+        now,
+    )
+
+
+def noise(size: int) -> bytes:
+    return random.Random(size).randbytes(size)
+
+
+@pytest.mark.parametrize("size", [98, 123, 124, 246, 5000, MAX_PAYLOAD])
+def test_a_large_datum_goes_over_whole(size: int) -> None:
+    giver, receiver = giver_of(noise(size)), make_node(2)
+    [id] = giver.inventory
+    fit(giver, receiver, 0.0)
+    said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
+    chunks = of(Chunk, said)
+    assert len(chunks) == -(-size // 123)
+    assert id not in giver.inventory
+    taken = receiver.store.get(id)
+    assert taken is not None
+    assert taken.payload == noise(size)
+    assert taken.hops == 1
+
+
+def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, steps: int, *, dead: range) -> None:
+    """Steps of both nodes; what they say is lost, doubled and reordered. In `dead` steps nothing arrives at all."""
+    for turn in range(steps):
+        now = float(turn)
+        fit(giver, receiver, now)
+        queue: list[Message] = giver.step(now) + receiver.step(now)
+        for _ in range(4000):
+            if not queue:
+                break
+            m = queue.pop(rng.randrange(min(len(queue), 8)))
+            if turn in dead or rng.random() < loss:
+                continue
+            for _ in range(2 if rng.random() < loss else 1):
+                if isinstance(m, (Offer, Chunk)):
+                    queue += receiver.receive(m, now)
+                elif isinstance(m, (Accept, Sack, Committed)):
+                    queue += giver.receive(m, now)
+        if not giver.inventory:
+            return
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 6000), st.integers(0, 1 << 32))
+def test_it_arrives_over_a_network_that_loses_doubles_and_reorders(size: int, seed: int) -> None:
+    giver, receiver = giver_of(noise(size), inline_bytes=0, max_tries=50), make_node(2, inline_bytes=0)
+    [id] = giver.inventory
+    bad_network(giver, receiver, random.Random(seed), 0.3, 80, dead=range(0))
+    taken = receiver.store.get(id)
+    assert taken is not None
+    assert taken.payload == noise(size)
+    assert id not in giver.inventory
+
+
+@pytest.mark.parametrize("silence", [2, 3, 8])
+def test_it_is_taken_up_again_after_an_interruption(silence: int) -> None:
+    giver, receiver = giver_of(noise(60000), max_tries=50), make_node(2)
+    [id] = giver.inventory
+    rng = random.Random(3)
+    bad_network(giver, receiver, rng, 0.4, 60, dead=range(1, 1 + silence))
+    taken = receiver.store.get(id)
+    assert taken is not None
+    assert taken.intact
+
+
+def test_an_interrupted_transfer_goes_on_where_it_stopped() -> None:
+    giver, receiver = giver_of(noise(12300)), make_node(2)
+    fit(giver, receiver, 0.0)
+    [offer] = of(Offer, giver.step(0.0))
+    [accept] = receiver.receive(offer, 0.0)
+    assert isinstance(accept, Accept)
+    for chunk in giver.receive(accept, 0.0)[:10]:
+        receiver.receive(chunk, 0.0)
+    [again] = receiver.receive(offer, 1.0)
+    assert again == accept._replace(next_index=10)
+
+
+def test_two_givers_of_different_data_to_one_receiver() -> None:
+    nodes = {1: giver_of(noise(3000), 1), 2: giver_of(noise(4000), 2), 3: make_node(3)}
+    messages: list[Message] = []
+    for giver in (nodes[1], nodes[2]):
+        fit(giver, nodes[3], 0.0)
+        messages += giver.step(0.0)
+    talk(nodes, messages, 0.0)
+    assert sorted(len(d.payload) for d in map(nodes[3].store.get, nodes[3].inventory) if d) == [3000, 4000]
+
+
+def test_two_givers_of_the_same_datum_to_one_receiver() -> None:
+    d = datum(payload=noise(3000))
+    nodes = {1: make_node(1), 2: make_node(2), 3: make_node(3)}
+    messages: list[Message] = []
+    for giver in (nodes[1], nodes[2]):
+        giver.hold(d)
+        fit(giver, nodes[3], 0.0)
+        messages += giver.step(0.0)
+    talk(nodes, messages, 0.0)
+    assert list(nodes[3].inventory) == [d.id]
+    assert len(nodes[1].inventory) == len(nodes[2].inventory) == 0
+
+
+def test_a_strangers_chunks_under_the_same_handle_are_found_by_the_checksum() -> None:
+    giver, receiver = giver_of(noise(300)), make_node(2)
+    [id] = giver.inventory
+    fit(giver, receiver, 0.0)
+    [offer] = of(Offer, giver.step(0.0))
+    [accept] = receiver.receive(offer, 0.0)
+    chunks = giver.receive(accept, 0.0)
+    receiver.receive(chunks[0]._replace(data=bytes(123)), 0.0)  # type: ignore[union-attr]
+    for chunk in chunks:
+        assert of(Committed, receiver.receive(chunk, 0.0)) == []
+    assert receiver.corrupt_received == 1
+    assert id in giver.inventory
+    # The probe after it starts afresh.
+    for turn in (1.0, 2.0):
+        fit(giver, receiver, turn)
+        talk({1: giver, 2: receiver}, giver.step(turn), turn)
+    assert id not in giver.inventory
+    assert id in receiver.inventory
+
+
+def test_a_receiver_without_room_refuses_the_offer() -> None:
+    giver, receiver = giver_of(noise(300)), make_node(2, capacity_bytes=200)
+    fit(giver, receiver, 0.0)
+    said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
+    assert len(of(Committed, said)[0].refused) == 1
+    assert of(Chunk, said) == []
+    assert len(giver.inventory) == 1
+
+
+def test_transfers_under_way_are_bounded() -> None:
+    receiver = make_node(2)
+    answers = [receiver.receive(Offer(s, 2, 1, datum(s).id, 0, 0.0, 0, 5, 5000, 100), 0.0)[0] for s in range(20)]
+    assert len(of(Accept, answers)) == MAX_TRANSFERS
+    # Silent ones make room.
+    receiver.step(4.0)
+    assert of(Accept, receiver.receive(Offer(30, 2, 1, datum(30).id, 0, 0.0, 0, 5, 5000, 100), 4.0))
+
+
+small = st.integers(0, 3)
+u16 = st.integers(0, 0xFFFF)
+size = st.integers(1, 0xFFFFFFFF)
+lies = st.one_of(
+    st.builds(
+        lambda s, n, q, c, z, k: Offer(s, 2, n, datum(9, q).id, 0, 0.0, 255, c, z, k),
+        small, small, small, size, size, st.integers(1, 123),
+    ),
+    st.builds(Accept, small, st.just(2), st.integers(0, 0xFFFFFFFF), small, u16),
+    st.builds(Chunk, st.just(2), u16, u16, st.booleans(), st.binary(max_size=123)),
+    st.builds(Sack, small, st.just(2), small, u16, st.integers(0, (1 << 256) - 1)),
+)  # fmt: skip
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(lies, max_size=30))
+def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> None:
+    node = giver_of(noise(1000), 2)
+    fit(node, make_node(1), 0.0)
+    [offer] = of(Offer, node.step(0.0))
+    node.receive(Accept(1, 2, offer.number, 1, 0), 0.0)
+    for message in messages:
+        for answer in node.receive(message, 0.0):
+            # Aim chunks at transfers that were opened.
+            if isinstance(answer, Accept):
+                node.receive(Chunk(2, answer.handle, 0, True, b"x"), 0.0)
+    assert len(node.inventory) >= 1
+    assert offer.id in node.inventory

@@ -1,0 +1,120 @@
+"""The autopilot's port: how it is written, and UDP both ways."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+import pytest
+from link_helpers import vehicle_bytes
+
+from rass_mav.core.errors import ConfigError, LinkError
+from rass_mav.link.address import VehicleUrl, parse_address, parse_multicast, parse_vehicle_url
+from rass_mav.link.vehicle import VehicleLink
+
+ANY = ("127.0.0.1", 0)
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        ("udpin:0.0.0.0:14550", "udpin:0.0.0.0:14550"),
+        ("udpin://0.0.0.0:14550", "udpin:0.0.0.0:14550"),
+        ("udpin://:14550", "udpin:0.0.0.0:14550"),
+        ("udp://:14540", "udpin:0.0.0.0:14540"),
+        ("udpout:192.168.1.2:14550", "udpout:192.168.1.2:14550"),
+        ("udpout://autopilot.local:14550", "udpout:autopilot.local:14550"),
+        ("udp://192.168.1.2:14550", "udpout:192.168.1.2:14550"),
+    ],
+)
+def test_spellings_of_pymavlink_and_mavsdk(url: str, expected: str) -> None:
+    assert str(parse_vehicle_url(url)) == expected
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["", "udpin", "udpin:14550", "udpin:host", "udpin:a:b", "udpin:a:70000", "udpin:a:-1", "udpin:a:٣", "tcp:a:1",
+     "/dev/ttyAMA0,921600", "udpout:0.0.0.0:14550", "udpout::14550", "udpout:a:0", "udpin:a b:1", "udpin:[::1]:14550"],
+)  # fmt: skip
+def test_what_is_no_udp_url_says_what_is(url: str) -> None:
+    with pytest.raises(ConfigError, match=r"^expected "):
+        parse_vehicle_url(url)
+
+
+def test_addresses() -> None:
+    assert parse_address("192.168.4.7:14600") == ("192.168.4.7", 14600)
+    assert parse_multicast("239.255.82.83:14601") == ("239.255.82.83", 14601)
+    for wrong in ("192.168.4.7:14601", "group:14601", "239.255.82.83"):
+        with pytest.raises(ConfigError):
+            parse_multicast(wrong)
+
+
+def test_udpin_answers_to_whoever_spoke_last() -> None:
+    async def scenario() -> None:
+        link = VehicleLink(VehicleUrl("udpin", ANY))
+        wake = asyncio.Event()
+        link.start(wake.set)
+        link.send(b"to nobody yet")
+        for text in (b"one", b"two"):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+                autopilot.settimeout(5)
+                autopilot.bind(ANY)
+                autopilot.sendto(text, link.address)
+                assert await vehicle_bytes(link, wake, 1) == [text]
+                link.send(b"answer to " + text)
+                assert autopilot.recvfrom(100) == (b"answer to " + text, link.address)
+        assert link.counters() == (2, 2, 0, 1, 0)
+        link.close()
+
+    asyncio.run(scenario())
+
+
+def test_udpout_speaks_first_and_hears_only_the_autopilot() -> None:
+    async def scenario() -> None:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        ):
+            autopilot.settimeout(5)
+            autopilot.bind(ANY)
+            link = VehicleLink(VehicleUrl("udpout", autopilot.getsockname()))
+            wake = asyncio.Event()
+            link.start(wake.set)
+            link.send(b"heartbeat")
+            data, source = autopilot.recvfrom(100)
+            assert data == b"heartbeat"
+            stranger.sendto(b"stranger", source)
+            autopilot.sendto(b"telemetry", source)
+            assert await vehicle_bytes(link, wake, 1) == [b"telemetry"]
+            link.close()
+
+    asyncio.run(scenario())
+
+
+def test_an_autopilot_that_is_not_there_yet_does_no_harm() -> None:
+    async def scenario() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+            autopilot.bind(ANY)
+            address = autopilot.getsockname()
+        link = VehicleLink(VehicleUrl("udpout", address))
+        wake = asyncio.Event()
+        link.start(wake.set)
+        for _ in range(10):
+            link.send(b"heartbeat")  # refused: every second one fails with the refusal of the one before
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+            autopilot.bind(address)
+            autopilot.sendto(b"here I am", link.address)
+            assert await vehicle_bytes(link, wake, 1) == [b"here I am"]
+        counters = link.counters()
+        assert counters.sent + counters.dropped_out == 10
+        link.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_port_in_use() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(ANY)
+        port = other.getsockname()[1]
+        with pytest.raises(LinkError, match=f"^udpin:127.0.0.1:{port}: address already in use$"):
+            VehicleLink(VehicleUrl("udpin", ("127.0.0.1", port)))

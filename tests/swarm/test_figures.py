@@ -1,0 +1,77 @@
+"""The figures of the paper's world, against an independent simulator and against exact computation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.world import World
+
+PARITY = Path(__file__).parents[3] / "shared" / "data" / "paper" / "parity-grid.json"
+
+
+def paper_grid(policy: str, seed: int, sources: Any = None) -> dict[str, Any]:
+    options: dict[str, Any] = {"policy.name": policy, "seed": seed}
+    if sources is not None:
+        options["radiation.sources"] = sources
+    world = World(load_scenario("paper-grid", options))
+    world.run(world.scenario.steps)
+    return world.statistics.summary()
+
+
+def exact_hop_count(sources: list[list[float]]) -> float:
+    """Mean probability that a datum survives its way on the 10 x 10 grid, hop count, equal neighbours by chance.
+
+    Eq. 2 at each node on the way, once each; by dynamic programming over the distance to the base in the corner.
+    """
+    survival = {(0, 0): 1.0}
+    for distance in range(1, 10):
+        for i in range(10):
+            for j in range(10):
+                if max(i, j) != distance:
+                    continue
+                parents = [
+                    (a, b)
+                    for a in range(max(0, i - 1), min(10, i + 2))
+                    for b in range(max(0, j - 1), min(10, j + 2))
+                    if max(a, b) == distance - 1
+                ]
+                kept = 1.0
+                for x, y, intensity in sources:
+                    kept *= 1 - intensity / (1 + (-9 + 2 * i - x) ** 2 + (-9 + 2 * j - y) ** 2)
+                survival[i, j] = kept * sum(survival[p] for p in parents) / len(parents)
+    del survival[0, 0]
+    return sum(survival.values()) / len(survival)
+
+
+def test_hop_count_agrees_with_exact_computation() -> None:
+    sources = [[2.333, 1.3541, 0.7116], [-2.1258, 0.2706, 0.6886], [-0.5218, 1.3966, 0.23]]
+    runs = [paper_grid("hop-count", seed, sources) for seed in range(4)]
+    measured = sum(1 - r["lost"]["corrupted"] / (r["created"] - r["held"]) for r in runs) / len(runs)
+    assert measured == pytest.approx(exact_hop_count(sources), abs=0.015)
+
+
+@pytest.mark.parametrize("policy", ["hop-count", "rass", "rass-literal"])
+def test_it_agrees_with_an_independent_simulator(policy: str) -> None:
+    if not PARITY.exists():
+        pytest.skip(f"the reference figures are not here: {PARITY.name} beside the project in shared/data/paper")
+    parity = json.loads(PARITY.read_text())
+    differences = []
+    for sources, expected in zip(parity["sources"], parity["expect"][policy]["reliability"], strict=True):
+        runs = [paper_grid(policy, seed, sources) for seed in range(2)]
+        differences.append(sum(r["reliability"] for r in runs) / len(runs) - expected)
+    assert abs(sum(differences) / len(differences)) < 0.02
+    assert all(abs(difference) < 0.03 for difference in differences), differences
+
+
+def test_rass_avoids_the_source_that_hop_count_crosses() -> None:
+    reliability = {}
+    for policy in ("rass", "hop-count"):
+        world = World(load_scenario("five-drones", {"policy.name": policy}))
+        world.run(world.scenario.steps)
+        reliability[policy] = world.statistics.summary()["reliability"]
+    assert reliability["rass"] > reliability["hop-count"] + 0.12

@@ -1,0 +1,157 @@
+"""The swarm as real processes, over UDP on 127.0.0.1 and in real time."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.store.reader import SqliteReader
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.children import Children, SwarmError
+from rass_mav.swarm.processes import MAX_NODES, NodeProcess, run
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.swarm.udp_radio import Ports
+from rass_mav.swarm.world import World
+
+PATIENCE_S = 30.0
+
+
+def line(*assignments: str) -> Scenario:
+    """A short and quick line; the base at one end."""
+    return load_scenario("udp-line", assignments=["nodes=5", "steps=40", "node.step_s=0.05", *assignments])
+
+
+def no_children() -> bool:
+    return not psutil.Process().children(recursive=True)
+
+
+def test_data_hop_to_the_base_over_a_lossy_radio_and_nothing_is_lost_to_kill_9(tmp_path: Path) -> None:
+    scenario = line("radio.loss=0.1", "radio.duplicate=0.05", "radio.reorder=0.05", "failures.kill_every_s=0.6")
+    # However long the directory's name: the sockets, whose names have a limit, are elsewhere.
+    keep = tmp_path / ("kept" * 30)
+    record = tmp_path / "air.tlog"
+    summary = run(scenario, keep=keep, record=record)
+    assert no_children()
+    assert summary["created"] > 0
+    assert summary["created"] == summary["delivered"] + summary["held"]
+    assert not any(summary["lost"].values())
+    assert summary["altered"] == 0
+    assert summary["reliability"] == 1.0
+    assert summary["hops"]["p95"] >= 3
+    assert summary["routing"]["max_hop_count"] >= 3
+    assert summary["frames"]["dropped"] > 0
+    assert summary["frames"]["malformed"] == 0
+    assert summary["transport"]["kills"] == 3
+    # Measurements hold what the flight controllers said: the radio heard their companions' heartbeats.
+    assert summary["transport"]["heartbeats"] > 0
+    # A kept run can be looked into: what the summary says has arrived lies at the base.
+    with SqliteReader(keep / "node-0.db") as base:
+        assert len(base.ids()) == summary["delivered"]
+    reader = FrameReader()
+    tape = record.read_bytes()
+    assert len(reader.feed(tape)) == summary["frames"]["sent"]
+
+
+def test_the_summary_has_the_keys_of_virtual_time() -> None:
+    scenario = line("nodes=3", "steps=10")
+    virtual = World(scenario)
+    virtual.run(scenario.steps)
+    expected = virtual.statistics.summary()
+    summary = run(scenario)
+    assert no_children()
+    assert {*expected, "wall_s", "robot_steps_per_s", "transport"} == summary.keys()
+    for key in ("lost", "delay_steps", "hops", "frames", "routing"):
+        assert summary[key].keys() == expected[key].keys()
+    # The same nodes make the same data; nobody was killed.
+    assert summary["created"] == expected["created"]
+    assert summary["delivered"] == summary["created"]
+
+
+def test_a_node_that_dies_unasked_fails_the_run_with_its_name() -> None:
+    killed = []
+
+    def kill_node_2(step: int) -> None:
+        if not killed:
+            node = next(c for c in psutil.Process().children() if any("node-2.yaml" in word for word in c.cmdline()))
+            node.kill()
+            killed.append(node)
+
+    with pytest.raises(SwarmError, match=r"^node 2: killed by SIGKILL"):
+        run(line(), progress=kill_node_2)
+    assert no_children()
+
+
+def test_what_cannot_start_fails_the_run_with_its_own_words(tmp_path: Path) -> None:
+    with pytest.raises(SwarmError, match=r"^radio: ended with exit code 1: .*missing.*no such file"):
+        run(line(), record=tmp_path / "missing" / "air.tlog")
+    assert no_children()
+    (tmp_path / "node-1.db").mkdir()
+    node = NodeProcess(1, tmp_path, tmp_path / "1.sock")
+    node.configure(line(), Ports([9] * 5, [9] * 5), until_step=10)
+    with Children() as children:
+        node.start(children)
+        with pytest.raises(SwarmError, match=r"^node 1: ended with exit code 1: .*node-1\.db"):
+            until_ready(node)
+    assert no_children()
+
+
+def until_ready(node: NodeProcess) -> None:
+    while not node.ready:
+        node.heard()
+
+
+_PARENT = """
+import sys
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.processes import run
+
+if __name__ == "__main__":
+    told = []
+    def progress(step):
+        if not told:
+            told.append(step)
+            print("flying", flush=True)
+    run(load_scenario("udp-line", assignments=["nodes=4", "steps=100000"]), progress=progress)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_no_process_outlives_its_parent(number: signal.Signals, tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _PARENT],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={"PATH": "", "TMPDIR": str(tmp_path), "PYTHONPATH": str(Path(__file__).parents[2])},
+    ) as parent:
+        try:
+            assert parent.stdout is not None
+            assert parent.stdout.readline() == b"flying\n"
+            children = psutil.Process(parent.pid).children(recursive=True)
+            assert len(children) == 5
+            parent.send_signal(number)
+            parent.wait(PATIENCE_S)
+            _, alive = psutil.wait_procs(children, timeout=PATIENCE_S)
+            assert alive == []
+        finally:
+            parent.kill()
+    if number is not signal.SIGKILL:
+        assert list(tmp_path.iterdir()) == []
+    if number is signal.SIGTERM:
+        assert parent.returncode == 128 + signal.SIGTERM
+
+
+def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"^nodes: expected at most {MAX_NODES} with transport udp, got 65$"):
+        run(line("nodes=65"))
+    (tmp_path / "mine").touch()
+    with pytest.raises(ConfigError, match="expected a new or an empty directory"):
+        run(line(), keep=tmp_path)
+    with pytest.raises(ConfigError, match=r"^radiation\.drift: expected"):
+        run(line("radiation.drift=1e9"))

@@ -1,0 +1,88 @@
+"""One message of each type, as docs/protocol.md shows them, and strategies that make any message."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.messages import (
+    BROADCAST,
+    Accept,
+    Beacon,
+    Chunk,
+    Committed,
+    Data,
+    Handover,
+    LossNote,
+    LossNoteEntry,
+    Message,
+    Offer,
+    Put,
+    Receipt,
+    ReceiptEntry,
+    Sack,
+)
+from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
+
+#: The moment at which the samples are encoded and decoded, seconds.
+NOW = 1000.0
+
+HELLO = make_datum(DatumId(3, 0xCAFEBABE, 7), 0, NOW - 1.5, b"hello")._replace(hops=2)
+WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
+
+SAMPLES: dict[str, Message] = {
+    "beacon-drone": Beacon(
+        3, 0xCAFEBABE, 513, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0
+    ),
+    "beacon-base": Beacon(1, 0x0BADF00D, 9, 1, 1, 0x0BADF00D, 42, 0, 0, 0, 0, 65535, 0xBEEF, 0xFFFFFFFF, 0),
+    "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
+    "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
+    "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
+    "offer": Offer(3, 2, 0x01020305, DatumId(3, 0xCAFEBABE, 8), 2, NOW - 2.0, 0, 0xDEADBEEF, 100000, 123),
+    "accept": Accept(2, 3, 0x01020305, 0xA1B2, 10),
+    "chunk": Chunk(BROADCAST, 0xA1B2, 10, False, b"chunk"),
+    "chunk-poll": Chunk(BROADCAST, 0xA1B2, 11, True, b"chunk"),
+    "sack": Sack(2, 3, 0xA1B2, 10, 0b101),
+    "committed": Committed(2, 3, ((0x01020304, HELLO.crc),), (0x01020305,)),
+    "receipt": Receipt(1, 0x0BADF00D, (ReceiptEntry(3, 0xCAFEBABE, 7, 0b10),)),
+    "loss-note": LossNote(3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1),)),
+    "put": Put(3, 2, 4, HELLO),
+}
+
+u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))
+node_ids = st.integers(0, 0xFFFE)
+ids = st.builds(DatumId, u16, u32, u32)
+#: Ages travel in milliseconds: these moments survive the journey.
+moments = st.integers(0, 1_000_000).map(lambda ms: NOW - ms / 1000.0)
+
+
+def data(largest: int) -> st.SearchStrategy[Datum]:
+    return st.builds(Datum, ids, u8, moments, u8, u32, st.binary(min_size=1, max_size=largest))
+
+
+handovers = st.builds(Handover, u32, data(INLINE_BYTES))
+by_type: dict[type, st.SearchStrategy[Message]] = {
+    Beacon: st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32),
+    Data: st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple)),
+    Offer: st.builds(
+        Offer, u16, u16, u32, ids, u8, moments, u8, u32, st.integers(1, 0xFFFFFFFF), st.integers(1, CHUNK_BYTES)
+    ),
+    Accept: st.builds(Accept, u16, u16, u32, u16, u16),
+    Chunk: st.builds(Chunk, st.just(BROADCAST), u16, u15, st.booleans(), st.binary(max_size=CHUNK_BYTES)),
+    Sack: st.builds(Sack, u16, u16, u16, u16, st.integers(0, (1 << 256) - 1)),
+    Committed: st.builds(
+        Committed,
+        u16,
+        u16,
+        st.lists(st.tuples(u32, u32), max_size=40).map(tuple),
+        st.lists(u32, max_size=60).map(tuple),
+    ),
+    Receipt: st.builds(
+        Receipt, u16, u32, st.lists(st.builds(ReceiptEntry, u16, u32, u32, u16), max_size=25).map(tuple)
+    ),
+    LossNote: st.builds(
+        LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8), max_size=20).map(tuple)
+    ),
+    Put: st.builds(Put, u16, u16, u16, data(100)),
+}
+any_message = st.one_of(*by_type.values())
