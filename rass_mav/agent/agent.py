@@ -61,12 +61,16 @@ class Agent:
         observer: Observer | None = None,
         signer: Signer | None = None,
         verifier: Verifier | None = None,
+        newborn: bool = False,
     ) -> None:
-        """`now` in seconds on the timeline of all later calls; `rng` decides all that is left to chance."""
+        """`now` in seconds on the timeline of all later calls; `rng` decides all that is left to chance.
+
+        `newborn`: nobody can remember this node from an earlier life (as when a mock swarm begins).
+        """
         self.settings = settings
         self.node = Node(
             settings.node_settings(), store, settings.policy.make(), settings.risk.estimator(), rng, now=now,
-            observer=observer,
+            observer=observer, newborn=newborn,
         )  # fmt: skip
         self.store = store
         mavlink = settings.mavlink
@@ -171,7 +175,7 @@ class Agent:
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> Sequence[Outgoing]:
-        """One turn of Alg. 1: what the node sends, then a measurement if one is due; heartbeat and alarms on the way."""
+        """One turn of Alg. 1: what the node sends; then a measurement, if one is due."""
         if now >= self._next_heartbeat:
             # Sent by the loop that does the work, so that it stops when the work stops.
             self.to_vehicle.append(self.vehicle_writer.message(companion_heartbeat()))
@@ -240,5 +244,5 @@ class Agent:
         if recent:
             self.tell_ground(
                 _CRITICAL,
-                f"RASS: another node with node id {self.node.id} on the air (epoch {recent[0]:08x}); change one of them",
+                f"RASS: another node with node id {self.node.id} on the air (epoch {recent[0]:08x}), change one",
             )

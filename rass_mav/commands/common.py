@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
+
+from rass_mav.core.errors import RassError
 
 #: What argparse calls the object that `add_subparsers` returns.
 Subparsers = Any
@@ -63,3 +67,32 @@ def say(text: str) -> None:
 def clean(text: str) -> str:
     """Text from a stranger, fit for a terminal: control characters are shown as such, not carried out."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+@contextlib.contextmanager
+def recorder(path: str | None, step_s: float) -> Iterator[Callable[[bytes, int], None] | None]:
+    """Writes frames to a .tlog; virtual time begins at 2020-01-01 00:00 UTC, so the same run gives the same file."""
+    if path is None:
+        yield None
+        return
+    from rass_mav.mavlink.tlog import TlogWriter
+
+    try:
+        with Path(path).open("wb") as file:
+            writer = TlogWriter(file)
+            yield lambda frame, step: writer.record(frame, 1_577_836_800.0 + step * step_s)
+    except OSError as error:
+        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+
+
+@contextlib.contextmanager
+def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[int], object]]:
+    """A progress bar on stderr: on a terminal, if tqdm is installed (the extra `sim`), and unless `quiet`."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        yield lambda steps: None
+        return
+    # disable=None: no bar unless stderr is a terminal.
+    with tqdm(total=total, unit=f" {unit}", disable=True if quiet else None, leave=False) as bar:
+        yield bar.update

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.core.errors import ConfigError
 
-from .common import Subparsers, add_command, add_set, print_json, say, start_logging
+from .common import Subparsers, add_command, add_set, print_json, progress, recorder, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.swarm.scenario import Scenario
@@ -42,6 +41,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--capacity", type=int, metavar="ITEMS", help="data that a drone can hold")
     parser.add_argument("--transport", metavar="NAME", help="loopback (virtual time) or udp (processes, real time)")
     parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--keep", metavar="DIR", help="udp: keep configurations, stores and logs in this directory")
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
 
@@ -65,12 +65,7 @@ def _swarm(options: argparse.Namespace) -> int:
         return 0
     scenario = _scenario(options)
     if scenario.transport == "udp":
-        from rass_mav.swarm.processes import run
-
-        for name in ("record", "check"):
-            if getattr(options, name):
-                raise ConfigError(f"--{name} needs --transport loopback")
-        summary = run(scenario)
+        summary = _in_real_time(scenario, options)
     else:
         summary = _in_virtual_time(scenario, options)
     if options.json:
@@ -83,12 +78,33 @@ def _swarm(options: argparse.Namespace) -> int:
     return 0
 
 
+def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
+    from rass_mav.swarm.processes import run
+
+    if options.check:
+        raise ConfigError("--check needs --transport loopback: nobody can look into all processes at one moment")
+    done = 0
+
+    def show(step: int) -> None:
+        nonlocal done
+        advance(step - done)
+        done = step
+
+    with progress(scenario.steps, "steps", quiet=options.json) as advance:
+        return run(
+            scenario,
+            keep=None if options.keep is None else Path(options.keep),
+            record=None if options.record is None else Path(options.record),
+            progress=show,
+        )
+
+
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
     from rass_mav.swarm.invariants import check
     from rass_mav.swarm.world import World
 
-    with _recorder(options.record, scenario.node.step_s) as record:
-        world = World(scenario, record=record and (lambda frame: record(frame, world.t)))
+    with recorder(options.record, scenario.node.step_s) as record:
+        world = World(scenario, record=record)
         after: Callable[[World], None] | None = check if options.check else None
         begin = time.perf_counter()
         with progress(scenario.steps, "steps", quiet=options.json) as advance:
@@ -96,38 +112,9 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
                 world.step()
                 if after is not None:
                     after(world)
-                advance()
+                advance(1)
         wall = time.perf_counter() - begin
     summary = world.statistics.summary()
     summary["wall_s"] = round(wall, 3)
     summary["robot_steps_per_s"] = round(scenario.nodes * scenario.steps / wall) if wall else 0
     return summary
-
-
-@contextlib.contextmanager
-def _recorder(path: str | None, step_s: float) -> Iterator[Callable[[bytes, int], None] | None]:
-    """Writes frames to a .tlog; virtual time begins at 2020-01-01 00:00 UTC, so the same run gives the same file."""
-    if path is None:
-        yield None
-        return
-    from rass_mav.mavlink.tlog import TlogWriter
-
-    try:
-        with Path(path).open("wb") as file:
-            writer = TlogWriter(file)
-            yield lambda frame, step: writer.record(frame, 1_577_836_800.0 + step * step_s)
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-
-
-@contextlib.contextmanager
-def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[], object]]:
-    """A progress bar on stderr: on a terminal, if tqdm is installed (the extra `sim`), and unless `quiet`."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        yield lambda: None
-        return
-    # disable=None: no bar unless stderr is a terminal.
-    with tqdm(total=total, unit=f" {unit}", disable=True if quiet else None, leave=False) as bar:
-        yield bar.update

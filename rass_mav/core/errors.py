@@ -40,5 +40,9 @@ class LinkError(RassError):
     """A port, socket or peer address that cannot be used."""
 
 
+class SwarmError(RassError):
+    """A process of a mock swarm failed or fell silent."""
+
+
 class ControlError(RassError):
     """The running node could not be reached, or refused a command."""

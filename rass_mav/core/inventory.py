@@ -16,7 +16,7 @@ class Inventory:
     Bounded by items and by bytes of payload; None: no bound of that kind.
     """
 
-    __slots__ = ("_bytes", "_items", "capacity_bytes", "capacity_items", "store")
+    __slots__ = ("_bytes", "_items", "capacity_bytes", "capacity_items", "reserved", "store")
 
     def __init__(
         self, store: Store, *, capacity_items: int | None = None, capacity_bytes: int | None = None, load: bool = True
@@ -27,6 +27,8 @@ class Inventory:
         self.capacity_bytes = capacity_bytes
         self._items: OrderedDict[DatumId, StoredInfo] = OrderedDict()
         self._bytes = 0
+        self.reserved = 0
+        """Places kept for items that are to come back."""
         for info in store.held() if load else ():
             self._items[info.id] = info
             self._bytes += info.size
@@ -51,13 +53,13 @@ class Inventory:
             return 0
         if self.capacity_items is None:
             return 0xFFFF
-        return min(max(self.capacity_items - len(self._items), 0), 0xFFFE)
+        return min(max(self.capacity_items - len(self._items) - self.reserved, 0), 0xFFFE)
 
     def room_for(self, size: int) -> bool:
         """Whether a datum of `size` bytes of payload fits."""
         if self.capacity_bytes is not None and self._bytes + size > self.capacity_bytes:
             return False
-        return self.capacity_items is None or len(self._items) < self.capacity_items
+        return self.capacity_items is None or len(self._items) + self.reserved < self.capacity_items
 
     def room_to_grow(self, growth: int) -> bool:
         """Whether a held datum may be replaced by one that is `growth` bytes longer."""

@@ -105,7 +105,7 @@ class Offer(NamedTuple):
     size: int
     """Bytes of payload, 1..1 MiB."""
     chunk_size: int
-    """Bytes of payload in each chunk but the last, 1..255."""
+    """Bytes of payload in each chunk but the last, 1..123."""
 
 
 class Accept(NamedTuple):
@@ -195,4 +195,13 @@ class Put(NamedTuple):
     """The entry: key = `datum.id`, value = its payload."""
 
 
-Message: TypeAlias = Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put
+class Query(NamedTuple):
+    """Under virtual stigmergy: the sender knows of these entries but has lost their values; it asks for them."""
+
+    sender: int
+    target: int
+    ids: tuple[DatumId, ...]
+    """At most 12."""
+
+
+Message: TypeAlias = Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query

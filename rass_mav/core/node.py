@@ -23,16 +23,17 @@ from .messages import (
     Chunk,
     Committed,
     Data,
-    Handover,
     LossNote,
     Message,
     Offer,
     Put,
+    Query,
     Receipt,
     Sack,
 )
 from .observer import Observer
-from .policy import POTENTIAL_BASE, Policy, View
+from .percolation import Percolation
+from .policy import POTENTIAL_BASE, Policy
 from .replication import Replica
 from .risk import RiskEstimator
 from .routing import RoutingTable
@@ -95,8 +96,12 @@ class Node:
         *,
         now: float,
         observer: Observer | None = None,
+        newborn: bool = False,
     ) -> None:
-        """`now` in seconds, on the timeline of all later calls."""
+        """`now` in seconds, on the timeline of all later calls.
+
+        `newborn`: nobody can remember this node from an earlier life, so it need not wait before it takes a route.
+        """
         self.settings = settings
         self.id = settings.node_id
         self.base = settings.base
@@ -121,11 +126,12 @@ class Node:
             lifetime_s=lifetime,
             max_neighbours=settings.max_neighbours,
             max_hops=settings.max_hops,
-            restarted=None if store.fresh else now,
+            restarted=None if newborn else now,
             number=following(store.get_meta("announcement") or 0),
         )
         self.custody = Custody(rng)
         self.transfers = Transfers(self, lifetime)
+        self.percolation = Percolation(self)
         self.replica = Replica(self) if policy.replicates else None
         self.fresh: dict[DatumId, None] = {}
         self.potential = 0
@@ -155,6 +161,7 @@ class Node:
             Chunk: self.transfers.on_chunk,
             Sack: self.transfers.on_sack,
             Put: self._on_put,
+            Query: self._on_query,
             LossNote: self._on_loss_note,
         }
 
@@ -285,7 +292,7 @@ class Node:
             self.custody.forget(id)
             self.store.count(fate.value)
         if self.replica is not None:
-            self.replica.forget(id)
+            self.replica.forget(id, fate)
         self.inventory.remove(id, fate)
         self.observer.dropped(id, fate)
 
@@ -313,6 +320,9 @@ class Node:
             self.replica.merge(put)
         return []
 
+    def _on_query(self, query: Query, now: float) -> list[Message]:
+        return [] if self.replica is None else self.replica.answer(query)
+
     def _on_loss_note(self, note: LossNote, now: float) -> list[Message]:
         # Understood on the wire; what to do with it belongs to mirrored custody. Not answered, so it is not lost.
         return []
@@ -324,6 +334,7 @@ class Node:
         settings = self.settings
         self._steps += 1
         self.scrub()
+        self.percolation.begin_step()
         if settings.lifetime_s is not None:
             self._expire(now - settings.lifetime_s)
         routing = self.routing
@@ -339,10 +350,12 @@ class Node:
                 if receipt is not None:
                     out.append(receipt)
             self.transfers.age(now)
-        elif self.inventory:
-            self._evict(now, out)
-        else:
-            self.transfers.age(now)
+            return out
+        self.transfers.age(now)
+        if self.replica is not None:
+            self.replica.ask(out)
+        if self.inventory:
+            self.percolation.evict(now, out)
         return out
 
     def _beacon(self, now: float) -> Beacon:
@@ -380,86 +393,6 @@ class Node:
             self.potential,
             0,
         )
-
-    def _evict(self, now: float, out: list[Message]) -> None:
-        """`evict_data` of Alg. 1: retransmissions first, then what the policy plans, within the bandwidth."""
-        settings = self.settings
-        batches: dict[int, list[Handover]] = {}
-        budget = settings.bandwidth_items
-        pending = self.custody.pending
-        neighbours = self.routing.neighbours
-        if pending:
-            budget -= self._retry(now, budget, batches, out)
-        self.transfers.age(now)
-        if budget > 0 and neighbours:
-            inventory = self.inventory
-            # A neighbour whose last beacon is missing may have moved away: only if nobody else is fit is it tried.
-            recent = now - 1.5 * settings.step_s
-            view = View(
-                [n for n in neighbours.values() if n.heard >= recent],
-                self.routing.distance,
-                self.potential,
-                self.risk.risk(now),
-                budget,
-                (id for id in inventory if id not in pending) if pending else iter(inventory),
-                self.fresh,
-                self.rng,
-            )
-            plan = self.policy.plan(view)
-            if not plan and len(view.neighbours) < len(neighbours):
-                view.neighbours = neighbours.values()
-                plan = self.policy.plan(view)
-            for id, target, move in plan:
-                datum = self.load(id)
-                if datum is None:
-                    continue
-                if not move:
-                    if self.replica is not None:
-                        self.sent_data += 1
-                        out.append(self.replica.message(datum))
-                elif len(datum.payload) > settings.inline_bytes:
-                    self.transfers.begin(datum, target, now, out)
-                else:
-                    self.sent_data += 1
-                    number = 0
-                    if settings.acknowledged:
-                        number = self.custody.give(id, target, now).number
-                    else:
-                        self.drop(id, Fate.PASSED_ON)
-                    batches.setdefault(target, []).append(Handover(number, datum))
-        for target, handovers in batches.items():
-            out.append(Data(self.id, target, tuple(handovers)))
-
-    def _retry(self, now: float, budget: int, batches: dict[int, list[Handover]], out: list[Message]) -> int:
-        """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent. Returns items sent."""
-        settings = self.settings
-        due = now - (settings.retry_steps - 0.5) * settings.step_s
-        # Two beacons missed: it has probably moved away, so another is tried before the routing table gives it up.
-        silent = now - 2.5 * settings.step_s
-        neighbours = self.routing.neighbours
-        sent = 0
-        for pending in list(self.custody.pending.values()):
-            neighbour = neighbours.get(pending.neighbour)
-            if (
-                neighbour is None
-                or neighbour.heard < silent
-                or pending.tries >= settings.max_tries
-            ):
-                self.custody.cancel(pending.id)
-                self.transfers.cancel(pending.id)
-                continue
-            if pending.sent > due or sent >= budget:
-                continue
-            if self.transfers.retry(pending, now, out):
-                continue
-            datum = self.load(pending.id)
-            if datum is not None:
-                pending.tries += 1
-                pending.sent = now
-                sent += 1
-                self.sent_data += 1
-                batches.setdefault(pending.neighbour, []).append(Handover(pending.number, datum))
-        return sent
 
     # -- care of what is held ------------------------------------------------------------------------------------------
 

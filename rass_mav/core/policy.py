@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -41,8 +41,8 @@ class View:
     """Own risk, 0..1."""
     budget: int
     """How many items may still be sent this step."""
-    free_data: Iterator[DatumId]
-    """Held data that are not being handed over, least recently used first."""
+    data: Callable[[int], Iterator[DatumId]]
+    """Data that can be handed to a neighbour (node id) now, least recently used first."""
     fresh: dict[DatumId, None]
     """Data that came in since they were last broadcast; a policy that broadcasts removes them from here."""
     rng: random.Random

@@ -5,8 +5,8 @@ announcement of a base carries a number, and a neighbour's route is taken only i
 section 2.4 and 3.5): newer than what this node has announced itself, or as new and strictly shorter. So the
 graph of next hops has no cycle at any instant, and a route without a base dies out in as many steps as it has hops.
 
-Feasibility compares announcements of one base. Between bases, a node that changes over announces no route for as long as
-somebody may still remember its old one; then nobody relies on it, and it cannot close a cycle.
+Feasibility compares announcements of one base. Between bases, a node that changes over announces no route for as long
+as somebody may still remember its old one; then nobody relies on it, and it cannot close a cycle.
 """
 
 from __future__ import annotations

@@ -31,11 +31,13 @@ class Transfers:
         """By handle."""
         self.sent_chunks = 0
 
+    def free(self, neighbour: int) -> bool:
+        """Whether a transfer to this neighbour can begin."""
+        return neighbour not in self._out and len(self._out) < MAX_TRANSFERS
+
     def begin(self, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
-        """Offer a datum, unless a transfer to this neighbour is under way; then it waits its turn."""
+        """Offer a datum to a neighbour that is `free`."""
         node = self._node
-        if neighbour in self._out or len(self._out) >= MAX_TRANSFERS:
-            return
         number = node.custody.give(datum.id, neighbour, now).number
         transfer = Outgoing(datum, neighbour, number, node.settings.chunk_bytes)
         self._out[neighbour] = transfer

@@ -72,4 +72,4 @@ class FitnessPolicy:
         free = target.beacon.free
         count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
         id = target.id
-        return [Transfer(datum_id, id, True) for datum_id in islice(view.free_data, count)]
+        return [Transfer(datum_id, id, True) for datum_id in islice(view.data(id), count)]

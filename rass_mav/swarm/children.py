@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from rass_mav.core.errors import RassError
+from rass_mav.core.errors import SwarmError
 
 #: How long a process may take to end after SIGTERM, seconds.
 STOP_S = 20.0
@@ -22,10 +22,6 @@ _LAST_BREATH_S = 2.0
 # How much of a dead child's stderr is told: characters, and lines.
 _TAIL_CHARACTERS = 4000
 _TAIL_LINES = 5
-
-
-class SwarmError(RassError):
-    """A process of a swarm ended that should not have, or did not begin."""
 
 
 class Child:

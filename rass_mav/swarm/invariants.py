@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rass_mav.swarm.world import World
+    from rass_mav.swarm.virtual import VirtualSwarm
 
 
 class InvariantError(AssertionError):
@@ -31,7 +31,7 @@ def count_loops(next_hops: Sequence[int | None]) -> int:
     return loops
 
 
-def check(world: World) -> None:
+def check(world: VirtualSwarm) -> None:
     """All invariants, in full. Raises `InvariantError`."""
     ledger = world.ledger
     if ledger.created != len(ledger.arrived) + ledger.held + sum(ledger.losses().values()):
@@ -46,7 +46,6 @@ def check(world: World) -> None:
         raise InvariantError(f"step {world.t - 1}: {ledger.altered} data were delivered with other bytes than created")
     if world.loops:
         raise InvariantError(f"step {world.t - 1}: the next hops form a cycle")
-    settings = world.scenario
     for node_id, agent in enumerate(world.agents):
         node = agent.node
         stored = set(world.stores[node_id].ids())
@@ -55,7 +54,7 @@ def check(world: World) -> None:
         capacity = node.settings.capacity_items
         if capacity is not None and len(node.inventory) > capacity:
             raise InvariantError(f"step {world.t - 1}: node {node_id} holds {len(node.inventory)} > {capacity}")
-        if len(node.routing.neighbours) > settings.routing.max_neighbours:
+        if len(node.routing.neighbours) > agent.settings.routing.max_neighbours:
             raise InvariantError(f"step {world.t - 1}: node {node_id}: its neighbour table is too long")
         if not set(node.custody.pending) <= set(node.inventory):
             raise InvariantError(f"step {world.t - 1}: node {node_id} is handing over what it does not hold")

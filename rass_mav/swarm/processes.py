@@ -22,9 +22,9 @@ from rass_mav.app.clock import Clock
 from rass_mav.app.config import AutopilotSection, ControlSection, LinkSection, NodeSection, PeerSection, RunConfig
 from rass_mav.app.payloads import parse_id
 from rass_mav.core.datum import DatumId
-from rass_mav.core.errors import ConfigError, ControlError
+from rass_mav.core.errors import ConfigError, ControlError, SwarmError
 from rass_mav.swarm.census import Census
-from rass_mav.swarm.children import Child, Children, SwarmError, orderly_end, wait_any
+from rass_mav.swarm.children import Child, Children, orderly_end, wait_any
 from rass_mav.swarm.invariants import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread

@@ -12,6 +12,8 @@ from rass_mav.swarm.scenario import RadioSection
 #: A frame that is overtaken lets this many others pass at most; if fewer are on their way, it waits for the next step.
 _OVERTAKEN_BY = 16
 
+#: Called with each frame put on the air, and its step.
+Record = Callable[[bytes, int], None]
 #: (sender, hearer, frame)
 Arrival = tuple[int, int, bytes]
 
@@ -19,8 +21,8 @@ Arrival = tuple[int, int, bytes]
 class Radio:
     """The air. Puts frames on it, and says in order who hears what. Every frame is heard as bytes."""
 
-    def __init__(self, settings: RadioSection, rng: random.Random, *, record: Callable[[bytes], None] | None) -> None:
-        """`record` is called with each frame put on the air, in order."""
+    def __init__(self, settings: RadioSection, rng: random.Random, *, record: Record | None) -> None:
+        """`record` is called with each frame put on the air and its step, in order."""
         self._loss = settings.loss
         self._duplicate = settings.duplicate
         self._reorder = settings.reorder
@@ -43,7 +45,7 @@ class Radio:
         self.bytes_sent += len(frame)
         self._digest.update(frame)
         if self._record is not None:
-            self._record(frame)
+            self._record(frame, step)
         if self._latency:
             self._later.append((step + self._latency, sender, frame, None))
         else:

@@ -24,7 +24,7 @@ from rass_mav.agent.settings import (
 )
 
 
-class NodeSection(Section):
+class NodeSection(Section, frozen=True):
     """What concerns every node."""
 
     step_s: Positive = 0.2
@@ -33,7 +33,7 @@ class NodeSection(Section):
     """step: what came in after a step leaves at the next one at the earliest."""
 
 
-class MobilitySection(Section):
+class MobilitySection(Section, frozen=True):
     """Options of the topologies."""
 
     pitch_m: Positive | None = None
@@ -48,7 +48,7 @@ class MobilitySection(Section):
     """For the topology `positions`: [x, y] of each node, metres, the arena's centre as origin."""
 
 
-class RadioSection(Section):
+class RadioSection(Section, frozen=True):
     """The air between the nodes. Frames are lost, doubled and overtaken for each hearer by itself."""
 
     range_m: Positive = 3.0
@@ -63,7 +63,7 @@ class RadioSection(Section):
     """0: a frame arrives before the next step, and so do answers; L: at the beginning of the L-th step after."""
 
 
-class RadiationSection(Section):
+class RadiationSection(Section, frozen=True):
     """The radiation field, Eq. 1 and 2."""
 
     sources: list[tuple[float, float, NonNegative]] | None = None
@@ -81,14 +81,14 @@ class RadiationSection(Section):
     """Whether data in drones' stores are struck with Eq. 2's probability."""
 
 
-class FailureSection(Section):
+class FailureSection(Section, frozen=True):
     """What goes wrong beside radiation."""
 
     kill_every_s: Positive | None = None
     """With the udp transport: every so many seconds a drone is killed with SIGKILL and started again; null: none."""
 
 
-class Scenario(Section):
+class Scenario(Section, frozen=True):
     """A mock swarm."""
 
     title: str = ""

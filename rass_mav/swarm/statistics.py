@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rass_mav.core.messages import NO_ROUTE
 
 if TYPE_CHECKING:
-    from rass_mav.swarm.world import World
+    from rass_mav.swarm.virtual import VirtualSwarm
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -28,7 +28,7 @@ def spread(values: list[int]) -> dict[str, float | int | None]:
 class Statistics:
     """Counts once a step, after the air is quiet."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: VirtualSwarm) -> None:
         self._world = world
         self._steps = 0
         self._stored = 0
@@ -51,23 +51,24 @@ class Statistics:
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, but for the wall times."""
         world = self._world
-        scenario = world.scenario
+        settings = world.agents[0].settings
         ledger = world.ledger
         lost = ledger.losses()
         created = ledger.created
-        drones = scenario.nodes - scenario.bases
-        capacity = scenario.store.capacity_items
+        bases = sum(agent.settings.base for agent in world.agents)
+        drones = len(world.agents) - bases
+        capacity = settings.store.capacity_items
         room = drones * self._steps * (capacity or 0)
         nodes = [agent.node for agent in world.agents]
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
         received = sum(agent.frames_received for agent in world.agents)
         return {
-            "nodes": scenario.nodes,
-            "bases": scenario.bases,
+            "nodes": len(world.agents),
+            "bases": bases,
             "steps": self._steps,
-            "seed": scenario.seed,
-            "policy": scenario.policy.name,
-            "topology": scenario.topology,
+            "seed": world.seed,
+            "policy": settings.policy.name,
+            "topology": world.topology,
             "created": created,
             "delivered": len(ledger.arrived),
             "held": ledger.held,

@@ -43,6 +43,8 @@ class Surroundings:
         self.graph = RangeGraph(self.mobility.positions, scenario.radio.range_m)
         self.levels: list[float] = []
         """Radiation at each node without the sensor's noise, Eq. 1."""
+        self.corruption: list[float] = []
+        """Probability that a datum at each node is struck in a step, Eq. 2."""
         self.t = 0
         """The present step."""
         self.mobility.step(0)
@@ -63,4 +65,6 @@ class Surroundings:
             self._measure()
 
     def _measure(self) -> None:
-        self.levels = [self.field.level(x, y) for x, y in self.mobility.positions]
+        positions = self.mobility.positions
+        self.levels = [self.field.level(x, y) for x, y in positions]
+        self.corruption = [self.field.corruption(x, y) for x, y in positions]

@@ -1,4 +1,4 @@
-"""`python -m rass_mav.swarm.tether ...` is `rass-mav ...`, but it ends when its stdin does.
+"""`python -m rass_mav.swarm.tether ...` is `python -m rass_mav ...`, but it ends when its stdin does.
 
 A swarm of processes holds the other end of each node's stdin. However the parent ends, with SIGKILL too, the system
 closes it, and no node outlives the swarm.
@@ -7,10 +7,9 @@ closes it, and no node outlives the swarm.
 from __future__ import annotations
 
 import os
+import runpy
 import sys
 import threading
-
-from rass_mav.cli import main
 
 #: Exit code of a node whose parent is gone.
 ORPHANED = 3
@@ -25,4 +24,4 @@ def watch(file: int) -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=watch, args=(sys.stdin.fileno(),), name="tether", daemon=True).start()
-    sys.exit(main(sys.argv[1:]))
+    runpy.run_module("rass_mav", run_name="__main__", alter_sys=True)

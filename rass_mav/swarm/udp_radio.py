@@ -39,7 +39,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.swarm.autopilot import MockAutopilot
-from rass_mav.swarm.radio import Radio
+from rass_mav.swarm.radio import Radio, Record
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.wire import decode
@@ -91,7 +91,7 @@ class Figures(msgspec.Struct):
 class UdpRadio:
     """Sockets, air and flight controllers. `poll` and `tick` do all the work; the caller brings the time."""
 
-    def __init__(self, scenario: Scenario, *, record: Callable[[bytes], None] | None = None) -> None:
+    def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
         """`record` is called with every frame put on the air. Raises `ConfigError` and `LinkError`."""
         nodes = range(scenario.nodes)
         self.surroundings = Surroundings(scenario)
@@ -333,8 +333,8 @@ def _opened(path: str) -> BinaryIO:
         raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
-def _recorder(tape: TlogWriter) -> Callable[[bytes], None]:
-    return lambda frame: tape.record(frame, time.time())
+def _recorder(tape: TlogWriter) -> Record:
+    return lambda frame, step: tape.record(frame, time.time())
 
 
 def _say(struct: msgspec.Struct) -> None:

@@ -25,17 +25,19 @@ from rass_mav.core.messages import (
     Message,
     Offer,
     Put,
+    Query,
     Receipt,
     ReceiptEntry,
     Sack,
 )
+from rass_mav.core.replication import QUERY_IDS
 
 #: Bytes of a TUNNEL payload.
 MAX_TUNNEL = 128
 #: Major version of the format, the high four bits of the first byte.
 VERSION = 1
 
-BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT = range(1, 11)
+BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY = range(1, 12)
 
 _BEACON = struct.Struct("<HIHBHIHBHHHHHII")
 _TO = struct.Struct("<BHHB")
@@ -51,7 +53,7 @@ _RECEIPT = struct.Struct("<BHIB")
 _RECEIPT_ENTRY = struct.Struct("<HIIH")
 _NOTE = struct.Struct("<IHIIB")
 _PUT = struct.Struct("<BHHHHIIIBBIB")
-_U16 = struct.Struct("<H")
+_ID = struct.Struct("<HII")
 
 #: Largest payload of a datum that goes whole in one frame.
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
@@ -182,6 +184,12 @@ def _encode_put(m: Put, now: float) -> list[bytes]:
     return [head + d.payload]
 
 
+def _encode_query(m: Query, now: float) -> list[bytes]:
+    if len(m.ids) > QUERY_IDS:
+        raise ValueError(f"a query of {len(m.ids)} entries")
+    return [_TO.pack(_head(QUERY), m.sender, m.target, len(m.ids)) + b"".join([_ID.pack(*id) for id in m.ids])]
+
+
 _ENCODERS: dict[type, Callable[..., list[bytes]]] = {
     Beacon: _encode_beacon,
     Data: _encode_data,
@@ -193,6 +201,7 @@ _ENCODERS: dict[type, Callable[..., list[bytes]]] = {
     Receipt: _encode_receipt,
     LossNote: _encode_loss_note,
     Put: _encode_put,
+    Query: _encode_query,
 }
 
 
@@ -307,6 +316,12 @@ def _decode_put(p: bytes, now: float) -> Put:
     return Put(sender, lamport, writer, datum)
 
 
+def _decode_query(p: bytes, now: float) -> Query:
+    _, sender, target, count = _TO.unpack_from(p)
+    starts = range(_TO.size, _TO.size + count * _ID.size, _ID.size)
+    return Query(sender, target, tuple([DatumId._make(_ID.unpack_from(p, i)) for i in starts]))
+
+
 _DECODERS: dict[int, Callable[[bytes, float], Message]] = {
     _head(BEACON): _decode_beacon,
     _head(DATA): _decode_data,
@@ -318,6 +333,7 @@ _DECODERS: dict[int, Callable[[bytes, float], Message]] = {
     _head(RECEIPT): _decode_receipt,
     _head(LOSS_NOTE): _decode_loss_note,
     _head(PUT): _decode_put,
+    _head(QUERY): _decode_query,
 }
 #: Types whose target node id stands in bytes 3 and 4.
-_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE))
+_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, QUERY))

@@ -25,19 +25,22 @@ def make_node(
     now: float = 0.0,
     seed: int = 0,
     observer: Observer | None = None,
+    newborn: bool | None = None,
     **settings: Any,
 ) -> Node:
     """A node whose sensor says `risk` and goes on saying it."""
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, now)
+    store = store or DurableStore(epoch=1000 + node_id)
     return Node(
         NodeSettings(node_id=node_id, **settings),
-        store or DurableStore(epoch=1000 + node_id),
+        store,
         make_policy(policy) if isinstance(policy, str) else policy,
         estimator,
         random.Random(seed * 7919 + node_id),
         now=now,
         observer=observer,
+        newborn=store.fresh if newborn is None else newborn,
     )
 
 

@@ -39,7 +39,7 @@ class Wander:
 
     def plan(self, view: View) -> list[Transfer]:
         around = sorted(n.id for n in view.neighbours)
-        ids = list(view.free_data)[: view.budget] if around else []
+        ids = list(view.data(0xFFFE))[: view.budget] if around else []
         return [Transfer(id, view.rng.choice(around), True) for id in ids]
 
 

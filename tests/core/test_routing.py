@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Route
-from rass_mav.core.routing import MAX_BASES, RoutingTable
+from rass_mav.core.routing import CHANGE_OVER_HOPS, HOLD_LIFETIMES, MAX_BASES, RoutingTable
 
 from .build import beacon
 
@@ -12,8 +12,8 @@ def table(node_id: int = 5, **more: object) -> RoutingTable:
     return RoutingTable(node_id, 50 + node_id, lifetime_s=3.5, **more)  # type: ignore[arg-type]
 
 
-def announce(routing: RoutingTable) -> Route | None:
-    routing.announced()
+def announce(routing: RoutingTable, now: float = 0.0) -> Route | None:
+    routing.announced(now)
     return routing.route
 
 
@@ -62,9 +62,30 @@ def test_several_bases_compete() -> None:
     routing.update(0.0)
     announce(routing)
     assert routing.route == Route(200, 9, 3, 2)
+    # The second base is gone. Somebody may still count on our route to it, so for a while we announce none.
     routing.hear(beacon(2, 1), 1.0)
     routing.update(1.0)
+    assert routing.route is None
+    assert routing.distance == 3
+    at = HOLD_LIFETIMES * 3.5
+    routing.hear(beacon(1, 1, Route(100, 9, 40000, 2)), at)
+    routing.update(at - 0.01)
+    assert routing.route is None
+    routing.update(at)
     assert routing.route == Route(100, 9, 40000, 3)
+
+
+def test_a_base_that_is_much_nearer_is_worth_a_change() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0, Route(100, 9, 1, 5)), 0.0)
+    routing.update(0.0)
+    announce(routing)
+    routing.hear(beacon(2, 0, Route(200, 9, 1, 5 - CHANGE_OVER_HOPS + 1)), 1.0)
+    routing.update(1.0)
+    assert routing.route == Route(100, 9, 1, 6)
+    routing.hear(beacon(2, 1, Route(200, 9, 1, 5 - CHANGE_OVER_HOPS)), 2.0)
+    routing.update(2.0)
+    assert routing.route is None
 
 
 def test_after_an_announcement_only_shorter_or_newer_routes_are_feasible() -> None:
@@ -201,11 +222,11 @@ def test_a_route_through_oneself_is_none() -> None:
 
 
 def test_a_restarted_node_waits_before_it_takes_a_route() -> None:
-    routing = table(hold_until=10.0)
+    routing = table(restarted=0.0)
     routing.hear(beacon(1, route=Route(0, 9, 1, 0)), 8.0)
-    routing.update(9.9)
+    routing.update(HOLD_LIFETIMES * 3.5 - 0.1)
     assert routing.route is None
-    routing.update(10.0)
+    routing.update(HOLD_LIFETIMES * 3.5)
     assert routing.next_hop == 1
 
 
@@ -213,11 +234,13 @@ def test_feasibility_of_the_route_in_use_outlives_many_other_bases() -> None:
     routing = table()
     own = Route(0, 9, 5, 1)
     for n in range(2 * MAX_BASES):
-        routing.hear(beacon(1, 2 * n, own), float(n))
-        routing.hear(beacon(2, 2 * n), float(n))
-        routing.update(float(n))
-        announce(routing)
-        routing.hear(beacon(2, 2 * n + 1, Route(1000 + n, 9, 1, 0)), float(n))
-        routing.update(float(n))
-        assert announce(routing) == Route(1000 + n, 9, 1, 1)
+        at = 100.0 * n
+        routing.hear(beacon(1, 2 * n, own), at)
+        routing.hear(beacon(2, 2 * n), at)
+        routing.update(at)
+        assert announce(routing, at) == Route(0, 9, 5, 2)
+        routing.hear(beacon(1, 2 * n + 1), at + 50)
+        routing.hear(beacon(2, 2 * n + 1, Route(1000 + n, 9, 1, 0)), at + 50)
+        routing.update(at + 50)
+        assert announce(routing, at + 50) == Route(1000 + n, 9, 1, 1)
         assert not routing.feasible(Route(0, 9, 5, 2))

@@ -210,6 +210,6 @@ def test_surroundings_are_those_of_virtual_time() -> None:
     world, surroundings = World(scenario), Surroundings(scenario)
     for _ in range(5):
         world.step()
-        assert surroundings.positions == world.mobility.positions
-        assert surroundings.levels == [world.field.level(x, y) for x, y in world.mobility.positions]
+        assert surroundings.positions == world.surroundings.positions
+        assert surroundings.levels == world.surroundings.levels
         surroundings.step()

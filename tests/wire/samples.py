@@ -18,6 +18,7 @@ from rass_mav.core.messages import (
     Message,
     Offer,
     Put,
+    Query,
     Receipt,
     ReceiptEntry,
     Sack,
@@ -47,6 +48,7 @@ SAMPLES: dict[str, Message] = {
     "receipt": Receipt(1, 0x0BADF00D, (ReceiptEntry(3, 0xCAFEBABE, 7, 0b10),)),
     "loss-note": LossNote(3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1),)),
     "put": Put(3, 2, 4, HELLO),
+    "query": Query(3, 2, (HELLO.id, WORLD.id)),
 }
 
 u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))
@@ -84,5 +86,6 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8), max_size=20).map(tuple)
     ),
     Put: st.builds(Put, u16, u16, u16, data(100)),
+    Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
 }
 any_message = st.one_of(*by_type.values())

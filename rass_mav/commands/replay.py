@@ -1,0 +1,167 @@
+"""`replay`: recorded logs through the nodes."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rass_mav.core.errors import ConfigError, RassError
+
+from .common import Subparsers, add_command, add_set, clean, print_json, progress, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.replay.arrivals import Arrival
+    from rass_mav.replay.world import ReplaySwarm
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    parser = add_command(
+        subparsers, "replay", _replay,
+        help="play recorded logs (.tlog), one vehicle a node, through the nodes in virtual time",
+        example="rass-mav replay flight/*.tlog --range 33 -o arrived.csv",
+    )  # fmt: skip
+    # argparse takes `-35.36,149.17` for an option, because it begins with a minus and is no plain number.
+    parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
+    parser.add_argument("logs", metavar="LOG", nargs="+", help="a telemetry log, with one or several vehicles in it")
+    parser.add_argument("--range", type=float, metavar="METRES", help="radio range (default 100)")
+    parser.add_argument(
+        "--base", type=_place, metavar="LAT,LON",
+        help="where the base stands, degrees (default: the first HOME_POSITION, else the first position)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--drain", type=_seconds, metavar="SECONDS", default=0.0,
+        help="go on after the last record, in place and without new data, until all has arrived or for so long",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="FILE.csv", help="write what arrived at the base, a line a datum")
+    parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
+    add_set(parser)
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected LAT,LON in degrees, got {text!r}") from None
+    if not (-90.0 <= latitude <= 90.0 and -180.0 <= longitude <= 180.0):
+        raise argparse.ArgumentTypeError(f"expected -90..90,-180..180 degrees, got {text!r}")
+    return latitude, longitude
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"expected seconds, 0 to 1000000, got {text!r}")
+    return value
+
+
+def _replay(options: argparse.Namespace) -> int:
+    start_logging(options.verbose, "error")
+    from rass_mav.replay.arrivals import arrivals, summary, write_csv
+    from rass_mav.replay.recording import read_logs
+    from rass_mav.replay.settings import load_settings
+    from rass_mav.replay.world import ReplaySwarm
+
+    settings, scale = load_settings(options.range, options.assignments)
+    for name in ("output", "record"):
+        _spare(options.logs, getattr(options, name), f"--{name}")
+    recording = read_logs(options.logs, reading_name=settings.mavlink.reading_name)
+    if scale:
+        settings = settings.with_highest(recording.highest)
+    with _recorder(options.record, recording.start_us, settings.node.step_s) as record:
+        swarm = ReplaySwarm(recording, settings, base=options.base, record=record)
+        wall = _run(swarm, options)
+    rows = arrivals(swarm)
+    if options.output is not None:
+        try:
+            with Path(options.output).open("w", newline="", encoding="utf-8") as file:
+                write_csv(rows, file)
+        except OSError as error:
+            raise RassError(f"{options.output}: {(error.strerror or str(error)).lower()}") from None
+    result = summary(swarm, rows)
+    result["wall_s"] = round(wall, 3)
+    result["robot_steps_per_s"] = round(len(swarm.agents) * swarm.t / wall) if wall else 0
+    if options.json:
+        print_json(result)
+        return 0
+    from .summary import summary_lines
+
+    for line in (*summary_lines(result), "", *_lines(result, rows)):
+        say(clean(line))
+    return 0
+
+
+def _spare(logs: Sequence[str], path: str | None, option: str) -> None:
+    """A log is not to be written over."""
+    if path is not None and Path(path).resolve() in [Path(log).resolve() for log in logs]:
+        raise ConfigError(f"{option} {path}: this is one of the logs")
+
+
+def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> float:
+    """Play it; returns the seconds it took."""
+    from rass_mav.swarm.invariants import check
+
+    begin = time.perf_counter()
+    with progress(swarm.span_steps, "steps", quiet=options.json) as advance:
+
+        def after(swarm: ReplaySwarm) -> None:
+            if options.check:
+                check(swarm)
+            advance(1)
+
+        swarm.run(swarm.span_steps, after=after)
+        swarm.drain(int(options.drain / swarm.step_s), after=after)
+    return time.perf_counter() - begin
+
+
+@contextlib.contextmanager
+def _recorder(path: str | None, start_us: int, step_s: float) -> Iterator[Callable[[bytes, int], None] | None]:
+    """Writes frames to a .tlog, on the timeline of the logs."""
+    if path is None:
+        yield None
+        return
+    from rass_mav.mavlink.tlog import TlogWriter
+
+    try:
+        with Path(path).open("wb") as file:
+            writer = TlogWriter(file)
+            yield lambda frame, step: writer.record(frame, start_us / 1e6 + step * step_s)
+    except OSError as error:
+        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:
+    """What concerns the logs, for people."""
+    records = result["records"]
+    yield (
+        f"logs: {len(result['files'])} with {len(result['vehicles'])} vehicles, {result['start']} to {result['end']}; "
+        f"{records['read']:,} records, {records['used']:,} used, {records['rejected']:,} rejected"
+    )
+    for file in result["files"]:
+        if file["rejected"]:
+            yield f"  {file['file']}: damaged, {file['rejected']:,} of {file['read']:,} records rejected"
+    idle = {file["file"] for file in result["files"]} - {vehicle["file"] for vehicle in result["vehicles"]}
+    for name in sorted(idle):
+        yield f"  {name}: no vehicle in it"
+    base = result["base"]
+    if base is None:
+        yield "base: nowhere, since no log has a position; nobody is in range of anybody"
+    else:
+        yield f"base at {base['lat']:.7f} {base['lon']:.7f}, {base['alt_m']:.1f} m"
+    readings = result["readings"]
+    between = f", from {readings['min']:g} to {readings['max']:g}" if readings else ""
+    yield (
+        f"arrived: {len(rows):,} data, {result['delivered_with_position']:,} with a position, "
+        f"{result['delivered_with_reading']:,} with a reading{between}"
+    )
+    risk = result["risk"]
+    yield f"risk 0 at a reading of {risk['low']:g}, risk 1 at {risk['high']:g} (--set risk.low=..., risk.high=...)"

@@ -1,0 +1,1 @@
+"""Recorded logs through the nodes in virtual time: real positions and readings, the mock swarm's radio."""

@@ -1,0 +1,110 @@
+"""What can be set of a replay: the keys of a scenario, but for those that the logs decide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from rass_mav.agent.loading import convert, set_key
+from rass_mav.agent.settings import (
+    AgentSettings,
+    CustodySettings,
+    DataSettings,
+    MavlinkSettings,
+    PolicySettings,
+    Positive,
+    RiskSettings,
+    RoutingSettings,
+    Section,
+    StoreSettings,
+)
+from rass_mav.swarm.scenario import NodeSection, RadioSection
+
+
+class ReplayNodeSection(NodeSection, frozen=True):
+    """What concerns every node."""
+
+    step_s: Positive = 1.0
+    """Length of a step, seconds."""
+
+
+class ReplayRadioSection(RadioSection, frozen=True):
+    """The air between the nodes."""
+
+    range_m: Positive = 100.0
+    """Who is at most this far away hears, metres in three dimensions."""
+
+
+class ReplayRadiationSection(Section, frozen=True):
+    """What radiation does to stored data."""
+
+    corruption: bool = False
+    """Whether data in a drone's store are struck in each step, with the risk that its reading means as probability
+    (Eq. 2, the reading taken for one source). Where the reading is unknown nothing is struck."""
+
+
+class ReplaySettings(Section, frozen=True):
+    """A replay."""
+
+    seed: int = 1
+    node: ReplayNodeSection = ReplayNodeSection()
+    policy: PolicySettings = PolicySettings()
+    risk: RiskSettings = RiskSettings()
+    routing: RoutingSettings = RoutingSettings()
+    custody: CustodySettings = CustodySettings()
+    store: StoreSettings = StoreSettings()
+    data: DataSettings = DataSettings()
+    mavlink: MavlinkSettings = MavlinkSettings()
+    radio: ReplayRadioSection = ReplayRadioSection()
+    radiation: ReplayRadiationSection = ReplayRadiationSection()
+
+    def with_highest(self, highest: float | None) -> ReplaySettings:
+        """`risk.high` at the largest reading of the logs; if that is not above `risk.low` (or there is none), 1 above
+        it, so that every reading there means risk 0."""
+        low = self.risk.low
+        high = highest if highest is not None and highest > low else low + 1.0
+        return msgspec.structs.replace(self, risk=msgspec.structs.replace(self.risk, high=high))
+
+    def agent_settings(self, node_id: int, system_id: int | None, *, steps: int) -> AgentSettings:
+        """The settings of one node.
+
+        :param system_id: of its vehicle; None: it is the base, with no autopilot.
+        :param steps: no new data from this step on.
+        """
+        until = self.data.until_step
+        return AgentSettings(
+            node_id=node_id,
+            base=system_id is None,
+            step_s=self.node.step_s,
+            policy=self.policy,
+            risk=self.risk,
+            routing=self.routing,
+            custody=self.custody,
+            store=self.store,
+            data=msgspec.structs.replace(self.data, until_step=steps if until is None else min(until, steps)),
+            mavlink=msgspec.structs.replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
+        )
+
+
+def load_settings(range_m: float | None = None, assignments: Sequence[str] = ()) -> tuple[ReplaySettings, bool]:
+    """The settings of a replay, from the command line.
+
+    :param range_m: `--range`.
+    :param assignments: of `--set`, each `key.path=value`; they come last.
+    :returns: the settings, and whether `risk.high` was left open: then `with_highest` is to fill it in.
+    :raises ConfigError: names the key.
+    """
+    raw: dict[str, Any] = {}
+    if range_m is not None:
+        raw["radio"] = {"range_m": range_m}
+    for assignment in assignments:
+        set_key(raw, assignment)
+    risk = raw.setdefault("risk", {})
+    is_open = isinstance(risk, dict) and "high" not in risk
+    low = risk.get("low", 0.0) if is_open else None
+    if isinstance(low, (int, float)):
+        # Some value above `low`, until the logs are read.
+        risk["high"] = low + 1.0
+    return convert(raw, ReplaySettings, "replay"), is_open

@@ -1,0 +1,176 @@
+"""Reading telemetry logs (.tlog), damaged ones too.
+
+A record is 8 bytes, big-endian microseconds since 1970, then one MAVLink frame. Three things prove a record: a time
+that can be, a frame that is whole, and its checksum. What is not proved is rejected and counted: one for each record as
+far as records can be told apart, else one for each damaged stretch. Behind a damaged stretch the reader looks for the
+next record that is proved.
+
+A message that the common dialect does not know has an unknown CRC_EXTRA. It is believed if it stands where a record is
+expected and some CRC_EXTRA makes its checksum good: a damaged frame passes that test once in 256 times, and nodes
+ignore the message anyway.
+
+A damaged time cannot be seen by itself. A record more than `JUMP_S` away from the one before waits for the next: if
+that one agrees with it, the clock was set or nothing was recorded for a while; if not, it is rejected.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import BinaryIO, NamedTuple
+
+from rass_mav.mavlink.crc import crc16
+from rass_mav.mavlink.frames import MAGIC_V2, Frame
+from rass_mav.mavlink.messages import crc_extra_of
+from rass_mav.mavlink.reader import MAX_FRAME, FrameReader
+
+#: A time further than this from its neighbour's needs a second record that agrees, seconds.
+JUMP_S = 60.0
+
+_STAMP = 8
+_MAGIC = re.compile(rb"[\xfd\xfe]")
+# Times end in the year 2112; garbage rarely looks like an earlier one.
+_MAX_US = 1 << 52
+_JUMP_US = int(JUMP_S * 1e6)
+# Enough to judge a record and the head of the one behind it.
+_LOOKAHEAD = 2 * (_STAMP + MAX_FRAME)
+_CHUNK = 1 << 16
+_SIGNED = 1
+
+
+class Record(NamedTuple):
+    """One record of a log."""
+
+    time_us: int
+    """Microseconds since 1970, as recorded."""
+    raw: bytes
+    """The frame's bytes as recorded."""
+    frame: Frame | None
+    """The frame; None if the dialect does not know its message."""
+
+
+class TlogReader:
+    """Iterate over it once to get the records of a log. Never raises for what is in the file.
+
+    At most one chunk of the file is in memory, and the work is linear in its size.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        """`file`: open for reading, in binary; the caller closes it."""
+        self._file = file
+        self._buffer = b""
+        self._at = 0
+        """Where in the buffer the next record is expected."""
+        self._ended = False
+        self._extras: dict[int, int] = {}
+        self.read = 0
+        """Records, and damaged stretches, seen so far."""
+        self.rejected = 0
+        """Of these, how many were not used."""
+
+    def __iter__(self) -> Iterator[Record]:
+        """The records in the order of the file. Their times may go backwards."""
+        last: int | None = None
+        doubtful: Record | None = None
+        for record in self._intact():
+            self.read += 1
+            if doubtful is not None:
+                if abs(record.time_us - doubtful.time_us) <= _JUMP_US:
+                    last = doubtful.time_us
+                    yield doubtful
+                else:
+                    self.rejected += 1
+                doubtful = None
+            if last is None or abs(record.time_us - last) > _JUMP_US:
+                doubtful = record
+                continue
+            last = record.time_us
+            yield record
+        if doubtful is not None:
+            if last is None:
+                yield doubtful
+            else:
+                self.rejected += 1
+
+    def _intact(self) -> Iterator[Record]:
+        while self._fill():
+            size = self._size()
+            record = self._record(size) if size else None
+            if record is not None:
+                self._at += size
+                yield record
+                continue
+            self.read += 1
+            self.rejected += 1
+            left = len(self._buffer) - self._at
+            # Framing that fits is believed: the damage is inside this one record.
+            if size and (size == left or (size < left and self._size(size))):
+                self._at += size
+            else:
+                self._search()
+
+    def _fill(self) -> bool:
+        """Read on until a record and the head of the next are in the buffer. False: nothing is left."""
+        while not self._ended and len(self._buffer) - self._at < _LOOKAHEAD:
+            chunk = self._file.read(_CHUNK)
+            self._ended = not chunk
+            self._buffer = self._buffer[self._at :] + chunk
+            self._at = 0
+        return self._at < len(self._buffer)
+
+    def _size(self, offset: int = 0) -> int:
+        """Bytes of the record that seems to begin here; 0 if none does, or its head is cut off."""
+        start = self._at + offset
+        head = self._buffer[start : start + _STAMP + 3]
+        if len(head) < _STAMP + 3 or int.from_bytes(head[:_STAMP], "big") >= _MAX_US:
+            return 0
+        magic, length, flags = head[_STAMP:]
+        if magic == MAGIC_V2:
+            return 0 if flags & ~_SIGNED else _STAMP + 12 + length + 13 * flags
+        return _STAMP + 8 + length if magic == MAGIC_V2 + 1 else 0
+
+    def _record(self, size: int, *, known_only: bool = False) -> Record | None:
+        """The record of that size, if it is proved."""
+        raw = self._buffer[self._at + _STAMP : self._at + size]
+        if len(raw) < size - _STAMP:
+            return None
+        reader = FrameReader()
+        frames = reader.feed(raw)
+        frame = frames[0] if frames and not (reader.garbage_bytes or reader.unknown or reader.pending) else None
+        if frame is None and (known_only or not self._strange(raw)):
+            return None
+        return Record(int.from_bytes(self._buffer[self._at : self._at + _STAMP], "big"), raw, frame)
+
+    def _strange(self, raw: bytes) -> bool:
+        """Whether a frame is intact as far as one can tell without knowing its message."""
+        if raw[0] == MAGIC_V2:
+            end, message_id = 10 + raw[1], int.from_bytes(raw[7:10], "little")
+        else:
+            end, message_id = 6 + raw[1], raw[5]
+        if crc_extra_of(message_id) is not None:
+            return False
+        checksum = int.from_bytes(raw[end : end + 2], "little")
+        learned = self._extras.get(message_id)
+        if learned is not None and crc16(raw[1:end] + bytes((learned,))) == checksum:
+            return True
+        for extra in range(256):
+            if crc16(raw[1:end] + bytes((extra,))) == checksum:
+                self._extras[message_id] = extra
+                return True
+        return False
+
+    def _search(self) -> None:
+        """Go on to the next record that is proved, or to the end."""
+        self._at += 1
+        while self._fill():
+            found = _MAGIC.search(self._buffer, self._at + _STAMP)
+            if found is None:
+                # The last bytes may be the time of a record whose magic byte has not been read yet.
+                self._at = len(self._buffer) if self._ended else max(self._at, len(self._buffer) - _STAMP)
+                continue
+            self._at = found.start() - _STAMP
+            self._fill()
+            size = self._size()
+            if size and self._record(size, known_only=True) is not None:
+                return
+            self._at += 1

@@ -1,0 +1,117 @@
+"""Many agents over one mock radio in virtual time: real MAVLink bytes, no clock.
+
+What moves the nodes and what their autopilots say is left open: `swarm.world` simulates it, `replay` has it from logs.
+"""
+
+from __future__ import annotations
+
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.store.memory import MemoryStore
+from rass_mav.swarm.invariants import count_loops
+from rass_mav.swarm.ledger import Ledger
+from rass_mav.swarm.radio import Radio, Record
+from rass_mav.swarm.scenario import RadioSection
+from rass_mav.swarm.statistics import Statistics
+
+S = TypeVar("S", bound="VirtualSwarm")
+
+
+class VirtualSwarm(ABC):
+    """Agents, their radio and their ledger. `step` does one step in the order that docs/simulation.md states."""
+
+    def __init__(
+        self,
+        agents: Iterable[AgentSettings],
+        radio: RadioSection,
+        *,
+        seed: int,
+        topology: str,
+        record: Record | None = None,
+    ) -> None:
+        """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
+        :param topology: what the summary says of it.
+        :param record: called with every frame put on the air, and its step.
+        """
+        self.seed = seed
+        self.topology = topology
+        # One generator for each purpose: what one part draws does not disturb the others. Seeding with a text is
+        # the same in every process.
+        self.radio = Radio(radio, random.Random(f"{seed}:radio"), record=record)
+        self.ledger = Ledger()
+        self.t = 0
+        """The step that comes next."""
+        self.loops = 0
+        """Cycles of next hops seen, one for each cycle and step."""
+        self.stores: list[MemoryStore] = []
+        self.agents: list[Agent] = []
+        for settings in agents:
+            rng = random.Random(f"{seed}:node:{settings.node_id}")
+            store = MemoryStore(rng.getrandbits(32), quota_bytes=settings.store.quota_bytes)
+            self.stores.append(store)
+            book = self.ledger.book(base=settings.base)
+            self.agents.append(Agent(settings, store, rng, now=0.0, observer=book, newborn=True))
+        self.step_s = self.agents[0].settings.step_s
+        """Length of a step, seconds."""
+        self.statistics = Statistics(self)
+        self._begins = bool(radio.latency_steps or radio.reorder)
+        self._at_once = not radio.latency_steps
+        self._strike_rng = random.Random(f"{seed}:strikes")
+
+    @property
+    @abstractmethod
+    def neighbours(self) -> Sequence[Sequence[int]]:
+        """For each node the ids in its range, ascending."""
+
+    @abstractmethod
+    def _surround(self, t: int, now: float) -> None:
+        """Places, links, readings and corruption take their values of step `t`, at `now` seconds."""
+
+    def run(self: S, steps: int, *, after: Callable[[S], None] | None = None) -> None:
+        """Do `steps` steps; `after` is called after each."""
+        for _ in range(steps):
+            self.step()
+            if after is not None:
+                after(self)
+
+    def step(self) -> None:
+        """One step: arrivals due, places and readings, corruption, every node's turn in id order, the air."""
+        t = self.t
+        now = t * self.step_s
+        self.ledger.step = t - 1
+        if self._begins:
+            self.radio.begin_step(t)
+            self._deliver(t, now)
+        self.ledger.step = t
+        self._surround(t, now)
+        send = self.radio.send
+        for node_id, agent in enumerate(self.agents):
+            for outgoing in agent.step(now):
+                send(node_id, outgoing[0], t)
+            if agent.to_vehicle:
+                agent.to_vehicle.clear()
+        if self._at_once:
+            self._deliver(t, now)
+        self.loops += count_loops([agent.node.routing.next_hop for agent in self.agents])
+        self.statistics.count()
+        self.t = t + 1
+
+    def _deliver(self, t: int, now: float) -> None:
+        agents = self.agents
+        send = self.radio.send
+        for _, hearer, frame in self.radio.arrivals(t, self.neighbours):
+            for outgoing in agents[hearer].peer_bytes(frame, now):
+                send(hearer, outgoing[0], t)
+
+    def _strike(self, node_id: int, probability: float) -> None:
+        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
+        rng = self._strike_rng
+        store = self.stores[node_id]
+        for id in list(store.ids()):
+            if rng.random() < probability:
+                store.flip_bit(id, rng.randrange(8 * len(self.ledger.payloads[id])))
