@@ -10,13 +10,14 @@ from typing import NamedTuple
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.errors import MalformedError, StoreFullError
-from rass_mav.core.messages import BROADCAST, Beacon, Message, Put, Receipt
+from rass_mav.core.messages import BROADCAST, Accept, Beacon, Chunk, Data, Message, Offer, Put, Query, Receipt, Sack
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
+from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
-from rass_mav.mavlink.messages import TUNNEL, companion_heartbeat, statustext
+from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer, Verifier
 from rass_mav.mavlink.telemetry import Telemetry
@@ -35,7 +36,10 @@ RIVAL_REPORT_S = 30.0
 FULL_REPORT_S = 30.0
 _CRITICAL = 2
 _WARNING = 4
-_NO_BROADCAST_TARGET = (Beacon, Receipt, Put)
+_PROMISES_NOTHING = (Beacon, Query, Accept, Chunk, Sack)
+_FOR_EVERYBODY = (Beacon, Receipt, Put)
+# Always the same bytes, so they are packed once.
+_HEARTBEAT = payload_of(companion_heartbeat())
 
 
 class Outgoing(NamedTuple):
@@ -45,11 +49,41 @@ class Outgoing(NamedTuple):
     target: int
     """Node id of the neighbour it is for, or BROADCAST. Everybody in range may hear it all the same."""
     promises: bool
-    """True: it must not leave before the store has committed. Beacons promise nothing."""
+    """True: it rests on what is not on disk yet, and must not leave before the store has committed."""
 
 
 class Agent:
     """Bytes in, frames out. The driver brings time, links and commits (docs/architecture.md)."""
+
+    # A thousand of them share a processor's cache in the mock swarm.
+    __slots__ = (
+        "_component_id",
+        "_fixed_system_id",
+        "_next_full_report",
+        "_next_heartbeat",
+        "_next_rival_report",
+        "_node_id",
+        "_payload_type",
+        "_reading_at",
+        "_refused",
+        "_rng",
+        "_text_id",
+        "_unsigned",
+        "beacon_from",
+        "foreign",
+        "frames_received",
+        "malformed",
+        "node",
+        "peer_reader",
+        "peer_writer",
+        "settings",
+        "steps",
+        "store",
+        "telemetry",
+        "to_vehicle",
+        "vehicle_reader",
+        "vehicle_writer",
+    )
 
     def __init__(
         self,
@@ -94,6 +128,7 @@ class Agent:
         """Node id of the sender of the last beacon. A driver whose links learn addresses sets it to None before
         `peer_bytes` and looks at it after."""
         self._rng = rng
+        self._node_id = settings.node_id
         self._unsigned = verifier is None
         self._payload_type = mavlink.payload_type
         self._component_id = mavlink.component_id
@@ -108,9 +143,13 @@ class Agent:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def vehicle_bytes(self, data: bytes, now: float) -> None:
-        """Bytes from the autopilot's port."""
-        for frame in self.vehicle_reader.feed(data):
+        """A datagram from the autopilot's port: whole frames, one or several."""
+        reader = self.vehicle_reader
+        for frame in reader.feed(data):
             self._vehicle_frame(frame, now)
+        if reader.pending:
+            for frame in reader.flush():
+                self._vehicle_frame(frame, now)
 
     def _vehicle_frame(self, frame: Frame, now: float) -> None:
         telemetry = self.telemetry
@@ -125,14 +164,15 @@ class Agent:
             self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
-        """Bytes from the neighbours' radio, a datagram or a part of a stream. Returns the answers."""
-        if self._unsigned and not self.peer_reader.pending:
+        """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
+        if self._unsigned:
             fields = tunnel_from_datagram(data)
             if fields is not None:
                 _, _, system, component, payload_type, payload = fields
                 return self._tunnel(system, component, payload_type, payload, now)
         out: list[Outgoing] = []
-        for frame in self.peer_reader.feed(data):
+        # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
+        for frame in [*self.peer_reader.feed(data), *self.peer_reader.flush()]:
             if frame.message_id == TUNNEL:
                 try:
                     tunnel = decode_tunnel(frame.payload)
@@ -154,7 +194,7 @@ class Agent:
         ):
             return ()
         try:
-            message = decode(payload, now, self.node.id)
+            message = decode(payload, now, self._node_id)
         except MalformedError as error:
             self._count_malformed(error)
             return ()
@@ -178,7 +218,7 @@ class Agent:
         """One turn of Alg. 1: what the node sends; then a measurement, if one is due."""
         if now >= self._next_heartbeat:
             # Sent by the loop that does the work, so that it stops when the work stops.
-            self.to_vehicle.append(self.vehicle_writer.message(companion_heartbeat()))
+            self.to_vehicle.append(self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
             self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
         out = self._encoded(self.node.step(now), now)
         if self.node.rivals and now >= self._next_rival_report:
@@ -199,11 +239,25 @@ class Agent:
         payload_type = self._payload_type
         out = []
         for message in messages:
-            target = BROADCAST if isinstance(message, _NO_BROADCAST_TARGET) else message.target
-            promises = type(message) is not Beacon
+            target = BROADCAST if isinstance(message, _FOR_EVERYBODY) else message.target
+            promises = self._promises(message)
             for payload in encode(message, now):
                 out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises))
         return out
+
+    def _promises(self, message: Message) -> bool:
+        """Whether a message may rest on something that is not on disk yet.
+
+        Data that are on disk leave at once: so a node whose disk is full can still hand on what it has.
+        """
+        if isinstance(message, _PROMISES_NOTHING):
+            return False
+        durable = self.store.durable
+        if type(message) is Data:
+            return not all(durable(handover.datum.id) for handover in message.handovers)
+        if type(message) is Offer:
+            return not durable(message.id)
+        return True
 
     def measure(self, now: float) -> DatumId | None:
         """Make a datum of where the vehicle is and what the sensor says. None: there was no room (overflow)."""

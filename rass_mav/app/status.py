@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Protocol, cast
+from typing import Any
 
 from rass_mav import __version__
 from rass_mav.core.messages import NO_ROUTE
@@ -108,19 +108,12 @@ def _neighbour(neighbour: Neighbour, now: float, tag: int) -> dict[str, Any]:
     }
 
 
-class _Measured(Protocol):
-    """What both stores have beyond core's protocol."""
-
-    @property
-    def used_bytes(self) -> int: ...
-
-
 def _store(driver: Driver) -> dict[str, Any]:
     node, settings = driver.agent.node, driver.agent.settings.store
     items = len(list(node.store.ids()))
     return {
         "items": items,
-        "bytes": cast(_Measured, node.store).used_bytes - items * ROW_OVERHEAD,
+        "bytes": node.store.used_bytes - items * ROW_OVERHEAD,
         "capacity_items": None if node.sink else settings.capacity_items,
         "capacity_bytes": None if node.sink else settings.capacity_bytes,
         "quota_bytes": settings.quota_bytes,

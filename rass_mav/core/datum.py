@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import enum
 import struct
-import zlib
 from typing import NamedTuple
+from zlib import crc32
 
-_CRC_HEAD = struct.Struct("<HIIB")
+_pack_head = struct.Struct("<HIIB").pack
 
 #: Largest datum that may be created, in bytes of payload.
 MAX_PAYLOAD = 1 << 20
@@ -74,7 +74,8 @@ class Datum(NamedTuple):
     @property
     def intact(self) -> bool:
         """Whether the checksum made at the origin still fits."""
-        return datum_crc(self.id, self.kind, self.payload) == self.crc
+        (origin, epoch, sequence), kind, _, _, crc, payload = self
+        return crc32(payload, crc32(_pack_head(origin, epoch, sequence, kind))) == crc
 
     def arrived(self) -> Datum:
         """The same datum one hand-over further."""
@@ -84,7 +85,7 @@ class Datum(NamedTuple):
 
 def datum_crc(id: DatumId, kind: int, payload: bytes) -> int:
     """CRC-32 (IEEE 802.3) over `<HIIB` origin, epoch, sequence, kind and then the payload."""
-    return zlib.crc32(payload, zlib.crc32(_CRC_HEAD.pack(id[0], id[1], id[2], kind)))
+    return crc32(payload, crc32(_pack_head(id[0], id[1], id[2], kind)))
 
 
 def make_datum(id: DatumId, kind: int, created: float, payload: bytes) -> Datum:

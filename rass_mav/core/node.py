@@ -234,7 +234,7 @@ class Node:
         id = datum.id
         if self.has_custody(giver, number, id, datum.crc):
             return True
-        if id in self.inventory or not self.room_for(len(datum.payload)):
+        if id in self.inventory or not self.may_accept(len(datum.payload)):
             self.refused += 1
             if number == 0:
                 self.observer.dropped(id, Fate.OVERFLOW)
@@ -270,8 +270,12 @@ class Node:
         return True
 
     def room_for(self, size: int) -> bool:
-        """Whether a datum of `size` bytes of payload can be taken in."""
+        """Whether a new datum of `size` bytes of payload can be stored."""
         return (self.sink or self.inventory.room_for(size)) and self.store.room_for(size)
+
+    def may_accept(self, size: int) -> bool:
+        """Whether custody of a datum of `size` bytes of payload can be taken over."""
+        return self.store.accepting and self.room_for(size)
 
     def hold(self, datum: Datum) -> None:
         """Store a datum in own custody."""
@@ -363,7 +367,7 @@ class Node:
         risk = self.risk.risk(now)
         inventory = self.inventory
         free = UNBOUNDED_FREE if self.sink else inventory.free()
-        if free and not self.store.room_for(self.settings.inline_bytes):
+        if free and not (self.store.accepting and self.store.room_for(self.settings.inline_bytes)):
             free = 0
         route = routing.route
         if self.base:

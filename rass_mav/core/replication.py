@@ -107,7 +107,7 @@ class Replica:
                 node.refused += 1
                 return
             node.inventory.add(put.datum.arrived())
-        elif node.room_for(len(put.datum.payload)):
+        elif node.may_accept(len(put.datum.payload)):
             node.hold(put.datum.arrived())
         else:
             node.refused += 1

@@ -42,6 +42,25 @@ class Neighbour:
 class RoutingTable:
     """Who is around, and the way to a base. One route is chosen; several bases compete like an anycast."""
 
+    __slots__ = (
+        "_asked",
+        "_bound",
+        "_bound_until",
+        "_feasible",
+        "base",
+        "distance",
+        "epoch",
+        "lifetime_s",
+        "max_hops",
+        "max_neighbours",
+        "neighbours",
+        "next_hop",
+        "node_id",
+        "number",
+        "route",
+        "wanted",
+    )
+
     def __init__(
         self,
         node_id: int,

@@ -37,6 +37,14 @@ class Store(Protocol):
     def fresh(self) -> bool:
         """True if this opening created the store (as against finding an earlier life's data)."""
 
+    @property
+    def accepting(self) -> bool:
+        """False while the disk fails: custody is refused then, own new data are still buffered."""
+
+    @property
+    def used_bytes(self) -> int:
+        """What the quota bounds: bytes of payload and an overhead for each datum."""
+
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
 
@@ -48,6 +56,9 @@ class Store(Protocol):
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
+
+    def durable(self, id: DatumId) -> bool:
+        """Whether a stored datum is on disk, so that it would be there after a crash."""
 
     def remove(self, id: DatumId, fate: Fate) -> None:
         """Forget a datum. `CORRUPTED` and `EXPIRED` are written to the table of losses. Unknown ids are ignored."""

@@ -122,7 +122,7 @@ class Transfers:
             or offer.id in node.inventory
         ):
             return False
-        return node.room_for(offer.size + sum(t.offer.size for t in self._in.values()))
+        return node.may_accept(offer.size + sum(t.offer.size for t in self._in.values()))
 
     def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
         """A piece of a datum; of another's transfer, if the handle is not ours."""

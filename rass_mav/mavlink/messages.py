@@ -6,6 +6,8 @@ and raise ValueError for values out of range, which are mistakes of the caller.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from rass_mav.core.errors import MalformedError
 
 from .dialect import MavlinkMessage, common, crc_extra_of
@@ -190,6 +192,7 @@ def global_position_int_payload(
     return payload
 
 
+@lru_cache(16)  # a vehicle says the same few names all the time
 def _name(name: str) -> bytes:
     encoded = name.encode("ascii")
     if not 1 <= len(encoded) <= NAME_SIZE or 0 in encoded:

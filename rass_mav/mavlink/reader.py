@@ -41,6 +41,7 @@ class FrameReader:
         "frames",
         "garbage_bytes",
         "malformed",
+        "pending",
         "rejected",
         "unknown",
         "verifier",
@@ -51,6 +52,8 @@ class FrameReader:
         self.verifier = verifier
         # A candidate that lacks its end; it begins with a magic byte. `_needed`: its length as far as that is known.
         self._buffer = b""
+        self.pending = 0
+        """Bytes that wait for the end of their frame, 0..279."""
         self._needed = 0
         # How many bytes from the start of the buffer a frame with an unknown id claims.
         self._unknown_left = 0
@@ -65,11 +68,6 @@ class FrameReader:
         self.rejected = 0
         """Frames with a good checksum that the verifier refused: no signature, a bad one, or a replay."""
 
-    @property
-    def pending(self) -> int:
-        """Bytes that wait for the end of their frame, 0..279."""
-        return len(self._buffer)
-
     def feed(self, data: bytes) -> list[Frame]:
         """Take what has arrived, of any length, and return the frames that are now whole, in order.
 
@@ -79,6 +77,7 @@ class FrameReader:
             data = self._buffer + data
             if len(data) < self._needed:
                 self._buffer = data
+                self.pending = len(data)
                 return []
         elif len(data) >= _HEADER_V2 + 2 and data[0] == MAGIC_V2 and len(data) == _AROUND[data[2] & 1] + data[1]:
             # The usual datagram, exactly one whole frame, takes a short way; `_scan` would find the same.
@@ -145,6 +144,7 @@ class FrameReader:
                 self.garbage_bytes += 1
             position += 1
         self._buffer = data[position:]
+        self.pending = size - position
         self._unknown_left = max(0, claimed - position)
         return frames
 

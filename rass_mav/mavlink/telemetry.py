@@ -74,6 +74,23 @@ class Reading(NamedTuple):
 class Telemetry:
     """The state of the vehicle as its autopilot tells it. Give it every frame that comes in."""
 
+    __slots__ = (
+        "_name",
+        "_name_padded",
+        "armed",
+        "boot_ms",
+        "component_id",
+        "foreign",
+        "heartbeat_at",
+        "home",
+        "local",
+        "position",
+        "reading",
+        "reboots",
+        "rejected",
+        "system_id",
+    )
+
     def __init__(self, system_id: int, component_id: int = AUTOPILOT_COMPONENT, reading_name: str = "RAD") -> None:
         """:param system_id: of the autopilot, 1..255. 0: that of the first autopilot heard, and from then on only that.
         :param component_id: of the autopilot.

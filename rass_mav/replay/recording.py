@@ -13,7 +13,7 @@ from rass_mav.mavlink.telemetry import Position, Telemetry
 from .tlog import Record, TlogReader
 
 # How a bGeigie log begins: its sentences, or the comment that its logger writes first.
-_BGEIGIE = (b"$BM", b"$BN", b"# NEW LOG")
+_BGEIGIE = (b"$B", b"# NEW LOG")
 
 
 @dataclass
@@ -75,7 +75,7 @@ class Recording:
 
 
 def has_fix(position: Position) -> bool:
-    """False for latitude and longitude 0, which autopilots say before their first fix, whatever the altitude."""
+    """False for latitude and longitude 0, which autopilots say before their first fix; the altitude may be known."""
     return bool(position.latitude or position.longitude)
 
 

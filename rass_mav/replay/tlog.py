@@ -9,8 +9,9 @@ A message that the common dialect does not know has an unknown CRC_EXTRA. It is 
 expected and some CRC_EXTRA makes its checksum good: a damaged frame passes that test once in 256 times, and nodes
 ignore the message anyway.
 
-A damaged time cannot be seen by itself. A record more than `JUMP_S` away from the one before waits for the next: if
-that one agrees with it, the clock was set or nothing was recorded for a while; if not, it is rejected.
+A damaged time cannot be seen by itself. A record more than `JUMP_S` away from the one before waits for the next. If that
+one is as near to it as records use to be, or lies behind it as it lies behind the one before, then the clock was set or
+nothing was recorded for a while. Else it is rejected.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rass_mav.mavlink.messages import crc_extra_of
 from rass_mav.mavlink.reader import MAX_FRAME, FrameReader
 
 #: A time further than this from its neighbour's needs a second record that agrees, seconds.
-JUMP_S = 60.0
+JUMP_S = 5.0
 
 _STAMP = 8
 _MAGIC = re.compile(rb"[\xfd\xfe]")
@@ -75,7 +76,8 @@ class TlogReader:
         for record in self._intact():
             self.read += 1
             if doubtful is not None:
-                if abs(record.time_us - doubtful.time_us) <= _JUMP_US:
+                in_order = last is not None and last <= doubtful.time_us <= record.time_us
+                if in_order or abs(record.time_us - doubtful.time_us) <= _JUMP_US:
                     last = doubtful.time_us
                     yield doubtful
                 else:
@@ -103,9 +105,10 @@ class TlogReader:
             self.read += 1
             self.rejected += 1
             left = len(self._buffer) - self._at
-            # Framing that fits is believed: the damage is inside this one record.
+            # Where the framing fits, the damage is inside this one record. Or it is in the length, which happens to
+            # end where another record does: then there are proved ones before.
             if size and (size == left or (size < left and self._size(size))):
-                self._at += size
+                self._at += self._first_inside(size)
             else:
                 self._search()
 
@@ -129,9 +132,10 @@ class TlogReader:
             return 0 if flags & ~_SIGNED else _STAMP + 12 + length + 13 * flags
         return _STAMP + 8 + length if magic == MAGIC_V2 + 1 else 0
 
-    def _record(self, size: int, *, known_only: bool = False) -> Record | None:
+    def _record(self, size: int, offset: int = 0, *, known_only: bool = False) -> Record | None:
         """The record of that size, if it is proved."""
-        raw = self._buffer[self._at + _STAMP : self._at + size]
+        start = self._at + offset
+        raw = self._buffer[start + _STAMP : start + size]
         if len(raw) < size - _STAMP:
             return None
         reader = FrameReader()
@@ -139,7 +143,7 @@ class TlogReader:
         frame = frames[0] if frames and not (reader.garbage_bytes or reader.unknown or reader.pending) else None
         if frame is None and (known_only or not self._strange(raw)):
             return None
-        return Record(int.from_bytes(self._buffer[self._at : self._at + _STAMP], "big"), raw, frame)
+        return Record(int.from_bytes(self._buffer[start : start + _STAMP], "big"), raw, frame)
 
     def _strange(self, raw: bytes) -> bool:
         """Whether a frame is intact as far as one can tell without knowing its message."""
@@ -158,6 +162,16 @@ class TlogReader:
                 self._extras[message_id] = extra
                 return True
         return False
+
+    def _first_inside(self, size: int) -> int:
+        """Where in the next `size` bytes, but not at their beginning, a record is proved; `size` if nowhere."""
+        first = self._at + 1 + _STAMP
+        for found in _MAGIC.finditer(self._buffer, first, self._at + size + _STAMP):
+            offset = found.start() - _STAMP - self._at
+            inner = self._size(offset)
+            if inner and self._record(inner, offset, known_only=True) is not None:
+                return offset
+        return size
 
     def _search(self) -> None:
         """Go on to the next record that is proved, or to the end."""

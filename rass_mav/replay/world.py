@@ -11,7 +11,7 @@ from rass_mav.swarm.radio import Record
 from rass_mav.swarm.virtual import VirtualSwarm
 
 from .places import Point, Projection, links
-from .recording import Recording, has_fix
+from .recording import Recording
 from .settings import ReplaySettings
 
 #: A vehicle of which the log has said nothing for longer than this is out of everybody's range, seconds.
@@ -126,7 +126,7 @@ class ReplaySwarm(VirtualSwarm):
         points: list[Point | None] = [(0.0, 0.0, 0.0)]
         for place, agent in enumerate(self.agents[1:]):
             position = agent.telemetry.position
-            if position is None or not has_fix(position) or now - self._heard(place) > SILENT_S:
+            if position is None or now - self._heard(place) > SILENT_S:
                 points.append(None)
             else:
                 points.append(projection.point(position.latitude, position.longitude, position.altitude))

@@ -47,6 +47,11 @@ class MemoryStore:
         return self._fresh
 
     @property
+    def accepting(self) -> bool:
+        """Always."""
+        return True
+
+    @property
     def used_bytes(self) -> int:
         """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
         return sum(len(datum.payload) + ROW_OVERHEAD for datum in self._data.values())
@@ -82,6 +87,10 @@ class MemoryStore:
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now, or None."""
         return self._data.get(id)
+
+    def durable(self, id: DatumId) -> bool:
+        """Always: what is here outlives a restart of the node."""
+        return True
 
     def remove(self, id: DatumId, fate: Fate) -> None:
         """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""

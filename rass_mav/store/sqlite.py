@@ -69,6 +69,7 @@ class SqliteStore:
         self._changes = Changes()
         self._buffered = 0
         self._out: Batch | None = None
+        self._failing = False
         self._meta = schema.read_numbers(reader, "meta")
         self._epoch, self._sequence = schema.read_own(self._meta)
         self._counters = schema.read_numbers(reader, "counter")
@@ -165,6 +166,11 @@ class SqliteStore:
         self._sequence = self._changes.sequence = sequence + 1
         return sequence
 
+    @property
+    def accepting(self) -> bool:
+        """False from a failed write until one succeeds."""
+        return not self._failing
+
     def room_for(self, size: int) -> bool:
         """Whether a new datum of `size` bytes of payload fits the quota, and what may wait for a commit."""
         cost = size + ROW_OVERHEAD
@@ -187,6 +193,10 @@ class SqliteStore:
         self._sizes[id] = size
         self._used = used
         self._buffered += size + ROW_OVERHEAD
+
+    def durable(self, id: DatumId) -> bool:
+        """Whether a stored datum is on disk."""
+        return id not in self._changes.puts and id not in self._in_flight().puts
 
     def remove(self, id: DatumId, fate: Fate) -> None:
         """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""
@@ -329,9 +339,11 @@ class SqliteStore:
                 with explained(self._path, "writing"):
                     self._transact(out.changes)
                 out.state = BatchState.WRITTEN
+                self._failing = False
             finally:
                 if out.state is BatchState.WRITING:
                     out.state = BatchState.FAILED
+                    self._failing = True
 
     def _checked(self, batch: object) -> Batch:
         out = self._out

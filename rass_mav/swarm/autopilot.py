@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     GLOBAL_POSITION_INT,
+    HEARTBEAT,
     NAMED_VALUE_FLOAT,
     autopilot_heartbeat,
     global_position_int_payload,
@@ -18,13 +20,17 @@ from rass_mav.mavlink.messages import (
 ORIGIN = (45.0, -73.0, 100.0)
 #: Metres in a degree of latitude (WGS 84, mean).
 METRES_PER_DEGREE = 111_319.5
+# In a degree of longitude at the origin.
+_METRES_PER_DEGREE_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
 _HEARTBEAT_S = 1.0
+# Always the same bytes, so they are packed once.
+_HEARTBEAT = payload_of(autopilot_heartbeat())
 
 
 def to_earth(x: float, y: float) -> tuple[float, float]:
     """Latitude and longitude, in degrees, of a point of the arena (metres east and north of its centre)."""
     latitude = ORIGIN[0] + y / METRES_PER_DEGREE
-    return latitude, ORIGIN[1] + x / (METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0])))
+    return latitude, ORIGIN[1] + x / _METRES_PER_DEGREE_EAST
 
 
 class MockAutopilot:
@@ -51,7 +57,7 @@ class MockAutopilot:
         out = []
         boot_ms = int(now * 1000.0)
         if now >= self._heartbeat_at:
-            out.append(self._writer.message(autopilot_heartbeat()))
+            out.append(self._writer.frame(HEARTBEAT, _HEARTBEAT))
             if self._heartbeat_at == 0.0:
                 out.append(self._writer.message(home_position(*ORIGIN)))
             self._heartbeat_at = now + _HEARTBEAT_S

@@ -14,6 +14,9 @@ _OVERTAKEN_BY = 16
 
 #: Called with each frame put on the air, and its step.
 Record = Callable[[bytes, int], None]
+# Frames are digested together when there are so many bytes of them: one call for each would cost more than its bytes.
+_DIGEST_BYTES = 1 << 14
+
 #: (sender, hearer, frame)
 Arrival = tuple[int, int, bytes]
 
@@ -32,6 +35,7 @@ class Radio:
         self._now: deque[tuple[int, bytes, Sequence[int] | None]] = deque()
         self._later: deque[tuple[int, int, bytes, Sequence[int] | None]] = deque()
         self._digest = hashlib.sha256()
+        self._undigested = bytearray()
         self._plain = not (settings.loss or settings.duplicate or settings.reorder)
         self.sent = 0
         """Frames put on the air."""
@@ -43,7 +47,10 @@ class Radio:
         """Put a frame on the air at `step`."""
         self.sent += 1
         self.bytes_sent += len(frame)
-        self._digest.update(frame)
+        undigested = self._undigested
+        undigested += frame
+        if len(undigested) >= _DIGEST_BYTES:
+            self._take_in()
         if self._record is not None:
             self._record(frame, step)
         if self._latency:
@@ -106,7 +113,12 @@ class Radio:
     @property
     def sha256(self) -> str:
         """SHA-256 over all frames put on the air, in order, in hexadecimal."""
+        self._take_in()
         return self._digest.hexdigest()
+
+    def _take_in(self) -> None:
+        self._digest.update(self._undigested)
+        self._undigested.clear()
 
     @property
     def quiet(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from itertools import chain
 
 from rass_mav.core.archive import RECEIPT_ENTRIES
 from rass_mav.core.datum import Datum, DatumId
@@ -148,8 +149,7 @@ def _encode_committed(m: Committed, now: float) -> list[bytes]:
         del committed[: len(done)], refused[: len(no)]
         frames.append(
             _COMMITTED.pack(_head(COMMITTED), m.sender, m.target, len(done), len(no))
-            + b"".join([_DONE.pack(*d) for d in done])
-            + b"".join([_NUMBER.pack(n) for n in no])
+            + struct.pack(f"<{2 * len(done) + len(no)}I", *chain(*done, no))
         )
         if not committed and not refused:
             return frames
@@ -216,25 +216,26 @@ def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | 
     """
     try:
         head = payload[0]
+        if head in _TARGETED and node_id is not None:
+            target = payload[3] | payload[4] << 8
+            if target != node_id and target != BROADCAST:
+                return None
         decoder = _DECODERS.get(head)
         if decoder is None:
             if head >> 4 != VERSION:
                 raise ForeignError(f"version {head >> 4}, ours is {VERSION}")
             raise ForeignError(f"message type {head & 15} is not known")
-        if node_id is not None and head in _TARGETED:
-            target = payload[3] | payload[4] << 8
-            if target != node_id and target != BROADCAST:
-                return None
         return decoder(payload, now)
     except (struct.error, IndexError) as error:
         raise MalformedError(f"truncated message: {error}") from None
 
 
 def _decode_beacon(p: bytes, now: float) -> Beacon:
-    beacon = Beacon._make(_BEACON.unpack_from(p, 1))
-    if beacon.sender == BROADCAST:
+    fields = _BEACON.unpack_from(p, 1)
+    if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
-    return beacon
+    # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
+    return tuple.__new__(Beacon, fields)
 
 
 def _decode_data(p: bytes, now: float) -> Data:

@@ -54,9 +54,20 @@ class DurableStore:
         self._live.sequence += 1
         return self._live.sequence - 1
 
+    @property
+    def accepting(self) -> bool:
+        return True
+
+    @property
+    def used_bytes(self) -> int:
+        return sum(len(d.payload) for d in self._live.data.values())
+
     def room_for(self, size: int) -> bool:
         used = sum(len(d.payload) for d in self._live.data.values())
         return self.quota_bytes is None or used + size <= self.quota_bytes
+
+    def durable(self, id: DatumId) -> bool:
+        return id in self.disk.data
 
     def put(self, datum: Datum) -> None:
         data = self._live.data

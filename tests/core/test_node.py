@@ -347,3 +347,22 @@ def test_echoes_and_rivals_are_told_apart() -> None:
     for epoch in range(100):
         node.receive(beacon(1, epoch=epoch), 4.0)
     assert len(node.rivals) <= 16
+
+
+class Failing(DurableStore):
+    """A store on a disk that has begun to fail."""
+
+    @property
+    def accepting(self) -> bool:
+        return False
+
+
+def test_with_a_failing_disk_custody_is_refused_and_own_data_are_kept() -> None:
+    node = make_node(2, store=Failing(epoch=5))
+    [beacon_, *_] = node.step(0.0)
+    assert isinstance(beacon_, Beacon)
+    assert beacon_.free == 0
+    [answer] = node.receive(data(3, 2, (7, datum())), 0.0)
+    assert isinstance(answer, Committed)
+    assert (answer.committed, answer.refused) == ((), (7,))
+    assert node.put(b"measured", 0.0) in node.inventory

@@ -44,18 +44,19 @@ def vehicle(
     reading: Callable[[int], float | None] = lambda t: 2.0 + t,
     home: tuple[float, float] | None = None,
     fix_after: int = 0,
+    unfixed_altitude: float = 0.0,
     begin: int = 0,
 ) -> list[Said]:
     """Heartbeat, position and reading once a second at (x, y), metres; `home` (x, y) once, after a second.
 
-    Before `fix_after` the position is 0, 0, 0. Nothing is said before `begin`.
+    Before `fix_after` latitude and longitude are 0, and the altitude is `unfixed_altitude`. Nothing is said before `begin`.
     """
     writer = FrameWriter(system_id, 1)
     said: list[Said] = []
     for t in range(begin, seconds):
         at = START + t
         said.append((at, writer.message(autopilot_heartbeat())))
-        latitude, longitude, altitude = (*place(x, y), GROUND + height) if t >= fix_after else (0.0, 0.0, 0.0)
+        latitude, longitude, altitude = (*place(x, y), GROUND + height) if t >= fix_after else (0.0, 0.0, unfixed_altitude)
         payload = global_position_int_payload(latitude, longitude, altitude, height, t * 1000)
         said.append((at + 0.1, writer.frame(GLOBAL_POSITION_INT, payload)))
         if home is not None and t == begin + 1:

@@ -56,9 +56,10 @@ def test_the_first_home_counts(tmp_path: Path) -> None:
     assert home.altitude == GROUND
 
 
-def test_without_home_the_first_fix_counts_and_zeros_are_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("altitude", [0.0, 584.0])
+def test_without_home_the_first_fix_counts_and_zeros_are_none(tmp_path: Path, altitude: float) -> None:
     late = write(tmp_path / "late.tlog", vehicle(1, 9, x=50, fix_after=6))
-    early = write(tmp_path / "early.tlog", vehicle(2, 9, x=20, height=3.0, fix_after=4))
+    early = write(tmp_path / "early.tlog", vehicle(2, 9, x=20, height=3.0, fix_after=4, unfixed_altitude=altitude))
     home = read_logs([late, early]).home
     assert home is not None
     assert (home.latitude, home.longitude) == pytest.approx(place(20, 0), abs=1e-7)
@@ -94,7 +95,7 @@ def test_a_file_without_one_valid_record_is_refused(tmp_path: Path, content: byt
 
 def test_a_bgeigie_log_is_refused_by_its_name(tmp_path: Path) -> None:
     path = tmp_path / "drive.LOG"
-    path.write_text("# NEW LOG\n# format=1.2.4\n$BNRDD,0204,2012-09-20T17:24:58Z,42,1,92,A,5242.0,N,0442.0,E,9.8,A,9,1*5D\n")
+    path.write_text("# NEW LOG\n$BNRDD,0204,2012-09-20T17:24:58Z,42,1,92,A,5242.0,N,0442.0,E,9.8,A,9,1*5D\n")
     with pytest.raises(LogError, match="a bGeigie log"):
         read_logs([str(path)])
 

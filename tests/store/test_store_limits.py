@@ -55,10 +55,14 @@ def test_on_a_full_disk_nothing_is_lost(path: Path) -> None:
         # Still full: the same batch fails again.
         with pytest.raises(StoreFullError):
             commit(store)
+        assert not store.accepting
+        assert [store.durable(datum(number).id) for number in (0, durable - 1, durable)] == [True, True, False]
         # Handing data on makes room, and what waited is written.
         for number in range(3):
             store.remove(datum(number).id, Fate.PASSED_ON)
         commit(store)
+        assert store.accepting
+        assert store.durable(datum(durable).id)
         with SqliteReader(path) as reader:
             assert [id.sequence for id in reader.ids()] == list(range(3, durable + 1))
         assert path.stat().st_size <= 200_000

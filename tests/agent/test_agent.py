@@ -1,0 +1,213 @@
+"""One whole node without input and output."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.loading import convert
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.core.messages import BROADCAST, Beacon, Data
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import (
+    HEARTBEAT,
+    NAMED_VALUE_FLOAT,
+    STATUSTEXT,
+    autopilot_heartbeat,
+    global_position_int,
+    named_value_float,
+    parse,
+)
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.store.memory import MemoryStore
+from rass_mav.wire import decode
+from rass_mav.wire.measurement import decode_measurement
+
+SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
+
+
+def make(node_id: int, *, base: bool = False, **sections: Any) -> Agent:
+    raw = {"node_id": node_id, "base": base, "step_s": 1.0, **{name: sections.get(name, {}) for name in SECTIONS}}
+    settings = convert(raw, AgentSettings, "test")
+    store = MemoryStore(1000 + node_id, quota_bytes=settings.store.quota_bytes)
+    return Agent(settings, store, random.Random(node_id), now=0.0, newborn=True)
+
+
+def said(frames: Any, now: float = 0.0) -> list[Any]:
+    out = []
+    for outgoing in frames:
+        fields = tunnel_from_datagram(outgoing.frame)
+        assert fields is not None
+        out.append(decode(fields[5], now))
+    return out
+
+
+def to_vehicle(agent: Agent) -> list[Any]:
+    reader = FrameReader()
+    frames = [frame for data in agent.to_vehicle for frame in reader.feed(data)]
+    agent.to_vehicle.clear()
+    return frames
+
+
+def test_a_step_says_a_beacon_to_all_and_a_heartbeat_to_the_vehicle() -> None:
+    agent = make(3)
+    [outgoing] = agent.step(0.0)
+    assert (outgoing.target, outgoing.promises) == (BROADCAST, False)
+    assert isinstance(said([outgoing])[0], Beacon)
+    [frame] = to_vehicle(agent)
+    heartbeat = parse(frame)
+    assert (frame.message_id, frame.component_id) == (HEARTBEAT, 191)
+    assert (heartbeat.type, heartbeat.autopilot) == (18, 8)  # ONBOARD_CONTROLLER, INVALID
+    agent.step(0.5)
+    assert to_vehicle(agent) == []
+    agent.step(1.0)
+    assert [frame.message_id for frame in to_vehicle(agent)] == [HEARTBEAT]
+
+
+def test_telemetry_becomes_risk_and_a_measurement() -> None:
+    agent = make(3, risk={"low": 100.0, "high": 300.0})
+    vehicle = FrameWriter(7, 1)
+    agent.step(0.0)
+    assert agent.node.risk.risk(0.0) == 1.0, "unknown risk is the worst"
+    for message in (
+        autopilot_heartbeat(),
+        global_position_int(45.5, -73.6, 120.0, 20.0, 1000),
+        named_value_float("RAD", 150.0, 1000),
+    ):
+        agent.vehicle_bytes(vehicle.message(message), 1.0)
+    assert agent.node.risk.risk(1.0) == pytest.approx(0.25)
+    id = agent.measure(1.0)
+    assert id is not None
+    stored = agent.store.get(id)
+    assert stored is not None
+    measurement = decode_measurement(stored.payload)
+    assert measurement.latitude == pytest.approx(45.5)
+    assert measurement.longitude == pytest.approx(-73.6)
+    assert (measurement.altitude, measurement.reading) == (120.0, 150.0)
+    assert agent.peer_writer.system_id == 7, "the system id is taken from the autopilot"
+    # Ten seconds later the reading is stale: unknown again.
+    id = agent.measure(12.0)
+    assert id is not None
+    stored = agent.store.get(id)
+    assert stored is not None
+    assert decode_measurement(stored.payload).reading is None
+    assert agent.node.risk.risk(12.0) == 1.0
+
+
+def test_a_reading_of_somebody_else_is_not_ours() -> None:
+    agent = make(3, mavlink={"autopilot_id": 7})
+    for system, component in ((8, 1), (7, 191), (7, 2)):
+        agent.vehicle_bytes(FrameWriter(system, component).message(named_value_float("RAD", 0.1, 1000)), 0.0)
+    assert agent.node.risk.risk(0.0) == 1.0
+    assert agent.telemetry.foreign == 3
+
+
+def test_a_datagram_that_is_cut_off_does_not_spoil_the_next_one() -> None:
+    a, b = make(1), make(2)
+    [beacon] = a.step(0.0)
+    b.peer_bytes(beacon.frame[:-5], 0.0)
+    b.peer_bytes(beacon.frame, 0.0)
+    assert list(b.node.routing.neighbours) == [1]
+    assert b.peer_reader.malformed == 1
+
+
+def test_two_frames_in_one_datagram_and_garbage_between() -> None:
+    a, b, c = make(1), make(2), make(3)
+    c.peer_bytes(a.step(0.0)[0].frame + b"\xfd\x00garbage" + b.step(0.0)[0].frame, 0.0)
+    assert sorted(c.node.routing.neighbours) == [1, 2]
+
+
+def test_tunnel_frames_for_others_are_left_alone() -> None:
+    a, b = make(1), make(2)
+    [beacon] = a.step(0.0)
+    payload = tunnel_from_datagram(beacon.frame)
+    assert payload is not None
+    writer = FrameWriter(9, 191)
+    strangers = [
+        writer.tunnel(payload[5], payload_type=33201),
+        writer.tunnel(payload[5], payload_type=33200, target_system=77),
+        writer.tunnel(payload[5], payload_type=33200, target_system=b.peer_writer.system_id, target_component=5),
+    ]
+    for frame in strangers:
+        assert not b.peer_bytes(frame, 0.0)
+    assert not b.node.routing.neighbours
+    assert b.foreign == 1
+    ours = writer.tunnel(
+        payload[5], payload_type=33200, target_system=b.peer_writer.system_id, target_component=191
+    )
+    b.peer_bytes(ours, 0.0)
+    assert list(b.node.routing.neighbours) == [1]
+
+
+def test_garbage_in_a_tunnel_is_counted_and_survived() -> None:
+    agent = make(1)
+    writer = FrameWriter(9, 191)
+    agent.peer_bytes(writer.tunnel(b"\x11short", payload_type=33200), 0.0)
+    agent.peer_bytes(writer.tunnel(b"\x21" + bytes(60), payload_type=33200), 0.0)
+    agent.peer_bytes(writer.tunnel(b"", payload_type=33200), 0.0)
+    assert (agent.malformed, agent.foreign) == (2, 1)
+
+
+def test_a_second_node_with_our_id_is_told_to_the_ground() -> None:
+    one, other = make(5), make(5)
+    other.node.store.set_meta("x", 1)
+    twin = Agent(other.settings, MemoryStore(4242), random.Random(9), now=0.0, newborn=True)
+    [beacon] = twin.step(0.0)
+    one.peer_bytes(beacon.frame, 0.0)
+    one.step(1.0)
+    texts = [parse(frame).text for frame in to_vehicle(one) if frame.message_id == STATUSTEXT]
+    assert any("node id 5" in (text if isinstance(text, str) else text.decode()) for text in texts), texts
+    # Said once, not at every step.
+    one.peer_bytes(twin.step(1.0)[0].frame, 1.0)
+    one.step(2.0)
+    assert [f for f in to_vehicle(one) if f.message_id == STATUSTEXT] == []
+
+
+def test_an_echo_of_our_own_beacon_is_no_rival() -> None:
+    agent = make(5)
+    agent.peer_bytes(agent.step(0.0)[0].frame, 0.0)
+    assert not agent.node.rivals
+    assert agent.node.echoes == 1
+
+
+def test_a_full_node_tells_the_ground_and_goes_on() -> None:
+    agent = make(4, store={"capacity_items": 1}, data={"interval_steps": 1})
+    for t in range(4):
+        agent.step(float(t))
+    texts = [parse(frame).text for frame in to_vehicle(agent) if frame.message_id == STATUSTEXT]
+    assert len(texts) == 1
+    assert agent.store.counters()["overflow"] == 3
+
+
+def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
+    class Slow(MemoryStore):
+        """Nothing is ever on disk."""
+
+        def durable(self, id: Any) -> bool:
+            return False
+
+    base, drone = make(1, base=True), make(2)
+    slow = Agent(drone.settings, Slow(7), random.Random(2), now=0.0, newborn=True)
+    for node in (drone, slow):
+        node.measure(0.0)
+        node.peer_bytes(base.step(0.0)[0].frame, 0.0)
+        beacon, data = node.step(1.0)
+        assert isinstance(said([data])[0], Data)
+        assert (beacon.promises, data.promises) == (False, node is slow)
+        [answer] = base.peer_bytes(data.frame, 1.0)
+        assert answer.promises
+
+
+def test_named_value_floats_of_other_names_are_ignored() -> None:
+    agent = make(3, mavlink={"reading_name": "CPM", "autopilot_id": 1})
+    writer = FrameWriter(1, 1)
+    frame = writer.message(named_value_float("RAD", 1.0, 1000))
+    assert frame[7] == NAMED_VALUE_FLOAT
+    agent.vehicle_bytes(frame, 0.0)
+    assert agent.telemetry.reading is None
+    agent.vehicle_bytes(writer.message(named_value_float("CPM", 12.0, 1000)), 0.0)
+    assert agent.telemetry.reading is not None
