@@ -19,7 +19,7 @@ from rass_mav import __version__
 from rass_mav.core.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
-COMMANDS = ("node", "swarm")
+COMMANDS = ("node", "swarm", "replay")
 
 
 class Parser(argparse.ArgumentParser):

@@ -13,6 +13,8 @@ from typing import Any
 
 from rass_mav.core.errors import RassError
 
+#: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
+VIRTUAL_START_S = 1_577_836_800.0
 #: What argparse calls the object that `add_subparsers` returns.
 Subparsers = Any
 
@@ -70,8 +72,10 @@ def clean(text: str) -> str:
 
 
 @contextlib.contextmanager
-def recorder(path: str | None, step_s: float) -> Iterator[Callable[[bytes, int], None] | None]:
-    """Writes frames to a .tlog; virtual time begins at 2020-01-01 00:00 UTC, so the same run gives the same file."""
+def recorder(
+    path: str | None, step_s: float, start_s: float = VIRTUAL_START_S
+) -> Iterator[Callable[[bytes, int], None] | None]:
+    """Writes frames to a .tlog, with times that begin at `start_s`, seconds since 1970."""
     if path is None:
         yield None
         return
@@ -80,7 +84,7 @@ def recorder(path: str | None, step_s: float) -> Iterator[Callable[[bytes, int],
     try:
         with Path(path).open("wb") as file:
             writer = TlogWriter(file)
-            yield lambda frame, step: writer.record(frame, 1_577_836_800.0 + step * step_s)
+            yield lambda frame, step: writer.record(frame, start_s + step * step_s)
     except OSError as error:
         raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 

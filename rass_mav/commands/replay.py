@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.core.errors import ConfigError, RassError
 
-from .common import Subparsers, add_command, add_set, clean, print_json, progress, say, start_logging
+from .common import Subparsers, add_command, add_set, clean, print_json, progress, recorder, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.replay.arrivals import Arrival
@@ -77,7 +76,7 @@ def _replay(options: argparse.Namespace) -> int:
     recording = read_logs(options.logs, reading_name=settings.mavlink.reading_name)
     if scale:
         settings = settings.with_highest(recording.highest)
-    with _recorder(options.record, recording.start_us, settings.node.step_s) as record:
+    with recorder(options.record, settings.node.step_s, recording.start_us / 1e6) as record:
         swarm = ReplaySwarm(recording, settings, base=options.base, record=record)
         wall = _run(swarm, options)
     rows = arrivals(swarm)
@@ -121,22 +120,6 @@ def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> float:
         swarm.run(swarm.span_steps, after=after)
         swarm.drain(int(options.drain / swarm.step_s), after=after)
     return time.perf_counter() - begin
-
-
-@contextlib.contextmanager
-def _recorder(path: str | None, start_us: int, step_s: float) -> Iterator[Callable[[bytes, int], None] | None]:
-    """Writes frames to a .tlog, on the timeline of the logs."""
-    if path is None:
-        yield None
-        return
-    from rass_mav.mavlink.tlog import TlogWriter
-
-    try:
-        with Path(path).open("wb") as file:
-            writer = TlogWriter(file)
-            yield lambda frame, step: writer.record(frame, start_us / 1e6 + step * step_s)
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:

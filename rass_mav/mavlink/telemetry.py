@@ -74,23 +74,6 @@ class Reading(NamedTuple):
 class Telemetry:
     """The state of the vehicle as its autopilot tells it. Give it every frame that comes in."""
 
-    __slots__ = (
-        "_name",
-        "_name_padded",
-        "armed",
-        "boot_ms",
-        "component_id",
-        "foreign",
-        "heartbeat_at",
-        "home",
-        "local",
-        "position",
-        "reading",
-        "reboots",
-        "rejected",
-        "system_id",
-    )
-
     def __init__(self, system_id: int, component_id: int = AUTOPILOT_COMPONENT, reading_name: str = "RAD") -> None:
         """:param system_id: of the autopilot, 1..255. 0: that of the first autopilot heard, and from then on only that.
         :param component_id: of the autopilot.
@@ -173,7 +156,7 @@ class Telemetry:
         )
         if boot_ms:
             self._on_boot_time(boot_ms)
-        if not self._is_place(lat, lon, alt):
+        if not self._is_place(lat, lon):
             return False
         self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, relative_alt / 1e3, now)
         return True
@@ -190,7 +173,7 @@ class Telemetry:
 
     def _on_home_position(self, payload: bytes, now: float) -> bool:
         lat, lon, alt = _home_position.unpack_from(payload.ljust(_home_position.size, b"\0"))[:3]
-        if not self._is_place(lat, lon, alt):
+        if not self._is_place(lat, lon):
             return False
         self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, 0.0, now)
         return True
@@ -205,9 +188,9 @@ class Telemetry:
         self.armed = bool(base_mode & _ARMED)
         return True
 
-    def _is_place(self, lat: int, lon: int, alt: int) -> bool:
-        if lat == 0 and lon == 0 and alt == 0:
-            return False  # what autopilots say before their first fix
+    def _is_place(self, lat: int, lon: int) -> bool:
+        if lat == 0 and lon == 0:
+            return False  # what autopilots say before their first fix; the altitude may come from the barometer by then
         if -_MAX_LATITUDE <= lat <= _MAX_LATITUDE and -_MAX_LONGITUDE <= lon <= _MAX_LONGITUDE:
             return True
         self.rejected += 1

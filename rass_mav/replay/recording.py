@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +13,9 @@ from rass_mav.mavlink.telemetry import Position, Telemetry
 
 from .tlog import Record, TlogReader
 
-# How a bGeigie log begins: its sentences, or the comment that its logger writes first.
-_BGEIGIE = (b"$B", b"# NEW LOG")
+# A sentence of a bGeigie log, and how many bytes of a file are searched for one.
+_BGEIGIE = re.compile(rb"^\$B[A-Z]{4},", re.MULTILINE)
+_HEAD = 4096
 
 
 @dataclass
@@ -146,7 +148,7 @@ def _read(path: str, reading_name: str) -> tuple[LogFile, list[_Scan]]:
     used = 0
     try:
         with Path(path).open("rb") as stream:
-            head = stream.read(max(map(len, _BGEIGIE)))
+            head = stream.read(_HEAD)
             stream.seek(0)
             reader = TlogReader(stream)
             for record in reader:
@@ -160,7 +162,7 @@ def _read(path: str, reading_name: str) -> tuple[LogFile, list[_Scan]]:
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     if not used:
-        if head.startswith(_BGEIGIE):
+        if _BGEIGIE.search(head):
             raise LogError(f"{path}: a bGeigie log; this version replays MAVLink telemetry logs (.tlog) only")
         raise LogError(f"{path}: not one valid MAVLink record in it; a telemetry log (.tlog) is expected")
     found = {system_id: scan for system_id, scan in sorted(scans.items()) if scan.is_vehicle}

@@ -9,9 +9,9 @@ A message that the common dialect does not know has an unknown CRC_EXTRA. It is 
 expected and some CRC_EXTRA makes its checksum good: a damaged frame passes that test once in 256 times, and nodes
 ignore the message anyway.
 
-A damaged time cannot be seen by itself. A record more than `JUMP_S` away from the one before waits for the next. If that
-one is as near to it as records use to be, or lies behind it as it lies behind the one before, then the clock was set or
-nothing was recorded for a while. Else it is rejected.
+A damaged time cannot be seen by itself. A record more than `NEAR_S` away from the one before waits for the next, and is
+rejected unless that one agrees with it: it is near (the clock was set, or nothing was recorded for a while), or the
+three are in order and little was recorded, a record every `SILENCE_S` at least.
 """
 
 from __future__ import annotations
@@ -25,14 +25,17 @@ from rass_mav.mavlink.frames import MAGIC_V2, Frame
 from rass_mav.mavlink.messages import crc_extra_of
 from rass_mav.mavlink.reader import MAX_FRAME, FrameReader
 
-#: A time further than this from its neighbour's needs a second record that agrees, seconds.
-JUMP_S = 5.0
+#: A time further than this from the one before needs a second record that agrees, seconds.
+NEAR_S = 5.0
+#: The longest silence between records in order that agree, seconds.
+SILENCE_S = 60.0
 
 _STAMP = 8
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 # Times end in the year 2112; garbage rarely looks like an earlier one.
 _MAX_US = 1 << 52
-_JUMP_US = int(JUMP_S * 1e6)
+_NEAR_US = int(NEAR_S * 1e6)
+_SILENCE_US = int(SILENCE_S * 1e6)
 # Enough to judge a record and the head of the one behind it.
 _LOOKAHEAD = 2 * (_STAMP + MAX_FRAME)
 _CHUNK = 1 << 16
@@ -48,6 +51,14 @@ class Record(NamedTuple):
     """The frame's bytes as recorded."""
     frame: Frame | None
     """The frame; None if the dialect does not know its message."""
+
+
+def _agree(before: int | None, doubtful: int, after: int) -> bool:
+    """Whether the next record's time speaks for a doubtful one. All in microseconds."""
+    if abs(after - doubtful) <= _NEAR_US:
+        return True
+    since = 0 if before is None else doubtful - before
+    return 0 <= since <= _SILENCE_US and 0 <= after - doubtful <= _SILENCE_US
 
 
 class TlogReader:
@@ -76,14 +87,13 @@ class TlogReader:
         for record in self._intact():
             self.read += 1
             if doubtful is not None:
-                in_order = last is not None and last <= doubtful.time_us <= record.time_us
-                if in_order or abs(record.time_us - doubtful.time_us) <= _JUMP_US:
+                if _agree(last, doubtful.time_us, record.time_us):
                     last = doubtful.time_us
                     yield doubtful
                 else:
                     self.rejected += 1
                 doubtful = None
-            if last is None or abs(record.time_us - last) > _JUMP_US:
+            if last is None or abs(record.time_us - last) > _NEAR_US:
                 doubtful = record
                 continue
             last = record.time_us

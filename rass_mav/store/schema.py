@@ -57,9 +57,7 @@ INSERT_DATUM = (
 )
 DELETE_DATUM = "DELETE FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
 INSERT_LOSS = "INSERT OR IGNORE INTO loss (origin, epoch, sequence, fate) VALUES (?, ?, ?, ?)"
-_SELECT_DATUM = (
-    "SELECT kind, created, hops, crc, payload FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
-)
+_SELECT_DATUM = "SELECT kind, created, hops, crc, payload FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
 _SELECT_INFOS = (
     "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size FROM datum "
     "WHERE arrival > ? ORDER BY arrival LIMIT 512"

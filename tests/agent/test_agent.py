@@ -136,9 +136,7 @@ def test_tunnel_frames_for_others_are_left_alone() -> None:
         assert not b.peer_bytes(frame, 0.0)
     assert not b.node.routing.neighbours
     assert b.foreign == 1
-    ours = writer.tunnel(
-        payload[5], payload_type=33200, target_system=b.peer_writer.system_id, target_component=191
-    )
+    ours = writer.tunnel(payload[5], payload_type=33200, target_system=b.peer_writer.system_id, target_component=191)
     b.peer_bytes(ours, 0.0)
     assert list(b.node.routing.neighbours) == [1]
 

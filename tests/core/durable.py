@@ -22,9 +22,7 @@ class State:
     sequence: int = 0
 
     def snapshot(self) -> State:
-        return State(
-            dict(self.data), dict(self.losses), dict(self.counters), dict(self.meta), copy.copy(self.sequence)
-        )
+        return State(dict(self.data), dict(self.losses), dict(self.counters), dict(self.meta), copy.copy(self.sequence))
 
 
 class DurableStore:

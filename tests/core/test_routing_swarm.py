@@ -64,9 +64,7 @@ class Swarm:
 
     def random_links(self, density: float) -> None:
         size = len(self.stores)
-        self.links = {
-            frozenset((a, b)) for a in range(size) for b in range(a) if self.rng.random() < density
-        }
+        self.links = {frozenset((a, b)) for a in range(size) for b in range(a) if self.rng.random() < density}
 
     def turn(self) -> None:
         """One step of each node, each at its own moment, with all that is due on the air before it."""

@@ -43,6 +43,8 @@ def test_before_a_fix_there_is_no_position() -> None:
     telemetry = Telemetry(7)
     assert not telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 0.0, 0.0, 500)), 1.0)
     assert not telemetry.handle(frame(messages.home_position(0.0, 0.0, 0.0)), 1.0)
+    # The barometer may give an altitude before there is a fix.
+    assert not telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 12.5, 1.0, 500)), 1.0)
     assert telemetry.position is None
     assert telemetry.home is None
     assert telemetry.boot_ms == 500

@@ -49,14 +49,17 @@ def vehicle(
 ) -> list[Said]:
     """Heartbeat, position and reading once a second at (x, y), metres; `home` (x, y) once, after a second.
 
-    Before `fix_after` latitude and longitude are 0, and the altitude is `unfixed_altitude`. Nothing is said before `begin`.
+    Before `fix_after` latitude and longitude are 0, and the altitude is `unfixed_altitude`. Before `begin` nothing is
+    said.
     """
     writer = FrameWriter(system_id, 1)
     said: list[Said] = []
     for t in range(begin, seconds):
         at = START + t
         said.append((at, writer.message(autopilot_heartbeat())))
-        latitude, longitude, altitude = (*place(x, y), GROUND + height) if t >= fix_after else (0.0, 0.0, unfixed_altitude)
+        latitude, longitude, altitude = 0.0, 0.0, unfixed_altitude
+        if t >= fix_after:
+            latitude, longitude, altitude = *place(x, y), GROUND + height
         payload = global_position_int_payload(latitude, longitude, altitude, height, t * 1000)
         said.append((at + 0.1, writer.frame(GLOBAL_POSITION_INT, payload)))
         if home is not None and t == begin + 1:

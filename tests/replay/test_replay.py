@@ -256,9 +256,7 @@ def test_links_are_those_within_range(points: list[Any], range_m: int) -> None:
     def near(a: Any, b: Any) -> bool:
         return a is not None and b is not None and math.dist(a, b) <= range_m + 1e-9
 
-    expected = [
-        [j for j, there in enumerate(points) if j != i and near(here, there)] for i, here in enumerate(points)
-    ]
+    expected = [[j for j, there in enumerate(points) if j != i and near(here, there)] for i, here in enumerate(points)]
     assert links(points, range_m) == expected
 
 

@@ -134,8 +134,10 @@ def test_times_that_go_back_a_little_are_taken_as_they_are() -> None:
     assert reader.rejected == 0
 
 
-@pytest.mark.parametrize("which", [0, 5, len(FLIGHT) - 1])
-@pytest.mark.parametrize("shift", [-86400.0, -8.0, 8.0, 3e7])
+@pytest.mark.parametrize(
+    ("which", "shift"),
+    [(which, shift) for which in (0, 5, len(FLIGHT) - 1) for shift in (-86400.0, 20.0, 3e7)] + [(5, -20.0)],
+)
 def test_a_time_that_nobody_agrees_with_is_rejected(which: int, shift: float) -> None:
     said = [(at + (shift if n == which else 0.0), raw) for n, (at, raw) in enumerate(FLIGHT)]
     records, reader = read(b"".join(stored(said)))
@@ -149,9 +151,9 @@ def test_a_clock_that_is_set_in_flight_costs_nothing() -> None:
     assert [record.raw for record in records] == [raw for _, raw in FLIGHT]
 
 
-def test_a_log_with_long_silences_loses_at_most_its_ends() -> None:
+def test_a_log_with_long_silences_loses_its_last_record_only() -> None:
     said = [(START + 20.0 * n, raw) for n, (_, raw) in enumerate(FLIGHT)]
-    assert frames(b"".join(stored(said))) == [raw for _, raw in said[1:-1]]
+    assert frames(b"".join(stored(said))) == [raw for _, raw in said[:-1]]
 
 
 def test_after_one_long_silence_nothing_is_lost() -> None:

@@ -265,9 +265,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     header=st.booleans(),
     flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=4),
 )
-def test_flipped_bytes_are_never_taken_for_data(
-    sound: Path, header: bool, flips: list[tuple[float, int]]
-) -> None:
+def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips: list[tuple[float, int]]) -> None:
     content = bytearray(sound.read_bytes())
     for place, bits in flips:
         # The first page holds the file's header and the tables' definitions.
@@ -302,9 +300,7 @@ def test_flipped_bytes_are_never_taken_for_data(
 
 @settings(max_examples=60, deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans())
-def test_a_damaged_log_after_a_power_cut_gives_an_earlier_commit_whole(
-    place: float, bits: int, truncate: bool
-) -> None:
+def test_a_damaged_log_after_a_power_cut_gives_an_earlier_commit_whole(place: float, bits: int, truncate: bool) -> None:
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "node.db"
         with open_store(path) as store:

@@ -10,11 +10,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.core.errors import ConfigError, SwarmError
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.catalogue import load_scenario
-from rass_mav.core.errors import SwarmError
 from rass_mav.swarm.children import Children
 from rass_mav.swarm.processes import MAX_NODES, NodeProcess, run
 from rass_mav.swarm.scenario import Scenario

@@ -78,7 +78,12 @@ def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(topology: str) ->
 @pytest.mark.parametrize("latency", [1, 3])
 def test_latency_delays_but_loses_nothing(latency: int) -> None:
     world = run(
-        nodes=16, steps=200, seed=2, radio={"latency_steps": latency}, radiation={"sources": []}, data={"until_step": 60}
+        nodes=16,
+        steps=200,
+        seed=2,
+        radio={"latency_steps": latency},
+        radiation={"sources": []},
+        data={"until_step": 60},
     )
     summary = world.statistics.summary()
     assert summary["delivered"] == summary["created"] == 6 * 15
@@ -151,9 +156,7 @@ def test_several_bases_share_the_work() -> None:
 
 
 def test_without_custody_what_is_lost_on_the_air_has_vanished() -> None:
-    world = run(
-        nodes=16, steps=100, seed=6, custody={"mode": "none"}, radio={"loss": 0.3}, radiation={"sources": []}
-    )
+    world = run(nodes=16, steps=100, seed=6, custody={"mode": "none"}, radio={"loss": 0.3}, radiation={"sources": []})
     lost = world.statistics.summary()["lost"]
     assert lost["vanished"] > 0
     assert lost["corrupted"] == lost["overflow"] == 0

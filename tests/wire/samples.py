@@ -32,9 +32,7 @@ HELLO = make_datum(DatumId(3, 0xCAFEBABE, 7), 0, NOW - 1.5, b"hello")._replace(h
 WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
 
 SAMPLES: dict[str, Message] = {
-    "beacon-drone": Beacon(
-        3, 0xCAFEBABE, 513, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0
-    ),
+    "beacon-drone": Beacon(3, 0xCAFEBABE, 513, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0),
     "beacon-base": Beacon(1, 0x0BADF00D, 9, 1, 1, 0x0BADF00D, 42, 0, 0, 0, 0, 65535, 0xBEEF, 0xFFFFFFFF, 0),
     "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
@@ -82,9 +80,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
     Receipt: st.builds(
         Receipt, u16, u32, st.lists(st.builds(ReceiptEntry, u16, u32, u32, u16), max_size=25).map(tuple)
     ),
-    LossNote: st.builds(
-        LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8), max_size=20).map(tuple)
-    ),
+    LossNote: st.builds(LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8), max_size=20).map(tuple)),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
 }

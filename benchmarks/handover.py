@@ -1,0 +1,217 @@
+"""Durable hand-overs a second between two nodes on SQLite, and how often each of them syncs its disk for that.
+
+    python -m benchmarks.handover            a table
+    python -m benchmarks.handover --json     one JSON object
+
+A drone holds a bulk of data on its disk and hands them over to a base: two real drivers on one event loop, joined by a
+loopback link, with bandwidth enough not to be the limit. A hand-over is done when the base has the datum on disk and has
+said so, and the drone has noted that. The clock runs from the first step to the last such note.
+
+The syncs of the disk are counted twice. `commits` is what the two drivers say: one commit syncs the write-ahead log once.
+`fsyncs` is the truth, where the system has `strace`: one more run under it, in which every fsync and fdatasync from
+opening the two stores to closing them is counted by the file that it is for, checkpoints included. The bulk is put into
+the drone's store by another process before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import random
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+SIDES = {"drone": 1, "base": 2}
+STEP_S = 0.02
+PAYLOAD_BYTES = 60
+#: Data that may leave in a step: more than a step has time for, and fewer frames than a link queues.
+BANDWIDTH = 200
+GIVE_UP_S = 120.0
+_SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
+
+
+def _agent_settings(side: str) -> Any:
+    from rass_mav.agent.settings import CustodySettings, DataSettings, StoreSettings
+    from rass_mav.app.config import NodeSection, RunConfig
+
+    return RunConfig(
+        node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),
+        # An answer waits for the other's disk: it is not missed before a second has passed.
+        custody=CustodySettings(receipts=False, retry_steps=round(1.0 / STEP_S)),
+        store=StoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH),
+        data=DataSettings(interval_steps=0),
+    ).agent_settings()
+
+
+def _open(directory: Path, side: str) -> Any:
+    from rass_mav.store import SqliteStore
+
+    return SqliteStore.open(directory / f"{side}.db", draw_epoch=lambda: SIDES[side])
+
+
+def fill(directory: Path, count: int) -> None:
+    """Put `count` new data into the drone's store."""
+    from rass_mav.core.datum import DatumId, make_datum
+
+    with _open(directory, "drone") as store:
+        generator = random.Random(1)
+        for _ in range(count):
+            id = DatumId(SIDES["drone"], store.epoch, store.next_sequence())
+            store.put(make_datum(id, 0, 0.0, generator.randbytes(PAYLOAD_BYTES)))
+
+
+async def _hand_over(directory: Path) -> dict[str, float]:
+    from rass_mav.agent.agent import Agent
+    from rass_mav.app.clock import Clock
+    from rass_mav.app.driver import Driver
+    from rass_mav.core.datum import DatumId, Fate
+    from rass_mav.core.observer import Observer
+    from rass_mav.link.loopback import LoopbackHub
+
+    done = asyncio.Event()
+
+    class Watch(Observer):
+        def __init__(self) -> None:
+            self.left = 0
+
+        def dropped(self, id: DatumId, fate: Fate) -> None:
+            if fate is not Fate.PASSED_ON:
+                raise RuntimeError(f"{id} was {fate.value}")
+            self.left -= 1
+            if not self.left:
+                done.set()
+
+    clock, hub, watch = Clock(), LoopbackHub(), Watch()
+    links = {side: hub.endpoint(side) for side in SIDES}
+    hub.connect(*links.values())
+    with _open(directory, "drone") as drone, _open(directory, "base") as base:
+        stores = {"drone": drone, "base": base}
+        with ThreadPoolExecutor(1, "drone") as first, ThreadPoolExecutor(1, "base") as second:
+            drivers = {}
+            for (side, link), executor in zip(links.items(), (first, second), strict=True):
+                agent = Agent(
+                    _agent_settings(side), stores[side], random.Random(SIDES[side]), now=clock.now(),
+                    observer=watch if side == "drone" else None, newborn=True,
+                )  # fmt: skip
+                drivers[side] = Driver(agent, [link], None, clock.now, executor)
+            held = drivers["drone"].agent.node.inventory
+            count = watch.left = len(held)
+            spent = time.process_time()
+            begin = time.perf_counter()
+            runs = [asyncio.create_task(driver.run()) for driver in drivers.values()]
+            finished = asyncio.create_task(done.wait())
+            await asyncio.wait([*runs, finished], timeout=GIVE_UP_S, return_when=asyncio.FIRST_COMPLETED)
+            seconds = time.perf_counter() - begin
+            spent = time.process_time() - spent
+            for driver in drivers.values():
+                driver.stop()
+            await asyncio.gather(*runs)
+            if watch.left:
+                raise RuntimeError(f"{watch.left} of {count} data were not handed over")
+            sent = drivers["drone"].agent.node.sent_data
+    return {
+        "per_s": count / seconds,
+        "cpu_us": spent / count * 1e6,
+        "sent": sent / count,
+        **{f"commits_{side}": driver.commits / count for side, driver in drivers.items()},
+    }
+
+
+def hand_over(directory: Path) -> dict[str, float]:
+    """Hand all over that the drone's store in `directory` holds. Figures are for one datum, but `per_s`."""
+    return asyncio.run(_hand_over(directory))
+
+
+def sync_seconds(directory: Path, rounds: int = 50) -> float:
+    """What one small append and fsync costs on this disk, median."""
+    times = []
+    with (directory / "sync").open("wb", buffering=0) as file:
+        for _ in range(rounds):
+            begin = time.perf_counter()
+            file.write(bytes(4096))
+            os.fsync(file.fileno())
+            times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def _traced(directory: Path) -> dict[str, float]:
+    """Syncs a datum on each side, seen by strace."""
+    trace = directory / "trace"
+    strace = ["strace", "-f", "-y", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(trace)]
+    python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory)]
+    root = Path(__file__).resolve().parent.parent
+    done = subprocess.run([*strace, *python], cwd=root, check=True, capture_output=True, text=True)
+    count = json.loads(done.stdout)
+    syncs = Counter(_SYNC.findall(trace.read_text()))
+    return {f"fsyncs_{side}": syncs[side] / count for side in SIDES}
+
+
+def measure(rounds: int, data: int, directory: Path | None = None) -> dict[str, float]:
+    """Medians over the rounds. `directory` decides which disk is measured (None: that of the temporary files)."""
+    results = []
+    syncs: dict[str, float] = {}
+    for turn in range(rounds + 1):
+        with tempfile.TemporaryDirectory(dir=directory) as name:
+            fill(Path(name), data)
+            if turn < rounds:
+                sync_s = sync_seconds(Path(name))
+                one = hand_over(Path(name))
+                results.append({**one, "sync_ms": sync_s * 1e3, "per_sync_time": one["per_s"] * sync_s})
+            elif shutil.which("strace"):
+                syncs = _traced(Path(name))
+    medians = {key: statistics.median(one[key] for one in results) for key in results[0]}
+    return {key: round(value, 4) for key, value in {**medians, **syncs}.items()}
+
+
+def show(result: dict[str, float]) -> None:
+    """Print the table."""
+    print("hand-over between two nodes on SQLite")
+    print(f"  hand-overs a second                  {result['per_s']:>9.0f}")
+    print(f"  one sync of this disk, ms            {result['sync_ms']:>9.2f}")
+    print(f"  hand-overs in the time of one sync   {result['per_sync_time']:>9.1f}")
+    print(f"  processor time a datum, both, us     {result['cpu_us']:>9.0f}")
+    print(f"  sent a datum (1: nothing twice)      {result['sent']:>9.3f}")
+    for what in ("commits", "fsyncs"):
+        for side in SIDES:
+            if f"{what}_{side}" in result:
+                print(f"  {what} a datum, {side:<22}{result[f'{what}_{side}']:>9.4f}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--rounds", type=int, default=5, help="bulks handed over (default: 5)")
+    parser.add_argument("--data", type=int, default=2000, help="data in a bulk (default: 2000)")
+    parser.add_argument("--directory", type=Path, help="where the databases are made (default: temporary files)")
+    parser.add_argument("--traced", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.traced:
+        with _open(options.traced, "drone") as store:
+            count = len(list(store.ids()))
+        hand_over(options.traced)
+        print(count)
+        return
+    result = measure(options.rounds, options.data, options.directory)
+    if options.json:
+        print(json.dumps(result))
+    else:
+        show(result)
+
+
+if __name__ == "__main__":
+    # As a script, the top of the checkout is not on the path.
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    main()

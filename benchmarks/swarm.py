@@ -1,0 +1,199 @@
+"""Robot-steps a second of the mock swarm, and how much dearer a robot-step is among 1,000 nodes than among 100.
+
+    python -m benchmarks.swarm            a table
+    python -m benchmarks.swarm --json     one JSON object
+
+A robot-step is one turn of one node: it hears what its neighbours sent, moves, senses, runs Alg. 1 and sends. The time is
+processor time. Each swarm lives in a process of its own, with the settings of the garbage collector that the product
+has, and is warmed up first. Then the swarms take turns, so that other load on the machine hits all alike, and the
+medians of the rounds are taken.
+
+Larger swarms do more in a robot-step: their data travel farther. `VARIANTS` says what each line holds equal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+SMALL, LARGE = 100, 1000
+
+
+class Variant(NamedTuple):
+    """What is measured at 1,000 nodes, and what it is compared with at 100."""
+
+    meaning: str
+    small: dict[str, Any]
+    """Overrides of the scenario `demo`, for 100 nodes."""
+    large: dict[str, Any]
+    """The same for 1,000 nodes."""
+
+
+def variants() -> dict[str, Variant]:
+    """The lines of the table."""
+    small, large = {"nodes": SMALL}, {"nodes": LARGE}
+    # As many hand-overs in a robot-step: a datum makes so many times as many hops, so it is made so much more rarely.
+    farther = _mean_hops(large) / _mean_hops(small)
+    bases = LARGE // SMALL
+    return {
+        "default": Variant("demo as it is; one corner base, which saturates at 1,000 nodes", small, large),
+        "same load": Variant(
+            f"data made {farther:.1f} times as rarely at 1,000 nodes, for they have so many times as many hops to go",
+            small,
+            {**large, "data.interval_steps": round(10 * farther)},
+        ),
+        "bases in proportion": Variant(f"{bases} bases at 1,000 nodes, side by side", small, {**large, "bases": bases}),
+        "islands of 100": Variant(
+            f"{bases} swarms of 100 beside each other, out of each other's range: 1,000 nodes do what 100 do",
+            {**small, **_islands(1)},
+            {**large, **_islands(bases)},
+        ),
+        "no data": Variant(
+            "beacons only", {**small, "data.interval_steps": 0}, {**large, "data.interval_steps": 0}
+        ),
+    }
+
+
+def _islands(count: int) -> dict[str, Any]:
+    """`count` grids of 100 nodes, each with a base in its corner; bases have the lowest ids."""
+    from rass_mav.swarm.topology import grid
+
+    one = grid(SMALL, 20.0)
+    spots = [[(x + 40.0 * i, y) for x, y in one] for i in range(count)]
+    positions = [spot[0] for spot in spots] + [place for spot in spots for place in spot[1:]]
+    return {
+        "topology": "positions",
+        "mobility.positions": positions,
+        "bases": count,
+        # Three sources for each, where the first grid has its own: here they are fixed.
+        "radiation.sources": [(40.0 * i + x, y, 0.5) for i in range(count) for x, y in ((-2, -2), (0, 2), (3, -1))],
+    }
+
+
+def _mean_hops(options: dict[str, Any]) -> float:
+    from rass_mav.swarm.catalogue import load_scenario
+    from rass_mav.swarm.neighbours import RangeGraph
+    from rass_mav.swarm.topology import grid
+
+    scenario = load_scenario("demo", options)
+    graph = RangeGraph(grid(scenario.nodes, scenario.arena), scenario.radio.range_m)
+    hops = graph.hops_from(range(scenario.bases))[scenario.bases :]
+    return statistics.mean(hop for hop in hops if hop is not None)
+
+
+def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
+    """A process with one swarm. Told a number of steps, it does them and answers with processor seconds and frames."""
+    from rass_mav.commands.common import start_logging
+    from rass_mav.swarm.catalogue import load_scenario
+    from rass_mav.swarm.world import World
+
+    start_logging(0, "error")
+    scenario = load_scenario("demo", options)
+    world = World(scenario)
+    for _ in range(warm_up):
+        world.step()
+    while True:
+        heard = sum(agent.frames_received for agent in world.agents)
+        begin = time.process_time()
+        steps = pipe.recv()
+        if not steps:
+            return
+        for _ in range(steps):
+            world.step()
+        spent = time.process_time() - begin
+        pipe.send((spent, sum(agent.frames_received for agent in world.agents) - heard))
+
+
+def measure(rounds: int, robot_steps: int, warm_up: int, names: Sequence[str] = ()) -> dict[str, dict[str, float]]:
+    """For each variant: robot-steps a second, frames heard in a robot-step, and the ratio of the cost of one.
+
+    `robot_steps`: how many each swarm does in a round. `warm_up`: steps before the first round.
+    """
+    context = multiprocessing.get_context("spawn")
+    chosen = {name: variant for name, variant in variants().items() if not names or name in names}
+    swarms: dict[str, tuple[Connection, int]] = {}
+    children = []
+    for variant in chosen.values():
+        for options in (variant.small, variant.large):
+            key = json.dumps(options)
+            if key not in swarms:
+                here, there = context.Pipe()
+                child = context.Process(target=_swarm, args=(there, options, warm_up), daemon=True)
+                child.start()
+                children.append(child)
+                swarms[key] = here, options["nodes"]
+                # One after the other: two that warm up at the same time would only heat each other's cache.
+                here.send(1)
+                here.recv()
+    costs: dict[str, list[float]] = {key: [] for key in swarms}
+    frames = dict.fromkeys(swarms, 0.0)
+    for _ in range(rounds):
+        for key, (pipe, nodes) in swarms.items():
+            pipe.send(robot_steps // nodes)
+            spent, heard = pipe.recv()
+            done = robot_steps // nodes * nodes
+            costs[key].append(spent / done)
+            frames[key] += heard / done / rounds
+    for pipe, _ in swarms.values():
+        pipe.send(0)
+    for child in children:
+        child.join()
+    results = {}
+    for name, variant in chosen.items():
+        small, large = json.dumps(variant.small), json.dumps(variant.large)
+        results[name] = {
+            "per_s_100": 1.0 / statistics.median(costs[small]),
+            "per_s_1000": 1.0 / statistics.median(costs[large]),
+            "ratio": statistics.median(b / a for a, b in zip(costs[small], costs[large], strict=True)),
+            "heard_100": frames[small],
+            "heard_1000": frames[large],
+            "ratio_a_frame": statistics.median(b / a for a, b in zip(costs[small], costs[large], strict=True))
+            * frames[small]
+            / frames[large],
+        }
+    return {name: {key: round(value, 3) for key, value in result.items()} for name, result in results.items()}
+
+
+def show(results: dict[str, dict[str, float]]) -> None:
+    """Print the table."""
+    head = f"{'':<21} {'robot-steps/s':>17} {'cost':>6}   {'frames heard':>13} {'cost of':>8}"
+    print("mock swarm".ljust(21) + head[21:])
+    print(f"{'':<21} {'100':>8} {'1000':>8} {'ratio':>6}   {'100':>6} {'1000':>6} {'one':>8}")
+    for name, one in results.items():
+        print(
+            f"  {name:<19} {one['per_s_100']:>8.0f} {one['per_s_1000']:>8.0f} {one['ratio']:>6.2f}   "
+            f"{one['heard_100']:>6.1f} {one['heard_1000']:>6.1f} {one['ratio_a_frame']:>8.2f}"
+        )
+    for name, variant in variants().items():
+        if name in results:
+            print(f"  {name}: {variant.meaning}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--rounds", type=int, default=5, help="turns of each swarm (default: 5)")
+    parser.add_argument("--robot-steps", type=int, default=10_000, help="in each turn (default: 10000)")
+    parser.add_argument("--warm-up", type=int, default=50, help="steps before the first turn (default: 50)")
+    parser.add_argument("--only", action="append", default=[], metavar="LINE", help="only this line of the table")
+    options = parser.parse_args(arguments)
+    results = measure(options.rounds, options.robot_steps, options.warm_up, options.only)
+    if options.json:
+        print(json.dumps(results))
+    else:
+        show(results)
+
+
+if __name__ == "__main__":
+    # As a script, the top of the checkout is not on the path.
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    main()
