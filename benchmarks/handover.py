@@ -37,12 +37,14 @@ SIDES = {"drone": 1, "base": 2}
 STEP_S = 0.02
 PAYLOAD_BYTES = 60
 #: Data that may leave in a step: more than a step has time for, and fewer frames than a link queues.
-BANDWIDTH = 200
+BANDWIDTH = 100
 GIVE_UP_S = 120.0
+#: How many held data the drone verifies in a step: the default verifies all, which costs a read of each.
+SCRUBS = {"scrub all": None, "scrub 50": 50}
 _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 
-def _agent_settings(side: str) -> Any:
+def _agent_settings(side: str, scrub_items: int | None) -> Any:
     from rass_mav.agent.settings import CustodySettings, DataSettings, StoreSettings
     from rass_mav.app.config import NodeSection, RunConfig
 
@@ -50,7 +52,7 @@ def _agent_settings(side: str) -> Any:
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),
         # An answer waits for the other's disk: it is not missed before a second has passed.
         custody=CustodySettings(receipts=False, retry_steps=round(1.0 / STEP_S)),
-        store=StoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH),
+        store=StoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
         data=DataSettings(interval_steps=0),
     ).agent_settings()
 
@@ -72,7 +74,7 @@ def fill(directory: Path, count: int) -> None:
             store.put(make_datum(id, 0, 0.0, generator.randbytes(PAYLOAD_BYTES)))
 
 
-async def _hand_over(directory: Path) -> dict[str, float]:
+async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, float]:
     from rass_mav.agent.agent import Agent
     from rass_mav.app.clock import Clock
     from rass_mav.app.driver import Driver
@@ -102,7 +104,7 @@ async def _hand_over(directory: Path) -> dict[str, float]:
             drivers = {}
             for (side, link), executor in zip(links.items(), (first, second), strict=True):
                 agent = Agent(
-                    _agent_settings(side), stores[side], random.Random(SIDES[side]), now=clock.now(),
+                    _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
                     observer=watch if side == "drone" else None, newborn=True,
                 )  # fmt: skip
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
@@ -129,9 +131,9 @@ async def _hand_over(directory: Path) -> dict[str, float]:
     }
 
 
-def hand_over(directory: Path) -> dict[str, float]:
+def hand_over(directory: Path, scrub_items: int | None) -> dict[str, float]:
     """Hand all over that the drone's store in `directory` holds. Figures are for one datum, but `per_s`."""
-    return asyncio.run(_hand_over(directory))
+    return asyncio.run(_hand_over(directory, scrub_items))
 
 
 def sync_seconds(directory: Path, rounds: int = 50) -> float:
@@ -146,11 +148,11 @@ def sync_seconds(directory: Path, rounds: int = 50) -> float:
     return statistics.median(times)
 
 
-def _traced(directory: Path) -> dict[str, float]:
+def _traced(directory: Path, scrub_items: int | None) -> dict[str, float]:
     """Syncs a datum on each side, seen by strace."""
     trace = directory / "trace"
     strace = ["strace", "-f", "-y", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(trace)]
-    python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory)]
+    python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory), "--scrub", str(scrub_items or 0)]
     root = Path(__file__).resolve().parent.parent
     done = subprocess.run([*strace, *python], cwd=root, check=True, capture_output=True, text=True)
     count = json.loads(done.stdout)
@@ -158,8 +160,15 @@ def _traced(directory: Path) -> dict[str, float]:
     return {f"fsyncs_{side}": syncs[side] / count for side in SIDES}
 
 
-def measure(rounds: int, data: int, directory: Path | None = None) -> dict[str, float]:
-    """Medians over the rounds. `directory` decides which disk is measured (None: that of the temporary files)."""
+def measure(rounds: int, data: int, directory: Path | None = None) -> dict[str, dict[str, float]]:
+    """For each value of `store.scrub_items`, medians over the rounds.
+
+    `directory` decides which disk is measured (None: that of the temporary files).
+    """
+    return {name: _measure(rounds, data, directory, items) for name, items in SCRUBS.items()}
+
+
+def _measure(rounds: int, data: int, directory: Path | None, scrub_items: int | None) -> dict[str, float]:
     results = []
     syncs: dict[str, float] = {}
     for turn in range(rounds + 1):
@@ -167,26 +176,34 @@ def measure(rounds: int, data: int, directory: Path | None = None) -> dict[str, 
             fill(Path(name), data)
             if turn < rounds:
                 sync_s = sync_seconds(Path(name))
-                one = hand_over(Path(name))
+                one = hand_over(Path(name), scrub_items)
                 results.append({**one, "sync_ms": sync_s * 1e3, "per_sync_time": one["per_s"] * sync_s})
             elif shutil.which("strace"):
-                syncs = _traced(Path(name))
+                syncs = _traced(Path(name), scrub_items)
     medians = {key: statistics.median(one[key] for one in results) for key in results[0]}
     return {key: round(value, 4) for key, value in {**medians, **syncs}.items()}
 
 
-def show(result: dict[str, float]) -> None:
+#: Key of the result -> how it is shown.
+_LINES = {
+    "per_s": "hand-overs a second",
+    "sync_ms": "one sync of this disk, ms",
+    "per_sync_time": "hand-overs in the time of one sync",
+    "cpu_us": "processor time a datum, both nodes, us",
+    "sent": "sendings a datum",
+    "commits_drone": "commits a datum, drone",
+    "commits_base": "commits a datum, base",
+    "fsyncs_drone": "fsyncs a datum, drone",
+    "fsyncs_base": "fsyncs a datum, base",
+}
+
+
+def show(results: dict[str, dict[str, float]]) -> None:
     """Print the table."""
-    print("hand-over between two nodes on SQLite")
-    print(f"  hand-overs a second                  {result['per_s']:>9.0f}")
-    print(f"  one sync of this disk, ms            {result['sync_ms']:>9.2f}")
-    print(f"  hand-overs in the time of one sync   {result['per_sync_time']:>9.1f}")
-    print(f"  processor time a datum, both, us     {result['cpu_us']:>9.0f}")
-    print(f"  sent a datum (1: nothing twice)      {result['sent']:>9.3f}")
-    for what in ("commits", "fsyncs"):
-        for side in SIDES:
-            if f"{what}_{side}" in result:
-                print(f"  {what} a datum, {side:<22}{result[f'{what}_{side}']:>9.4f}")
+    print(f"{'hand-over on SQLite':<42}" + "".join(f"{name:>14}" for name in results))
+    for key, line in _LINES.items():
+        if all(key in result for result in results.values()):
+            print(f"  {line:<40}" + "".join(f"{result[key]:>14.4g}" for result in results.values()))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -197,11 +214,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--data", type=int, default=2000, help="data in a bulk (default: 2000)")
     parser.add_argument("--directory", type=Path, help="where the databases are made (default: temporary files)")
     parser.add_argument("--traced", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--scrub", type=int, default=0, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.traced:
         with _open(options.traced, "drone") as store:
             count = len(list(store.ids()))
-        hand_over(options.traced)
+        hand_over(options.traced, options.scrub or None)
         print(count)
         return
     result = measure(options.rounds, options.data, options.directory)

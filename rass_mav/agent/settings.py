@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
@@ -154,6 +154,25 @@ class MavlinkSettings(Section, frozen=True):
     """Name of the NAMED_VALUE_FLOAT that carries the reading."""
 
 
+class Sections(Protocol):
+    """What a `run` configuration, a scenario and a replay have in common."""
+
+    @property
+    def policy(self) -> PolicySettings: ...
+    @property
+    def risk(self) -> RiskSettings: ...
+    @property
+    def routing(self) -> RoutingSettings: ...
+    @property
+    def custody(self) -> CustodySettings: ...
+    @property
+    def store(self) -> StoreSettings: ...
+    @property
+    def data(self) -> DataSettings: ...
+    @property
+    def mavlink(self) -> MavlinkSettings: ...
+
+
 class AgentSettings(Section, frozen=True):
     """All of one node."""
 
@@ -167,6 +186,31 @@ class AgentSettings(Section, frozen=True):
     store: StoreSettings
     data: DataSettings
     mavlink: MavlinkSettings
+
+    @classmethod
+    def of(
+        cls,
+        sections: Sections,
+        *,
+        node_id: int,
+        base: bool,
+        step_s: float,
+        data: DataSettings | None = None,
+        mavlink: MavlinkSettings | None = None,
+    ) -> AgentSettings:
+        """One node's share of a configuration; `data` and `mavlink` instead of its own sections, if given."""
+        return cls(
+            node_id=node_id,
+            base=base,
+            step_s=step_s,
+            policy=sections.policy,
+            risk=sections.risk,
+            routing=sections.routing,
+            custody=sections.custody,
+            store=sections.store,
+            data=data or sections.data,
+            mavlink=mavlink or sections.mavlink,
+        )
 
     def node_settings(self) -> NodeSettings:
         """What core needs of it."""

@@ -158,18 +158,7 @@ class RunConfig(Section, frozen=True):
 
     def agent_settings(self) -> AgentSettings:
         """What the agent needs of it."""
-        return AgentSettings(
-            node_id=self.node_id,
-            base=self.base,
-            step_s=self.node.step_s,
-            policy=self.policy,
-            risk=self.risk,
-            routing=self.routing,
-            custody=self.custody,
-            store=self.store,
-            data=self.data,
-            mavlink=self.mavlink,
-        )
+        return AgentSettings.of(self, node_id=self.node_id, base=self.base, step_s=self.node.step_s)
 
     def check(self) -> None:
         """Raise `ConfigError` for what no single key can say."""

@@ -74,15 +74,11 @@ class ReplaySettings(Section, frozen=True):
         :param steps: no new data from this step on.
         """
         until = self.data.until_step
-        return AgentSettings(
+        return AgentSettings.of(
+            self,
             node_id=node_id,
             base=system_id is None,
             step_s=self.node.step_s,
-            policy=self.policy,
-            risk=self.risk,
-            routing=self.routing,
-            custody=self.custody,
-            store=self.store,
             data=msgspec.structs.replace(self.data, until_step=steps if until is None else min(until, steps)),
             mavlink=msgspec.structs.replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
         )

@@ -48,4 +48,11 @@ def load_scenario(name: str, options: dict[str, Any] | None = None, assignments:
         place[last] = value
     for assignment in assignments:
         set_key(raw, assignment)
-    return convert(raw, Scenario, path.name)
+    scenario = convert(raw, Scenario, path.name)
+    try:
+        settings = scenario.agent_settings(0)
+        settings.node_settings()
+        settings.policy.make()
+    except ConfigError as error:
+        raise ConfigError(f"{path.name}: {error}") from None
+    return scenario

@@ -139,17 +139,8 @@ class Scenario(Section, frozen=True):
     def agent_settings(self, node_id: int) -> AgentSettings:
         """The settings of one node."""
         mavlink = msgspec.structs.replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
-        return AgentSettings(
-            node_id=node_id,
-            base=node_id < self.bases,
-            step_s=self.node.step_s,
-            policy=self.policy,
-            risk=self.risk,
-            routing=self.routing,
-            custody=self.custody,
-            store=self.store,
-            data=self.data,
-            mavlink=mavlink,
+        return AgentSettings.of(
+            self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, mavlink=mavlink
         )
 
 

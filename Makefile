@@ -1,0 +1,52 @@
+# Needs Python 3.10 or newer, git and make; everything else goes into a virtual environment of its own.
+#
+#   make          the environment in .venv, from requirements.lock, with this checkout installed in it
+#   make demo     a mock swarm of 100 nodes, and what became of its data
+#   make test     the tests
+#   make lint     ruff and mypy
+#   make bench    the benchmarks
+#   make clean    removes .venv and what the tools left behind
+#
+# Another interpreter: make PYTHON=python3.12. Another place for the environment: make VENV=/some/where.
+
+PYTHON ?= python3
+VENV ?= .venv
+# Tests that run at the same time.
+JOBS ?= 2
+
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+
+.PHONY: install demo test lint bench clean
+.DELETE_ON_ERROR:
+
+install: $(READY)
+
+# A file inside the environment says that it is complete, so it is made anew only when what it is made from changes.
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+		{ echo 'Python 3.10 or newer is needed: make PYTHON=python3.12' >&2; exit 1; }
+	@echo 'Making $(VENV) (once, about a minute) ...'
+	@if [ -e '$(VENV)/pyvenv.cfg' ]; then rm -rf '$(VENV)'; fi
+	@$(PYTHON) -m venv '$(VENV)' || { echo 'On Debian and Ubuntu: sudo apt install python3-venv' >&2; exit 1; }
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch '$(READY)'
+
+demo: $(READY)
+	@$(BIN)/rass-mav swarm
+
+test: $(READY)
+	@$(BIN)/python -m pytest -n $(JOBS)
+
+lint: $(READY)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+bench: $(READY)
+	@$(BIN)/python -m benchmarks
+
+clean:
+	rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

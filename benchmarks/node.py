@@ -1,0 +1,135 @@
+"""How long a drone node takes to start, and how much memory it needs, against bare Python.
+
+    python -m benchmarks.node            a table
+    python -m benchmarks.node --json     one JSON object
+
+The node is `python -m rass_mav run` with a UDP link, an autopilot port and a new store; it is ready when it says so.
+Bare Python is the same interpreter that says a word and waits. `dialect` is bare Python that has imported pymavlink's
+common dialect: the part of the node's memory that is not ours. All are started in turns. Memory is read some steps
+after the start, from /proc (Linux only): RSS is all that is resident, shared libraries included; PSS divides what is
+shared among those who share it; USS is what would be freed if the process ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+STEP_S = 0.1
+DEADLINE_S = 30.0
+#: Resident memory, KiB: field of /proc/PID/smaps_rollup. USS is the sum of the two private fields.
+_FIELDS = {"Rss": "rss", "Pss": "pss", "Private_Clean": "uss", "Private_Dirty": "uss"}
+_WAIT = "print('ready', flush=True); input()"
+
+BARE = {
+    "bare": [sys.executable, "-c", _WAIT],
+    "dialect": [sys.executable, "-c", f"from pymavlink.dialects.v20 import common; {_WAIT}"],
+}
+
+
+def memory(pid: int) -> dict[str, float]:
+    """`rss`, `pss` and `uss` of a process in MiB."""
+    found = {"rss": 0.0, "pss": 0.0, "uss": 0.0}
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+        name, _, rest = line.partition(":")
+        if name in _FIELDS:
+            found[_FIELDS[name]] += int(rest.split()[0]) / 1024
+    return found
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for one in sockets:
+        one.bind(("127.0.0.1", 0))
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+def _config() -> dict[str, Any]:
+    link, peer, autopilot = _free_ports(3)
+    return {
+        "node": {"id": 1, "step_s": STEP_S},
+        "autopilot": {"url": f"udpin:127.0.0.1:{autopilot}"},
+        "links": [{"listen": f"127.0.0.1:{link}", "peers": [{"address": f"127.0.0.1:{peer}", "id": 0}]}],
+    }
+
+
+def start(command: list[str], directory: Path, settle_s: float) -> dict[str, float]:
+    """Start a process, wait until it is ready, measure it after `settle_s` seconds more, and stop it."""
+    # The environment of a user who has installed the package, whose bytecode is compiled: it is after the first start.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    begin = time.perf_counter()
+    with subprocess.Popen(
+        command, cwd=directory, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stdout is not None
+            ready, _, _ = select.select([process.stdout], [], [], DEADLINE_S)
+            seconds = time.perf_counter() - begin
+            if not ready or not process.stdout.readline():
+                raise RuntimeError(f"{command} did not start")
+            time.sleep(settle_s)
+            return {"start_ms": seconds * 1e3, **memory(process.pid)}
+        finally:
+            process.terminate()
+
+
+def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
+    """Medians of each kind of process, and what the node takes more than bare Python."""
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in (*BARE, "node")}
+    # The first round only compiles and fills the disk's cache.
+    for turn in range(rounds + 1):
+        with tempfile.TemporaryDirectory() as name:
+            directory = Path(name)
+            (directory / "drone.yaml").write_text(json.dumps(_config()))  # JSON is YAML too
+            node = [sys.executable, "-m", "rass_mav", "run", "drone.yaml", "--json"]
+            for kind, command in {**BARE, "node": node}.items():
+                one = start(command, directory, settle_s)
+                if turn:
+                    found[kind].append(one)
+    results = {
+        kind: {key: round(statistics.median(one[key] for one in turns), 2) for key in turns[0]}
+        for kind, turns in found.items()
+    }
+    for kind in ("dialect", "node"):
+        results[f"{kind} - bare"] = {key: round(value - results["bare"][key], 2) for key, value in results[kind].items()}
+    return results
+
+
+def show(results: dict[str, dict[str, float]]) -> None:
+    """Print the table."""
+    print(f"{'drone node':<24} {'start, ms':>10} {'RSS, MiB':>9} {'PSS, MiB':>9} {'USS, MiB':>9}")
+    for kind, one in results.items():
+        print(f"  {kind:<22} {one['start_ms']:>10.0f} {one['rss']:>9.1f} {one['pss']:>9.1f} {one['uss']:>9.1f}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--rounds", type=int, default=5, help="starts of each (default: 5)")
+    parser.add_argument("--settle", type=float, default=2.0, help="seconds from ready to the measurement (default: 2)")
+    options = parser.parse_args(arguments)
+    results = measure(options.rounds, options.settle)
+    if options.json:
+        print(json.dumps(results))
+    else:
+        show(results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""tools/explain_frame.py: whole frames, payloads, and what is neither."""
+
+from __future__ import annotations
+
+import io
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.core.datum import DatumId, Kind, make_datum
+from rass_mav.core.messages import Data, Handover
+from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.signing import Signer
+from rass_mav.wire import decode, encode
+from rass_mav.wire.measurement import Measurement, encode_measurement
+from tools.explain_frame import UnreadableError, explain_frames, explain_payload, from_hex, main
+
+ROOT = Path(__file__).parents[1]
+PROTOCOL = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").split("## Golden vectors")[1]
+GOLDEN = {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f]+)` \|", PROTOCOL, re.M)}
+ACCEPT = GOLDEN["accept"]
+
+
+def frame(payload: bytes, payload_type: int = 33200) -> bytes:
+    return FrameWriter(7, 191).tunnel(payload, payload_type=payload_type)
+
+
+def explained(data: bytes, payload_type: int = 33200) -> dict[str, str]:
+    """Last value of each field."""
+    return fields(explain_frames(data, payload_type))
+
+
+def fields(lines: object) -> dict[str, str]:
+    found = [re.fullmatch(r"\s+(\S.*?)\s{2,}(\S.*)|\s+(\S+) (\S.*)", text) for text in lines]  # type: ignore[attr-defined]
+    return {(m[1] or m[3]): (m[2] or m[4]) for m in found if m}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None:
+    text = list(explain_payload(GOLDEN[name]))
+    message = decode(GOLDEN[name], 0.0)
+    assert text[0].startswith(name.split("-")[0].capitalize())
+    assert f"type {GOLDEN[name][0] & 15}, version 1" in text[0]
+    on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) != ("chunk", "target")]
+    shown = [line.split()[0] for line in text[1:] if line.startswith("  ") and line[2] != " "]
+    assert shown == ["age" if f == "created" else f for f in on_the_wire]
+
+
+def test_a_whole_frame() -> None:
+    data = frame(ACCEPT)
+    text = "\n".join(explain_frames(data, 33200))
+    assert text.startswith(f"MAVLink 2 frame, {len(data)} bytes")
+    found = explained(data)
+    assert found["system id"] == "7"
+    assert found["component id"] == "191"
+    assert found["message id"] == "385  (TUNNEL)"
+    assert found["checksum"] == f"0x{data[-1]:02x}{data[-2]:02x}  (good)"
+    assert found["payload_length"] == str(len(ACCEPT))
+    assert found["number"] == "01020305"
+    assert found["handle"] == "a1b2"
+
+
+def test_meanings_are_told_beside_the_numbers() -> None:
+    beacon = fields(explain_payload(GOLDEN["beacon-drone"]))
+    assert beacon["risk"] == "16384  (0.250)"
+    assert beacon["potential"] == "8388608  (fitness 0.500000)"
+    assert fields(explain_payload(GOLDEN["beacon-base"]))["flags"] == "1  (base)"
+    assert fields(explain_payload(GOLDEN["beacon-request"]))["hops"] == "255  (no route)"
+    assert fields(explain_payload(GOLDEN["sack"]))["bitmap"] == "5  (and 11, 13)"
+    assert fields(explain_payload(GOLDEN["loss-note"]))["reason"] == "1  (corrupted)"
+
+
+def test_a_measurement_is_taken_apart_and_its_checksum_is_checked() -> None:
+    payload = encode_measurement(Measurement(47.5, 8.25, 412.5, 0.75, 1.0))
+    datum = make_datum(DatumId(7, 0xABCD, 4), Kind.MEASUREMENT, -3.0, payload)
+    (wire,) = encode(Data(7, 8, (Handover(1, datum),)), 0.0)
+    found = fields(explain_payload(wire))
+    assert found["latitude"] == "47.5  (degrees)"
+    assert found["altitude"] == "412.5  (metres above mean sea level)"
+    assert found["reading"] == "0.75"
+    assert found["age"] == "3.000 s"
+    assert found["crc"].endswith("(good)")
+    (wire,) = encode(Data(7, 8, (Handover(1, datum._replace(crc=datum.crc ^ 1)),)), 0.0)
+    damaged = fields(explain_payload(wire))
+    assert "BAD" in damaged["crc"]
+    assert "latitude" not in damaged
+
+
+def test_a_signed_frame() -> None:
+    data = FrameWriter(7, 191, Signer(bytes(32), 3, 1_000_000)).tunnel(ACCEPT, payload_type=33200)
+    found = explained(data)
+    assert found["incompatibility flags"] == "0x01  (signed)"
+    assert found["signature link id"] == "3"
+    assert found["signature"].startswith(data[-6:].hex())
+    assert found["handle"] == "a1b2"
+
+
+def test_other_messages_are_named_field_by_field() -> None:
+    writer = FrameWriter(7, 1)
+    found = explained(writer.message(common.MAVLink_named_value_float_message(5, b"RAD", 1.5)))
+    assert (found["name"], found["value"], found["time_boot_ms"]) == ("'RAD'", "1.5", "5")
+    # Text in the middle of the wire, then fields of an extension.
+    found = explained(writer.message(common.MAVLink_statustext_message(4, b"all well", 9, 2)))
+    assert (found["severity"], found["text"], found["id"], found["chunk_seq"]) == ("4", "'all well'", "9", "2")
+    speeds = list(range(8))
+    version = common.MAVLink_autopilot_version_message(5, 1, 2, 3, 4, speeds, [7] * 8, [0] * 8, 11, 12, 13)
+    found = explained(writer.message(version))
+    assert found["flight_custom_version"] == str(tuple(speeds))
+    assert (found["vendor_id"], found["uid"]) == ("11", "13")
+
+
+def test_mavlink_1() -> None:
+    mav = common.MAVLink(None, 9, 1)
+    mav.mavlink20 = lambda: False
+    heartbeat = mav.heartbeat_encode(2, 3, 81, 0, 4).pack(mav, force_mavlink1=True)
+    found = explained(heartbeat)
+    assert found["message id"] == "0  (HEARTBEAT)"
+    assert found["checksum"].endswith("(good)")
+    assert found["system id"] == "9"
+
+
+def test_another_payload_type_is_not_ours() -> None:
+    found = explained(frame(ACCEPT, 211))
+    assert found["payload_type"] == "211  (not ours, which is 33200)"
+    assert found["payload"] == ACCEPT.hex()
+    assert explained(frame(ACCEPT, 40000), payload_type=40000)["handle"] == "a1b2"
+
+
+def test_frames_follow_each_other_and_spaces_do_not_matter(capsys: pytest.CaptureFixture[str]) -> None:
+    two = frame(ACCEPT) + frame(GOLDEN["sack"])
+    assert main([two.hex(" ")]) == 0
+    first = capsys.readouterr().out
+    assert first.count("MAVLink 2 frame") == 2
+    assert main([two[:5].hex(":"), "0x" + two[5:].hex()]) == 0
+    assert capsys.readouterr().out == first
+
+
+def test_from_stdin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(ACCEPT.hex() + "\n"))
+    assert main(["--payload"]) == 0
+    assert capsys.readouterr().out.startswith("Accept")
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        (["hello"], "not hex: 'h'"),
+        ([""], "no hex digits"),
+        (["fd0"], "half a byte"),
+        (["0102030405"], "no MAVLink frame"),
+        (["fd05"], "cut off"),
+        ([frame(ACCEPT).hex()[:-6]], "cut off"),
+        (["fd00" + "80" + frame(ACCEPT).hex()[6:]], "incompatibility flags"),
+        ([frame(ACCEPT).hex() + "00"], "no MAVLink frame"),
+        ([frame(b"\x1f").hex()], "type 15 is not known"),
+        (["--payload", "2402"], "version 2, ours is 1"),
+        (["--payload", "1402"], "truncated"),
+    ],
+)
+def test_garbage_is_one_line_and_exit_code_1(given: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(given) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert reason in said
+
+
+def test_a_wrong_checksum_is_told_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(frame(ACCEPT))
+    data[15] ^= 0x40
+    assert main([data.hex()]) == 1
+    output = capsys.readouterr()
+    assert "BAD, should be" in output.out
+    assert "the checksum is wrong" in output.err
+
+
+@given(st.binary(max_size=300), st.booleans())
+def test_any_bytes_are_explained_or_refused(data: bytes, whole: bool) -> None:
+    try:
+        lines = list(explain_frames(data, 33200) if whole else explain_payload(data))
+    except UnreadableError:
+        return
+    assert lines or not data
+
+
+@given(st.binary(min_size=1))
+def test_hex_in_any_spelling(data: bytes) -> None:
+    assert from_hex(data.hex()) == from_hex(data.hex(", ").upper()) == data
+
+
+def test_as_a_program() -> None:
+    command = [sys.executable, str(ROOT / "tools" / "explain_frame.py"), "--payload"]
+    environment = {"PYTHONPATH": str(ROOT), "PATH": ""}
+    good = subprocess.run([*command, ACCEPT.hex()], env=environment, capture_output=True, text=True, timeout=60)
+    assert (good.returncode, good.stderr) == (0, "")
+    shown = (ROOT / "tools" / "README.md").read_text(encoding="utf-8").split("prints:")[1]
+    example = "\n".join(line[4:] for line in shown.splitlines() if line.startswith("    "))
+    assert good.stdout.rstrip() == example
+    bad = subprocess.run([*command, "ff"], env=environment, capture_output=True, text=True, timeout=60)
+    assert (bad.returncode, bad.stdout, len(bad.stderr.splitlines())) == (1, "", 1)

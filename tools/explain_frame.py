@@ -1,0 +1,295 @@
+"""Explains MAVLink frames that are given in hex: every field of the frame, of TUNNEL, and of a rass_mav message.
+
+    python tools/explain_frame.py fd29...              one frame or several, one behind the other
+    python tools/explain_frame.py --payload 110300...  just the payload of a TUNNEL message
+    xxd -p air.bin | python tools/explain_frame.py     from stdin
+
+Exit codes: 0 all is well, 1 something is damaged or no frame at all, 2 bad usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rass_mav.core.datum import Datum, DatumId, Kind
+from rass_mav.core.errors import MalformedError
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Message
+from rass_mav.mavlink.crc import crc16
+from rass_mav.mavlink.dialect import FORMATS, common
+from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
+from rass_mav.mavlink.signing import SIGNATURE_SIZE
+from rass_mav.mavlink.tunnel import decode_tunnel
+from rass_mav.wire import decode
+from rass_mav.wire.measurement import decode_measurement
+
+#: payload_type of our TUNNEL messages unless a node is told otherwise.
+PAYLOAD_TYPE = 33200
+
+_LOSS_REASONS = {1: "corrupted", 2: "expired", 3: "overflow"}
+#: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
+_HEX = {"epoch": 8, "base_epoch": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
+
+
+class UnreadableError(Exception):
+    """The bytes cannot be explained; the text says why."""
+
+
+def line(name: str, value: object, note: str = "", *, depth: int = 1) -> str:
+    """One field."""
+    return f"{'  ' * depth}{name:<{26 - 2 * depth}} {value}{f'  ({note})' if note else ''}"
+
+
+def from_hex(text: str) -> bytes:
+    """Bytes from hex digits; spaces, commas, colons and 0x between them do not matter. Raises `UnreadableError`."""
+    digits = re.sub(r"0x|\\x|[\s,:]", "", text, flags=re.I)
+    wrong = re.search(r"[^0-9a-f]", digits, re.I)
+    if wrong:
+        raise UnreadableError(f"not hex: {wrong[0]!r}")
+    if not digits:
+        raise UnreadableError("no hex digits given")
+    if len(digits) % 2:
+        raise UnreadableError(f"{len(digits)} hex digits: half a byte is missing")
+    return bytes.fromhex(digits)
+
+
+def explain_frames(data: bytes, payload_type: int) -> Iterator[str]:
+    """Lines about the frames that follow each other in `data`. Raises `UnreadableError` at what is none.
+
+    A frame whose checksum is wrong is shown as far as its header goes, and ends the explanation.
+    """
+    start = 0
+    while start < len(data):
+        if start:
+            yield ""
+        start += yield from _explain_frame(data[start:], payload_type)
+
+
+def _explain_frame(data: bytes, payload_type: int) -> Iterator[str]:
+    """Lines about the frame at the start of `data`; returns its length."""
+    magic = data[0]
+    if magic not in (MAGIC_V1, MAGIC_V2):
+        raise UnreadableError(f"no MAVLink frame: it starts with {magic:#04x}, not with 0xfd (MAVLink 2) or 0xfe (1)")
+    second = magic == MAGIC_V2
+    header = 10 if second else 6
+    if len(data) < header:
+        raise UnreadableError(f"the frame is cut off: {len(data)} of {header} bytes of its header")
+    size = data[1]
+    signed = second and bool(data[2] & FLAG_SIGNED)
+    length = header + size + 2 + (SIGNATURE_SIZE if signed else 0)
+    message_id = int.from_bytes(data[7:10], "little") if second else data[5]
+    definition = common.mavlink_map.get(message_id)
+    yield f"MAVLink {2 if second else 1} frame, {length} bytes"
+    yield line("payload length", size)
+    if second:
+        yield line(
+            "incompatibility flags", f"{data[2]:#04x}", "signed" if signed else "unsigned" if not data[2] else ""
+        )
+        yield line("compatibility flags", f"{data[3]:#04x}")
+    sequence, system, component = data[4:7] if second else data[2:5]
+    yield line("sequence", sequence)
+    yield line("system id", system)
+    yield line("component id", component)
+    yield line("message id", message_id, "not in the common dialect" if definition is None else definition.msgname)
+    if second and data[2] & ~FLAG_SIGNED:
+        raise UnreadableError("the frame has incompatibility flags that nobody knows")
+    if len(data) < length:
+        raise UnreadableError(f"the frame is cut off: {len(data)} of {length} bytes")
+    end = header + size
+    checksum = int.from_bytes(data[end : end + 2], "little")
+    if definition is None:
+        yield line("checksum", f"{checksum:#06x}", "cannot be checked without knowing the message")
+        yield line("payload", data[header:end].hex())
+        return length
+    expected = crc16(data[1:end] + FORMATS[message_id].crc_extra)
+    yield line("checksum", f"{checksum:#06x}", "good" if checksum == expected else f"BAD, should be {expected:#06x}")
+    if signed:
+        signature = data[end + 2 : length]
+        ticks = int.from_bytes(signature[1:7], "little")
+        yield line("signature link id", signature[0])
+        yield line("signature timestamp", ticks, f"{ticks / 1e5:.5f} s since 2015-01-01 UTC")
+        yield line("signature", signature[7:].hex(), "not checked: that needs the key")
+    if checksum != expected:
+        raise UnreadableError("the checksum is wrong: the bytes are damaged, or the sender knows another dialect")
+    if message_id == TUNNEL_ID:
+        yield from _explain_tunnel(data[header:end], payload_type)
+    else:
+        yield definition.msgname
+        # MAVLink 2 trims zeros; and it allows fields behind those that we know.
+        whole = data[header:end].ljust(definition.unpacker.size, b"\0")
+        for name, value in _in_order(definition, definition.unpacker.unpack_from(whole)):
+            yield line(name, _shown(value))
+    return length
+
+
+def _in_order(definition: Any, values: tuple[Any, ...]) -> Iterator[tuple[str, Any]]:
+    """Names and values of a message's fields in its own order; `values`: in that of the wire, arrays laid flat."""
+    for name, place in zip(definition.fieldnames, definition.orders, strict=True):
+        start, count = sum(definition.lengths[:place]), definition.lengths[place]
+        yield name, values[start] if count == 1 else values[start : start + count]
+
+
+def _shown(value: Any) -> str:
+    return repr(value.rstrip(b"\0").decode("utf-8", "replace")) if isinstance(value, bytes) else str(value)
+
+
+def _explain_tunnel(wire: bytes, payload_type: int) -> Iterator[str]:
+    try:
+        fields = decode_tunnel(wire)
+    except MalformedError as error:
+        raise UnreadableError(str(error)) from None
+    ours = fields.payload_type == payload_type
+    yield "TUNNEL"
+    yield line("target_system", fields.target_system, "everybody" if not fields.target_system else "")
+    yield line("target_component", fields.target_component, "everybody" if not fields.target_component else "")
+    yield line("payload_type", fields.payload_type, "rass_mav" if ours else f"not ours, which is {payload_type}")
+    yield line("payload_length", len(fields.payload))
+    if ours:
+        yield from explain_payload(fields.payload)
+    else:
+        yield line("payload", fields.payload.hex())
+
+
+def explain_payload(payload: bytes) -> Iterator[str]:
+    """Lines about a TUNNEL payload of ours (docs/protocol.md). Raises `UnreadableError`."""
+    try:
+        # At time 0, so that the moment of creation is minus the age.
+        message = decode(payload, 0.0)
+    except MalformedError as error:
+        raise UnreadableError(f"no rass_mav message: {error}") from None
+    assert message is not None
+    yield f"{_title(message)} (type {payload[0] & 15}, version {payload[0] >> 4}), {len(payload)} bytes"
+    yield from _fields(message, 1)
+
+
+def _title(message: Message) -> str:
+    words: str = re.sub(r"(?<=[a-z])([A-Z])", r" \1", type(message).__name__).lower()
+    return words.capitalize()
+
+
+def _fields(record: Any, depth: int) -> Iterator[str]:
+    """Every field of a message or a part of one."""
+    for name, value in zip(record._fields, record, strict=True):
+        if name == "target" and type(record).__name__ == "Chunk":
+            continue  # not on the wire
+        yield from _field(record, name, value, depth)
+
+
+def _field(record: Any, name: str, value: Any, depth: int) -> Iterator[str]:
+    if isinstance(value, DatumId):
+        yield line(name, value, "origin-epoch-sequence", depth=depth)
+    elif isinstance(value, Datum):
+        yield line(name, "", depth=depth).rstrip()
+        yield from _fields(value, depth + 1)
+        if value.kind == Kind.MEASUREMENT and value.intact:
+            yield from _measurement(value.payload, depth + 1)
+    elif isinstance(value, bytes):
+        yield line(name, f"{value.hex()}", f"{len(value)} bytes: {value!r}"[:60], depth=depth)
+    elif isinstance(value, tuple):
+        yield line(name, len(value), depth=depth)
+        for one in value:
+            if isinstance(one, int):
+                yield line("", f"{one:08x}", depth=depth + 1)
+            elif not hasattr(one, "_fields"):
+                yield line("", f"{one[0]:08x}", f"CRC of the datum {one[1]:08x}", depth=depth + 1)
+            elif isinstance(one, DatumId):
+                yield line("", one, depth=depth + 1)
+            else:
+                yield f"{'  ' * (depth + 1)}{type(one).__name__}"
+                yield from _fields(one, depth + 2)
+    elif name == "created":
+        yield line("age", f"{-value:.3f} s", depth=depth)
+    else:
+        shown = f"{value:0{_HEX[name]}x}" if name in _HEX and _is_hex(record, name) else str(value)
+        yield line(name, shown, _note(record, name, value), depth=depth)
+
+
+def _is_hex(record: Any, name: str) -> bool:
+    # A beacon's number counts; a hand-over's is drawn.
+    return name != "number" or type(record).__name__ != "Beacon"
+
+
+def _note(record: Any, name: str, value: int) -> str:
+    """What a number means, where that is not plain."""
+    kind = type(record).__name__
+    if name == "target" and value == BROADCAST:
+        return "everybody"
+    if name == "flags":
+        words = {BEACON_BASE: "base", BEACON_WANTED: "wants a newer announcement"}
+        return ", ".join(word for bit, word in words.items() if value & bit) or "none"
+    if name == "hops" and kind == "Beacon":
+        return "no route" if value == NO_ROUTE else "to that base"
+    if name in ("base", "base_epoch", "route_number") and kind == "Beacon" and record.hops == NO_ROUTE:
+        return "no route"
+    if name == "risk":
+        return f"{value / 65535:.3f}"
+    if name == "free":
+        return "no bound" if value == UNBOUNDED_FREE else "items"
+    if name == "potential":
+        return "a base" if value == 0xFFFFFFFF else f"fitness {value / (1 << 24):.6f}" if value else "no room"
+    if name == "kind":
+        return Kind(value).name.lower() if value in list(Kind) else "unknown"
+    if name == "crc" and isinstance(record, Datum):
+        return "good" if record.intact else "BAD: the datum is damaged"
+    if name == "reason":
+        return _LOSS_REASONS.get(value, "unknown")
+    if name == "number" and kind == "Handover":
+        return "no custody offered" if value == 0 else "hand-over"
+    if name in ("size", "chunk_size"):
+        return "bytes"
+    if name == "closed":
+        return "all sequences below have arrived"
+    if name == "bitmap":
+        first = record.closed if hasattr(record, "closed") else record.next_index
+        arrived = [str(first + 1 + i) for i in range(value.bit_length()) if value >> i & 1]
+        return f"and {', '.join(arrived)}" if arrived else ""
+    return ""
+
+
+def _measurement(payload: bytes, depth: int) -> Iterator[str]:
+    try:
+        measurement = decode_measurement(payload)
+    except MalformedError as error:
+        yield line("measurement", "unreadable", str(error).partition(":")[0], depth=depth)
+        return
+    units = {"latitude": "degrees", "longitude": "degrees", "altitude": "metres above mean sea level"}
+    yield line("measurement", "", depth=depth).rstrip()
+    for name, value in zip(measurement._fields, measurement, strict=True):
+        shown = "unknown" if value is None else f"{value:.7g}" if name in ("reading", "risk") else str(value)
+        yield line(name, shown, units.get(name, ""), depth=depth + 1)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Explain what is given; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="explain_frame.py",
+        description="Explain MAVLink frames given in hex, down to the fields of rass_mav's own messages.",
+        epilog="example: explain_frame.py --payload 140200030005030201b2a10a00",
+    )
+    parser.add_argument("hex", metavar="HEX", nargs="*", help="bytes in hex, spaces allowed; none: read from stdin")
+    parser.add_argument("--payload", action="store_true", help="the bytes are a TUNNEL payload, not a whole frame")
+    parser.add_argument(
+        "--payload-type",
+        type=int,
+        default=PAYLOAD_TYPE,
+        metavar="N",
+        help="payload_type of our TUNNEL messages (33200)",
+    )
+    options = parser.parse_args(arguments)
+    try:
+        data = from_hex(" ".join(options.hex) if options.hex else sys.stdin.read())
+        lines = explain_payload(data) if options.payload else explain_frames(data, options.payload_type)
+        for text in lines:
+            print(text)
+    except UnreadableError as error:
+        sys.stdout.flush()
+        print(f"explain_frame.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
