@@ -3,14 +3,14 @@
     python -m benchmarks.handover            a table
     python -m benchmarks.handover --json     one JSON object
 
-A drone holds a bulk of data on its disk and hands them over to a base: two real drivers on one event loop, joined by a
-loopback link, with bandwidth enough not to be the limit. A hand-over is done when the base has the datum on disk and has
-said so, and the drone has noted that. The clock runs from the first step to the last such note.
+A drone holds a bulk of data on its disk and hands them over to a base: two real drivers on one event loop, joined by
+a loopback link. A hand-over is done when the base has the datum on disk and has said so, and the drone has noted that.
+The clock runs from the first step to the last such note. Bandwidth bounds it to `BANDWIDTH / STEP_S` a second.
 
-The syncs of the disk are counted twice. `commits` is what the two drivers say: one commit syncs the write-ahead log once.
-`fsyncs` is the truth, where the system has `strace`: one more run under it, in which every fsync and fdatasync from
-opening the two stores to closing them is counted by the file that it is for, checkpoints included. The bulk is put into
-the drone's store by another process before.
+The syncs of the disk are counted twice. `commits` is what the two drivers say: one commit syncs the write-ahead log
+once. `fsyncs` is the truth, where the system has `strace`: one more run under it, in which every fsync and fdatasync
+from opening the two stores to closing them is counted by the file that it is for, checkpoints included. The bulk was
+put into the drone's store before that.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 SIDES = {"drone": 1, "base": 2}
-STEP_S = 0.02
+STEP_S = 0.01
 PAYLOAD_BYTES = 60
 #: Data that may leave in a step: more than a step has time for, and fewer frames than a link queues.
 BANDWIDTH = 100

@@ -106,7 +106,9 @@ def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
         for kind, turns in found.items()
     }
     for kind in ("dialect", "node"):
-        results[f"{kind} - bare"] = {key: round(value - results["bare"][key], 2) for key, value in results[kind].items()}
+        results[f"{kind} - bare"] = {
+            key: round(value - results["bare"][key], 2) for key, value in results[kind].items()
+        }
     return results
 
 

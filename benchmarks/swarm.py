@@ -3,8 +3,8 @@
     python -m benchmarks.swarm            a table
     python -m benchmarks.swarm --json     one JSON object
 
-A robot-step is one turn of one node: it hears what its neighbours sent, moves, senses, runs Alg. 1 and sends. The time is
-processor time. Each swarm lives in a process of its own, with the settings of the garbage collector that the product
+A robot-step is one turn of one node: it hears what its neighbours sent, moves, senses, runs Alg. 1 and sends. The time
+is processor time. Each swarm lives in a process of its own, with the settings of the garbage collector that the product
 has, and is warmed up first. Then the swarms take turns, so that other load on the machine hits all alike, and the
 medians of the rounds are taken.
 
@@ -56,9 +56,7 @@ def variants() -> dict[str, Variant]:
             {**small, **_islands(1)},
             {**large, **_islands(bases)},
         ),
-        "no data": Variant(
-            "beacons only", {**small, "data.interval_steps": 0}, {**large, "data.interval_steps": 0}
-        ),
+        "no data": Variant("beacons only", {**small, "data.interval_steps": 0}, {**large, "data.interval_steps": 0}),
     }
 
 

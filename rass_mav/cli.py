@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from rass_mav import __version__
+from rass_mav.commands.common import HelpFormatter
 from rass_mav.core.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
@@ -36,6 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="rass-mav",
         description="Risk-Aware Swarm Storage for MAVLink drones.",
         epilog="example: rass-mav run drone.yaml",
+        formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"rass-mav {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)

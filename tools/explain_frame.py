@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Kind
@@ -68,7 +68,7 @@ def explain_frames(data: bytes, payload_type: int) -> Iterator[str]:
         start += yield from _explain_frame(data[start:], payload_type)
 
 
-def _explain_frame(data: bytes, payload_type: int) -> Iterator[str]:
+def _explain_frame(data: bytes, payload_type: int) -> Generator[str, None, int]:
     """Lines about the frame at the start of `data`; returns its length."""
     magic = data[0]
     if magic not in (MAGIC_V1, MAGIC_V2):

@@ -5,7 +5,6 @@ Every error is a `ConfigError` of one line: `node.yaml: policy.alpha: expected a
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Hashable
@@ -188,6 +187,8 @@ def _explained(message: str, raw: Any, type: type) -> str:
         key = unknown["key"]
         struct = _struct_in(here)
         known = [field.encode_name for field in struct.fields] if struct is not None else []
+        import difflib  # only who makes a mistake needs it
+
         close = difflib.get_close_matches(key, known, 1)
         hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
         return f"{_join(path, key)}: unknown key ({hint})"

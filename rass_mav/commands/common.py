@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,27 @@ VIRTUAL_START_S = 1_577_836_800.0
 Subparsers = Any
 
 
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """As wide as the terminal.
+
+    argparse asks `shutil` for the width, and so loads it with all it knows of compression: half a MiB of a drone's
+    memory.
+    """
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, width=_terminal_width() - 2)
+
+
+def _terminal_width() -> int:
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit() and int(columns):
+        return int(columns)
+    try:
+        return os.get_terminal_size(1).columns or 80
+    except (OSError, ValueError):
+        return 80
+
+
 def add_command(
     subparsers: Subparsers, name: str, run: Callable[[argparse.Namespace], int], *, help: str, example: str
 ) -> argparse.ArgumentParser:
@@ -28,7 +50,7 @@ def add_command(
         help=help,
         description=help[0].upper() + help[1:] + ".",
         epilog=f"example: {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument("-v", "--verbose", action="count", default=0, help="logs on stderr; -vv for more")
     parser.add_argument("--json", action="store_true", help="print exactly one JSON object")

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import common
 
-__all__ = ["FORMATS", "MavlinkMessage", "MessageFormat", "common", "crc_extra_of", "payload_of"]
+__all__ = ["FORMATS", "MavlinkMessage", "MessageFormat", "common", "crc_extra_of", "forget_texts", "payload_of"]
 
 #: A message object of pymavlink (`MAVLink_..._message`). pymavlink has no types of its own.
 MavlinkMessage: TypeAlias = Any
@@ -35,6 +35,15 @@ def crc_extra_of(message_id: int) -> int | None:
     """CRC_EXTRA of a message, 0..255, or None if the dialect does not know the message."""
     known = FORMATS.get(message_id)
     return None if known is None else known.crc_extra[0]
+
+
+def forget_texts() -> None:
+    """Give up pymavlink's descriptions of enumerations, 1 MiB: they are for programs that explain messages to people.
+
+    For the start of a process that does nothing but run a node: what is loaded afterwards takes their place. Not for a
+    process in which others may use pymavlink too.
+    """
+    common.enums.clear()
 
 
 def payload_of(message: MavlinkMessage) -> bytes:

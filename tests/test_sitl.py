@@ -1,0 +1,70 @@
+"""sitl/three-vehicles.yaml does what sitl/README.md says."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.core.messages import Data
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.invariants import check
+from rass_mav.swarm.processes import run
+from rass_mav.swarm.world import World
+from rass_mav.wire import decode
+
+FILE = str(Path(__file__).parents[1] / "sitl" / "three-vehicles.yaml")
+NO_CORRUPTION = "radiation.corruption=false"
+
+
+def summary_of(*assignments: str, policy: str = "rass") -> dict[str, Any]:
+    world = World(load_scenario(FILE, {"policy.name": policy}, assignments))
+    world.run(world.scenario.steps, after=check)
+    return world.statistics.summary()
+
+
+def test_data_of_the_far_vehicle_take_two_hops() -> None:
+    summary = summary_of(NO_CORRUPTION)
+    assert summary["nodes"] == 4
+    assert summary["hops"]["p95"] == 2
+    assert summary["delivered"] == summary["created"] > 0
+
+
+def targets_of_the_far_vehicle(*assignments: str) -> Counter[int]:
+    """To whom vehicle 1 sent how many data, read from the frames on the air."""
+    targets: Counter[int] = Counter()
+
+    def record(frame: bytes, step: int) -> None:
+        tunnel = tunnel_from_datagram(frame)
+        message = tunnel and decode(tunnel[-1], 0.0)
+        if isinstance(message, Data) and message.sender == 1:
+            targets[message.target] += len(message.handovers)
+
+    world = World(load_scenario(FILE, {}, (NO_CORRUPTION, *assignments)), record=record)
+    world.run(world.scenario.steps, after=check)
+    return targets
+
+
+def test_its_data_avoid_the_vehicle_near_the_source() -> None:
+    near_a_source = targets_of_the_far_vehicle()
+    assert near_a_source[2] > 4 * near_a_source[3]
+    without = targets_of_the_far_vehicle("radiation.sources=[]")
+    assert without[3] > without[2] / 2
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_knows_the_risk_loses_less(seed: int) -> None:
+    rass = summary_of(f"seed={seed}", "steps=600")
+    blind = summary_of(f"seed={seed}", "steps=600", policy="hop-count")
+    assert rass["reliability"] > blind["reliability"]
+
+
+def test_the_same_over_udp() -> None:
+    summary = run(load_scenario(FILE, {"transport": "udp", "steps": 30}))
+    assert summary["created"] == summary["delivered"] + summary["held"] > 0
+    assert summary["delivered"] > 0
+    assert summary["altered"] == 0
+    assert summary["routing"]["max_hop_count"] >= 2
