@@ -34,6 +34,8 @@ HEARTBEAT_S = 1.0
 RIVAL_REPORT_S = 30.0
 #: Refused measurements likewise.
 FULL_REPORT_S = 30.0
+#: A position older than this is not where the vehicle is, seconds.
+POSITION_STALE_S = 10.0
 _CRITICAL = 2
 _WARNING = 4
 _PROMISES_NOTHING = (Beacon, Query, Accept, Chunk, Sack)
@@ -262,8 +264,12 @@ class Agent:
     def measure(self, now: float) -> DatumId | None:
         """Make a datum of where the vehicle is and what the sensor says. None: there was no room (overflow)."""
         node = self.node
-        position = self.telemetry.position
-        reading = self.telemetry.reading
+        telemetry = self.telemetry
+        position = telemetry.position
+        if position is not None and now - position.at > POSITION_STALE_S:
+            position = None
+        local = telemetry.local
+        reading = telemetry.reading
         fresh = reading is not None and now - reading.at <= self.settings.risk.stale_s
         payload = encode_measurement(
             Measurement(
@@ -272,6 +278,7 @@ class Agent:
                 position.altitude if position else None,
                 reading.value if reading is not None and fresh else None,
                 node.risk.risk(now),
+                local[:3] if local is not None and now - local.at <= POSITION_STALE_S else None,
             )
         )
         if self.settings.data.bytes > MEASUREMENT_BYTES:

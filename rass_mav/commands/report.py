@@ -50,6 +50,8 @@ def datum_line(entry: dict[str, Any]) -> str:
     if m is not None:
         if m["latitude"] is not None:
             line += f" at {m['latitude']:.7f} {m['longitude']:.7f} {m['altitude']:.1f} m"
+        elif m["local"] is not None:
+            line += " at {:.2f} m north, {:.2f} m east, {:.2f} m down".format(*m["local"])
         line += f" reading {m['reading']:g}" if m["reading"] is not None else " no reading"
         line += f" risk {m['risk']:.3f}"
     return line

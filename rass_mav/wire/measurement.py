@@ -14,6 +14,7 @@ MEASUREMENT_BYTES = _MEASUREMENT.size
 _VERSION = 1
 _HAS_POSITION = 1
 _HAS_READING = 2
+_LOCAL = 4
 #: Largest 32-bit float.
 _FLOAT_MAX = 3.4028234663852886e38
 
@@ -31,21 +32,33 @@ class Measurement(NamedTuple):
     """As the sensor gave it, in its own unit (32-bit float); None: unknown."""
     risk: float
     """Local risk at that time, 0..1, resolution 1/65535."""
+    local: tuple[float, float, float] | None = None
+    """Without a position on Earth: metres north, east and down of the autopilot's origin, resolution 1 mm."""
 
 
 def encode_measurement(m: Measurement) -> bytes:
-    """`<BBiiifH` version, flags (1 position, 2 reading), latitude, longitude, altitude, reading, risk."""
+    """`<BBiiifH` version, flags (1 position, 2 reading, 4 local), latitude, longitude, altitude, reading, risk.
+
+    With flag 4 the three places hold north, east and down instead.
+    """
     flags = 0
     lat = lon = alt = 0
     reading = 0.0
     if m.latitude is not None and m.longitude is not None:
         flags |= _HAS_POSITION
         lat, lon = round(m.latitude * 1e7), round(m.longitude * 1e7)
-        alt = max(-(1 << 31), min((1 << 31) - 1, round((m.altitude or 0.0) * 1000)))
+        alt = _millimetres(m.altitude or 0.0)
+    elif m.local is not None:
+        flags |= _LOCAL
+        lat, lon, alt = (_millimetres(metres) for metres in m.local)
     if m.reading is not None and abs(m.reading) <= _FLOAT_MAX:
         flags |= _HAS_READING
         reading = m.reading
     return _MEASUREMENT.pack(_VERSION, flags, lat, lon, alt, reading, round(m.risk * 65535))
+
+
+def _millimetres(metres: float) -> int:
+    return max(-(1 << 31), min((1 << 31) - 1, round(metres * 1000)))
 
 
 def decode_measurement(payload: bytes) -> Measurement:
@@ -63,4 +76,5 @@ def decode_measurement(payload: bytes) -> Measurement:
         alt / 1000 if here else None,
         reading if flags & _HAS_READING and math.isfinite(reading) else None,
         risk / 65535,
+        (lat / 1000, lon / 1000, alt / 1000) if flags & _LOCAL and not here else None,
     )

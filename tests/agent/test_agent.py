@@ -18,6 +18,7 @@ from rass_mav.mavlink.messages import (
     STATUSTEXT,
     autopilot_heartbeat,
     global_position_int,
+    local_position_ned,
     named_value_float,
     parse,
 )
@@ -25,7 +26,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import decode
-from rass_mav.wire.measurement import decode_measurement
+from rass_mav.wire.measurement import Measurement, decode_measurement
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 
@@ -96,6 +97,27 @@ def test_telemetry_becomes_risk_and_a_measurement() -> None:
     assert stored is not None
     assert decode_measurement(stored.payload).reading is None
     assert agent.node.risk.risk(12.0) == 1.0
+
+
+def measured(agent: Agent, now: float) -> Measurement:
+    id = agent.measure(now)
+    assert id is not None
+    stored = agent.store.get(id)
+    assert stored is not None
+    return decode_measurement(stored.payload)
+
+
+def test_without_a_position_on_earth_the_local_one_counts() -> None:
+    agent = make(3, mavlink={"autopilot_id": 7})
+    vehicle = FrameWriter(7, 1)
+    assert measured(agent, 0.0)[:3] == (None, None, None)
+    agent.vehicle_bytes(vehicle.message(local_position_ned(1.5, -2.25, -10.0, 1000)), 1.0)
+    assert measured(agent, 1.0).local == (1.5, -2.25, -10.0)
+    agent.vehicle_bytes(vehicle.message(global_position_int(45.5, -73.6, 120.0, 20.0, 1000)), 2.0)
+    assert (measured(agent, 2.0).latitude, measured(agent, 2.0).local) == (45.5, None)
+    # The autopilot has fallen silent: where the vehicle is now, nobody knows.
+    silent = measured(agent, 13.0)
+    assert (silent.latitude, silent.local) == (None, None)
 
 
 def test_a_reading_of_somebody_else_is_not_ours() -> None:

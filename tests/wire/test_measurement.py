@@ -52,3 +52,12 @@ def test_any_bytes_are_a_measurement_or_malformed(payload: bytes) -> None:
         assert len(payload) < MEASUREMENT_BYTES or payload[0] != 1
     else:
         assert 0.0 <= m.risk <= 1.0
+
+
+@given(st.tuples(*[st.floats(-2e6, 2e6)] * 3))
+def test_a_local_position(local: tuple[float, float, float]) -> None:
+    back = decode_measurement(encode_measurement(Measurement(None, None, None, 1.0, 0.5, local)))
+    assert (back.latitude, back.longitude, back.altitude) == (None, None, None)
+    assert back.local == pytest.approx(local, abs=1e-3)
+    # A position on Earth says more.
+    assert decode_measurement(encode_measurement(Measurement(1.0, 2.0, 3.0, 1.0, 0.5, local))).local is None
