@@ -179,7 +179,8 @@ def measure(rounds: int) -> dict[str, dict[str, float]]:
     return results
 
 
-def _measure_without_fastcrc(rounds: int) -> dict[str, dict[str, float]]:
+def measure_without_fastcrc(rounds: int) -> dict[str, dict[str, float]]:
+    """The same in a process in which neither side can import fastcrc."""
     # None in sys.modules makes every import of it fail, in pymavlink too.
     code = (
         "import sys, json; sys.modules['fastcrc'] = None; sys.modules['fastcrc.crc16'] = None\n"
@@ -192,6 +193,17 @@ def _measure_without_fastcrc(rounds: int) -> dict[str, dict[str, float]]:
     return results
 
 
+def show(results: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Print the table."""
+    for crc, measured in results.items():
+        print(f"CRC: {crc:<24} {'us a frame':>10} {'pymavlink':>10} {'ratio':>7}")
+        for name, result in measured.items():
+            line = f"  {name:<27} {result['us']:>10.2f}"
+            if "ratio" in result:
+                line += f" {result['pymavlink_us']:>10.2f} {result['ratio']:>7.3f}"
+            print(line)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -201,17 +213,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from rass_mav.mavlink.crc import HAVE_FASTCRC
 
     results = {"fastcrc": measure(options.rounds)} if HAVE_FASTCRC else {}
-    results["fallback"] = _measure_without_fastcrc(options.rounds)
+    results["fallback"] = measure_without_fastcrc(options.rounds)
     if options.json:
         print(json.dumps(results))
         return
-    for crc, measured in results.items():
-        print(f"CRC: {crc:<24} {'us a frame':>10} {'pymavlink':>10} {'ratio':>7}")
-        for name, result in measured.items():
-            line = f"  {name:<27} {result['us']:>10.2f}"
-            if "ratio" in result:
-                line += f" {result['pymavlink_us']:>10.2f} {result['ratio']:>7.3f}"
-            print(line)
+    show(results)
 
 
 if __name__ == "__main__":

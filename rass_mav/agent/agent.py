@@ -38,8 +38,8 @@ FULL_REPORT_S = 30.0
 POSITION_STALE_S = 10.0
 _CRITICAL = 2
 _WARNING = 4
-_PROMISES_NOTHING = (Beacon, Query, Accept, Chunk, Sack)
-_FOR_EVERYBODY = (Beacon, Receipt, Put)
+_PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack))
+_FOR_EVERYBODY = frozenset((Beacon, Receipt, Put))
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
 
@@ -241,7 +241,7 @@ class Agent:
         payload_type = self._payload_type
         out = []
         for message in messages:
-            target = BROADCAST if isinstance(message, _FOR_EVERYBODY) else message.target
+            target = BROADCAST if type(message) in _FOR_EVERYBODY else message.target  # type: ignore[union-attr]
             promises = self._promises(message)
             for payload in encode(message, now):
                 out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises))
@@ -252,7 +252,7 @@ class Agent:
 
         Data that are on disk leave at once: so a node whose disk is full can still hand on what it has.
         """
-        if isinstance(message, _PROMISES_NOTHING):
+        if type(message) in _PROMISES_NOTHING:
             return False
         durable = self.store.durable
         if type(message) is Data:

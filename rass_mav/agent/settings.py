@@ -8,9 +8,9 @@ import msgspec
 from msgspec import Meta
 
 from rass_mav.core.errors import ConfigError
-from rass_mav.core.node import NodeSettings
 from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.settings import NodeSettings
 from rass_mav.policy import Weights, make_policy
 from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.measurement import MEASUREMENT_BYTES

@@ -14,6 +14,7 @@ from msgspec import Meta
 from rass_mav.agent.loading import convert, read_yaml, set_key
 from rass_mav.agent.settings import (
     AgentSettings,
+    Count,
     CustodySettings,
     DataSettings,
     MavlinkSettings,
@@ -117,6 +118,13 @@ class LogSection(Section, frozen=True):
     level: Literal["debug", "info", "warning", "error"] = "warning"
 
 
+class RunStoreSettings(StoreSettings, frozen=True):
+    """The store on a disk: reading all of it in every step would wear the card and the battery."""
+
+    scrub_items: Count | None = 50
+    """Checksums verified in a step, going round; null: all."""
+
+
 class RunConfig(Section, frozen=True):
     """A running node."""
 
@@ -127,7 +135,7 @@ class RunConfig(Section, frozen=True):
     risk: RiskSettings = RiskSettings()
     routing: RoutingSettings = RoutingSettings()
     custody: CustodySettings = CustodySettings()
-    store: StoreSettings = StoreSettings()
+    store: RunStoreSettings = RunStoreSettings()
     data: DataSettings = DataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
     control: ControlSection = ControlSection()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -105,6 +106,9 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
 
     with recorder(options.record, scenario.node.step_s) as record:
         world = World(scenario, record=record)
+        # The swarm lives to the end: the garbage collector need not look through it again and again.
+        gc.collect()
+        gc.freeze()
         after: Callable[[World], None] | None = check if options.check else None
         begin = time.perf_counter()
         with progress(scenario.steps, "steps", quiet=options.json) as advance:

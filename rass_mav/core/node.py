@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from .archive import MAX_ORIGINS, Archive
@@ -15,7 +14,6 @@ from .inventory import Inventory
 from .messages import (
     BEACON_BASE,
     BEACON_WANTED,
-    BROADCAST,
     NO_ROUTE,
     UNBOUNDED_FREE,
     Accept,
@@ -38,53 +36,42 @@ from .replication import Replica
 from .risk import RiskEstimator
 from .routing import RoutingTable
 from .serial import following
+from .settings import NodeSettings
 from .store import Store
 from .transfers import Transfers
 
 
-@dataclass(frozen=True, slots=True)
-class NodeSettings:
-    """How a node behaves. Times are in steps of `step_s` seconds where they say so."""
-
-    node_id: int
-    """0..65534."""
-    base: bool = False
-    """A sink: hop count 0, never evicts."""
-    step_s: float = 1.0
-    """Length of a step, seconds."""
-    capacity_items: int | None = 50
-    """Items a drone can hold; None: no bound. A base has no bound of items (but under a replicating policy)."""
-    capacity_bytes: int | None = None
-    """Bytes of payload a drone can hold; None: no bound."""
-    bandwidth_items: int = 10
-    """Items sent in a step at most, retransmissions included."""
-    acknowledged: bool = True
-    """Custody (`custody.mode: acknowledged`); False: what is sent is deleted at once."""
-    receipts: bool = True
-    """A base says what has arrived; others drop what has."""
-    retry_steps: int = 1
-    """A hand-over without an answer is sent again after so many steps."""
-    max_tries: int = 8
-    """After so many sendings without an answer another neighbour may be chosen."""
-    neighbour_steps: int = 3
-    """A neighbour not heard for so many steps is gone (the k of the design)."""
-    max_neighbours: int = 128
-    max_hops: int = 250
-    """1..254."""
-    seq_period: int = 30
-    """A base raises its announcement number every so many steps, and on request."""
-    lifetime_s: float | None = None
-    """Data older than this expire; None: never."""
-    scrub_items: int | None = None
-    """Checksums verified in a step, going round; None: all."""
-    inline_bytes: int = 97
-    """Payload that fits one frame whole; larger data go in chunks."""
-    chunk_bytes: int = 123
-    """Payload of a chunk."""
-
-
 class Node:
     """One RASS participant."""
+
+    __slots__ = (
+        "_beacon_number",
+        "_scrub_at",
+        "_steps",
+        "archive",
+        "base",
+        "corrupt_received",
+        "custody",
+        "echoes",
+        "fresh",
+        "id",
+        "inventory",
+        "observer",
+        "percolation",
+        "policy",
+        "potential",
+        "refused",
+        "replica",
+        "risk",
+        "rivals",
+        "rng",
+        "routing",
+        "sent_data",
+        "settings",
+        "sink",
+        "store",
+        "transfers",
+    )
 
     def __init__(
         self,
@@ -151,25 +138,12 @@ class Node:
         self._scrub_at = 0
         if self.base:
             store.set_meta("announcement", self.routing.number)
-        self._handlers: dict[type, Callable[[Any, float], list[Message]]] = {
-            Beacon: self._on_beacon,
-            Data: self._on_data,
-            Committed: self._on_committed,
-            Receipt: self._on_receipt,
-            Offer: self.transfers.on_offer,
-            Accept: self.transfers.on_accept,
-            Chunk: self.transfers.on_chunk,
-            Sack: self.transfers.on_sack,
-            Put: self._on_put,
-            Query: self._on_query,
-            LossNote: self._on_loss_note,
-        }
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
-        return self._handlers[type(message)](message, now)
+        return _HANDLERS[type(message)](self, message, now)
 
     def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
         """Create a datum here. Raises `StoreFullError` (counted as overflow) or `DatumError` (too large or empty)."""
@@ -433,4 +407,16 @@ class Node:
             self.drop(id, Fate.EXPIRED)
 
 
-__all__ = ["BROADCAST", "Node", "NodeSettings"]
+_HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
+    Beacon: Node._on_beacon,
+    Data: Node._on_data,
+    Committed: Node._on_committed,
+    Receipt: Node._on_receipt,
+    Offer: lambda node, message, now: node.transfers.on_offer(message, now),
+    Accept: lambda node, message, now: node.transfers.on_accept(message, now),
+    Chunk: lambda node, message, now: node.transfers.on_chunk(message, now),
+    Sack: lambda node, message, now: node.transfers.on_sack(message, now),
+    Put: Node._on_put,
+    Query: Node._on_query,
+    LossNote: Node._on_loss_note,
+}

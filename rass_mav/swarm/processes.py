@@ -19,7 +19,15 @@ import msgspec
 from rass_mav.agent.loading import dump_yaml
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
-from rass_mav.app.config import AutopilotSection, ControlSection, LinkSection, NodeSection, PeerSection, RunConfig
+from rass_mav.app.config import (
+    AutopilotSection,
+    ControlSection,
+    LinkSection,
+    NodeSection,
+    PeerSection,
+    RunConfig,
+    RunStoreSettings,
+)
 from rass_mav.app.payloads import parse_id
 from rass_mav.core.datum import DatumId
 from rass_mav.core.errors import ConfigError, ControlError, SwarmError
@@ -85,7 +93,7 @@ class NodeProcess:
             risk=settings.risk,
             routing=settings.routing,
             custody=settings.custody,
-            store=msgspec.structs.replace(settings.store, path=str(self.store)),
+            store=RunStoreSettings(**{**msgspec.structs.asdict(settings.store), "path": str(self.store)}),
             data=msgspec.structs.replace(settings.data, until_step=until_step),
             mavlink=settings.mavlink,
             control=ControlSection(socket=str(self.socket)),

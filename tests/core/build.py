@@ -7,10 +7,11 @@ from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover, Message, Route
-from rass_mav.core.node import Node, NodeSettings
+from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.settings import NodeSettings
 from rass_mav.policy import make_policy
 
 from .durable import DurableStore

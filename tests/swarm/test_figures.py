@@ -11,6 +11,9 @@ import pytest
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.world import World
 
+# Whole swarms, time after time: measuring coverage makes them five times slower, and others cover the same code.
+pytestmark = pytest.mark.no_cover
+
 PARITY = Path(__file__).parents[3] / "shared" / "data" / "paper" / "parity-grid.json"
 
 

@@ -1,0 +1,160 @@
+"""The documents tell the truth: links lead somewhere, commands exist, examples are what the program prints."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from rass_mav.app.config import load_config
+from rass_mav.cli import build_parser
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(
+    path
+    for path in ROOT.rglob("*.md")
+    if not any(part.startswith(".") or part in ("build", "dist") for part in path.relative_to(ROOT).parts)
+)
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def without_code(text: str) -> str:
+    """Headings and links are looked for in prose only."""
+    return re.sub(r"^(    .*\n)+", "", FENCE.sub("", text), flags=re.M)
+
+
+def anchors(path: Path) -> set[str]:
+    """Names that the forges give to a page's headings."""
+    found: list[str] = []
+    for heading in re.findall(r"^#+ (.*)$", without_code(path.read_text(encoding="utf-8")), re.M):
+        slug = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        found.append(slug if slug not in found else f"{slug}-{found.count(slug)}")
+    return set(found)
+
+
+def links(path: Path) -> list[str]:
+    text = re.sub(r"`[^`\n]*`", "", without_code(path.read_text(encoding="utf-8")))
+    return [link for link in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?://", link)]
+
+
+def commands(path: Path) -> Iterator[str]:
+    """Whole command lines of ours: in blocks of code, up to the explanation behind two blanks."""
+    text = path.read_text(encoding="utf-8")
+    blocks = [code for language, code in FENCE.findall(text) if language in ("", "sh")]
+    blocks += re.findall(r"^(?:    .*\n)+", FENCE.sub("", text), re.M)
+    for line in "\n".join(blocks).splitlines():
+        found = re.match(r"(?:\S*/)?rass-mav (.*)", line.strip())
+        if found:
+            yield re.split(r"  +|\s#", found[1])[0]
+
+
+ALL_LINKS = [(page, link) for page in PAGES for link in links(page)]
+ALL_COMMANDS = [(page, command) for page in PAGES for command in commands(page)]
+
+
+def test_there_is_something_to_look_at() -> None:
+    assert {"README.md", "CHANGELOG.md"} <= {name(page) for page in PAGES}
+    assert len(ALL_LINKS) > 20
+    assert len(ALL_COMMANDS) > 10
+
+
+@pytest.mark.parametrize(
+    ("page", "link"), ALL_LINKS, ids=lambda value: name(value) if isinstance(value, Path) else value
+)
+def test_links_lead_somewhere(page: Path, link: str) -> None:
+    file, _, anchor = link.partition("#")
+    target = (page.parent / file).resolve() if file else page
+    assert target.is_relative_to(ROOT)
+    assert target.exists()
+    if anchor:
+        assert anchor in anchors(target)
+
+
+@pytest.mark.parametrize(
+    ("page", "command"), ALL_COMMANDS, ids=lambda value: name(value) if isinstance(value, Path) else value
+)
+def test_commands_are_understood(page: Path, command: str) -> None:
+    try:
+        build_parser().parse_args(shlex.split(command))
+        code: object = 0
+    except SystemExit as end:
+        # --help and --version end with 0, a line that is not understood with 2.
+        code = end.code
+    assert code == 0
+
+
+def subcommands() -> set[str]:
+    (action,) = (a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction))
+    return set(action.choices)
+
+
+def test_the_readme_shows_every_command_and_no_other() -> None:
+    assert set(re.findall(r"^\| `rass-mav ([\w-]+)", README, re.M)) == subcommands()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_commands_named_in_prose_exist(page: Path) -> None:
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    assert set(re.findall(r"`rass-mav ([a-z]+)", text)) <= subcommands()
+
+
+def test_the_index_names_every_page() -> None:
+    index = ROOT / "docs" / "README.md"
+    named = {(index.parent / link).resolve() for link in links(index)}
+    assert set((ROOT / "docs").glob("*.md")) - {index} <= named
+
+
+def test_the_first_two_blocks_are_the_demo_and_the_tests() -> None:
+    blocks = [code for language, code in FENCE.findall(README) if language == "sh"]
+    assert blocks[:2] == ["make demo\n", "make test\n"]
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+    assert {block.split()[1] for block in blocks[:2]} <= set(targets)
+
+
+def test_the_readmes_configurations_are_valid(tmp_path: Path) -> None:
+    blocks = [code for language, code in FENCE.findall(README) if language == "yaml"]
+    roles = []
+    for code in blocks:
+        file = tmp_path / "node.yaml"
+        file.write_text(code, encoding="utf-8")
+        roles.append(load_config(str(file)).node.role)
+    assert roles == ["drone", "base"]
+
+
+def test_the_readme_shows_what_the_demo_prints() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rass_mav", "swarm"], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120
+    )
+    (shown,) = (code for language, code in FENCE.findall(README) if language == "text")
+    # The last line tells how long it took.
+    assert shown.splitlines()[:-1] == done.stdout.splitlines()[:-1]
+
+
+def test_the_lock_file_fits_the_project_and_names_no_index() -> None:
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    pinned = {found.lower().replace("_", "-") for found in re.findall(r"^([\w.-]+)==", lock, re.M)}
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("\ndependencies = [")[1]
+    for wanted in re.findall(r'^    "([A-Za-z][\w.-]*)[^"\n]*",$', project.split("[project.scripts]")[0], re.M):
+        assert wanted.lower() in pinned | {"rass-mav"}, wanted
+    assert not re.search(r"://|--(extra-)?index-url|--find-links", lock)
+    for requirement in re.split(r"\n(?=\S)", lock):
+        assert "--hash=sha256:" in requirement or requirement.startswith("#")
+
+
+def test_scenarios_and_examples_are_yaml_that_people_can_read() -> None:
+    for path in [*ROOT.glob("sitl/*.yaml"), *ROOT.glob("docs/examples/*.yaml")]:
+        text = path.read_text(encoding="utf-8")
+        assert isinstance(yaml.safe_load(text), dict)
+        assert text.startswith("# ")

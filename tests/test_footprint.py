@@ -1,0 +1,62 @@
+"""What a running node must not load: a Pi Zero has 512 MiB for everything."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_LOAD = """
+import json, sys
+from rass_mav.cli import build_parser
+build_parser().parse_args(["run", "drone.yaml"])
+import rass_mav.app.config, rass_mav.app.run
+print(json.dumps(sorted(sys.modules)))
+"""
+
+_SPEAK = """
+import json, sys
+from rass_mav.mavlink.dialect import common, forget_texts
+if sys.argv[1] == "forget":
+    forget_texts()
+    assert not common.enums
+from rass_mav.mavlink import messages
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.reader import FrameReader
+writer, reader = FrameWriter(1, 191), FrameReader()
+said = [messages.companion_heartbeat(), messages.named_value_float("RAD", 1.5, 7), *messages.statustext(4, "x" * 60)]
+frames = [writer.message(message) for message in said]
+heard = [messages.parse(frame).to_dict() for raw in frames for frame in reader.feed(raw)]
+print(json.dumps([[frame.hex() for frame in frames], heard]))
+"""
+
+
+def _python(code: str, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+    )
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def loaded() -> set[str]:
+    return set(json.loads(_python(_LOAD)))
+
+
+@pytest.mark.parametrize("module", ["shutil", "lzma", "difflib", "tempfile", "tqdm", "pymavlink.mavutil", "lxml"])
+def test_a_node_does_not_load(module: str, loaded: set[str]) -> None:
+    assert module not in loaded
+
+
+def test_a_node_does_not_load_the_mock_swarm(loaded: set[str]) -> None:
+    assert not [name for name in loaded if name.startswith("rass_mav.swarm")]
+    assert "rass_mav.app.driver" in loaded
+
+
+def test_without_its_texts_the_dialect_says_and_understands_the_same() -> None:
+    assert _python(_SPEAK, "forget") == _python(_SPEAK, "keep")
