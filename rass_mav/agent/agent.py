@@ -19,7 +19,6 @@ from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.signing import Signer, Verifier
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, encode
@@ -70,7 +69,6 @@ class Agent:
         "_refused",
         "_rng",
         "_text_id",
-        "_unsigned",
         "beacon_from",
         "foreign",
         "frames_received",
@@ -95,8 +93,6 @@ class Agent:
         *,
         now: float,
         observer: Observer | None = None,
-        signer: Signer | None = None,
-        verifier: Verifier | None = None,
         newborn: bool = False,
     ) -> None:
         """`now` in seconds on the timeline of all later calls; `rng` decides all that is left to chance.
@@ -112,10 +108,10 @@ class Agent:
         mavlink = settings.mavlink
         self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
         system_id = mavlink.system_id or mavlink.autopilot_id or (settings.node_id - 1) % 255 + 1
-        self.peer_writer = FrameWriter(system_id, mavlink.component_id, signer)
-        self.vehicle_writer = FrameWriter(system_id, mavlink.component_id, signer)
-        self.vehicle_reader = FrameReader(verifier)
-        self.peer_reader = FrameReader(verifier)
+        self.peer_writer = FrameWriter(system_id, mavlink.component_id)
+        self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
+        self.vehicle_reader = FrameReader()
+        self.peer_reader = FrameReader()
         self.to_vehicle: list[bytes] = []
         """Frames for the autopilot (and through it the ground station); the driver takes them away."""
         self.frames_received = 0
@@ -131,7 +127,6 @@ class Agent:
         `peer_bytes` and looks at it after."""
         self._rng = rng
         self._node_id = settings.node_id
-        self._unsigned = verifier is None
         self._payload_type = mavlink.payload_type
         self._component_id = mavlink.component_id
         self._fixed_system_id = mavlink.system_id is not None
@@ -167,11 +162,10 @@ class Agent:
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
-        if self._unsigned:
-            fields = tunnel_from_datagram(data)
-            if fields is not None:
-                _, _, system, component, payload_type, payload = fields
-                return self._tunnel(system, component, payload_type, payload, now)
+        fields = tunnel_from_datagram(data)
+        if fields is not None:
+            _, _, system, component, payload_type, payload = fields
+            return self._tunnel(system, component, payload_type, payload, now)
         out: list[Outgoing] = []
         # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
         for frame in [*self.peer_reader.feed(data), *self.peer_reader.flush()]:
