@@ -3,7 +3,7 @@
 #   make          the environment in .venv, from requirements.lock, with this checkout installed in it
 #   make demo     a mock swarm of 100 nodes, and what became of its data
 #   make test     the tests
-#   make lint     ruff and mypy
+#   make lint     ruff and mypy (style, format and types by themselves)
 #   make bench    the benchmarks
 #   make clean    removes .venv and what the tools left behind
 #
@@ -17,7 +17,7 @@ JOBS ?= 2
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-.PHONY: install demo test lint bench clean
+.PHONY: install demo test lint style format types bench clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
@@ -37,11 +37,17 @@ demo: $(READY)
 	@$(BIN)/rass-mav swarm
 
 test: $(READY)
-	@$(BIN)/python -m pytest -n $(JOBS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-lint: $(READY)
+lint: style format types
+
+style: $(READY)
 	@$(BIN)/ruff check .
+
+format: $(READY)
 	@$(BIN)/ruff format --check .
+
+types: $(READY)
 	@$(BIN)/mypy
 
 bench: $(READY)
