@@ -65,6 +65,7 @@ class Agent:
         "_next_rival_report",
         "_node_id",
         "_payload_type",
+        "_phase",
         "_reading_at",
         "_refused",
         "_rng",
@@ -127,6 +128,7 @@ class Agent:
         `peer_bytes` and looks at it after."""
         self._rng = rng
         self._node_id = settings.node_id
+        self._phase = {"step-id": 1, "step+id": -1, "together": 0}[settings.data.due] * settings.node_id
         self._payload_type = mavlink.payload_type
         self._component_id = mavlink.component_id
         self._fixed_system_id = mavlink.system_id is not None
@@ -223,7 +225,7 @@ class Agent:
         if (
             data.interval_steps
             and not self.node.base
-            and (self.steps - self.node.id) % data.interval_steps == 0
+            and (self.steps - self._phase) % data.interval_steps == 0
             and (data.until_step is None or self.steps < data.until_step)
         ):
             self.measure(now)

@@ -19,6 +19,7 @@ Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
+PolicyName = Literal["rass", "rass-literal", "hop-count", "stigmergy"]
 
 
 class Section(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -35,17 +36,21 @@ def only_value(key: str, value: object, only: object) -> None:
 class PolicySettings(Section, frozen=True):
     """Who is fit, and what goes to whom."""
 
-    name: Literal["rass", "rass-literal", "hop-count", "stigmergy"] = "rass"
+    name: PolicyName = "rass"
     alpha: NonNegative | None = None
     """Weight of hops in Eq. 3; null: the policy's own (rass 1, rass-literal 10)."""
     beta: NonNegative | None = None
     """Weight of risk in Eq. 3; null: the policy's own (rass 10, rass-literal 1)."""
     threshold: NonNegative | None = None
     """T of Eq. 4; null: 1."""
+    unknown_hops: Annotated[int, Meta(ge=1, le=255)] | None = None
+    """Hop count of a node that knows no way to a base; null: 255, more than any real one."""
+    rules: Literal["paper", "authors"] = "paper"
+    """authors: ties and eviction as in the authors' code; all nodes of a swarm must agree."""
 
     def make(self) -> Policy:
         """The policy. Raises `ConfigError`."""
-        return make_policy(self.name, Weights(self.alpha, self.beta, self.threshold))
+        return make_policy(self.name, Weights(self.alpha, self.beta, self.threshold, self.unknown_hops, self.rules))
 
 
 class RiskSettings(Section, frozen=True):
@@ -81,8 +86,9 @@ class RoutingSettings(Section, frozen=True):
 
     seq_period: Annotated[int, Meta(ge=0)] = 30
     """A base raises its announcement number every so many steps (0: on request only)."""
-    neighbour_steps: Count = 3
-    """A neighbour not heard for so many steps is gone."""
+    neighbour_steps: Annotated[int, Meta(ge=0)] = 3
+    """A neighbour not heard for so many steps is gone. 0 is for mock swarms with `radio.latency_steps`: only who is
+    heard at the beginning of a step is a neighbour in it."""
     max_neighbours: Count = 128
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
 
@@ -118,6 +124,8 @@ class StoreSettings(Section, frozen=True):
     """Data a drone holds at most (a base has no bound of items); null: no bound."""
     capacity_bytes: Count | None = None
     """Bytes of payload a drone holds at most; null: no bound."""
+    overflow: Literal["refuse", "drop-oldest"] = "refuse"
+    """What a full node does with one more. drop-oldest: the least recently used one is lost (without custody only)."""
     bandwidth_items: Count = 10
     """Data sent in a step at most, retransmissions included."""
     quota_bytes: Count | None = None
@@ -130,7 +138,9 @@ class DataSettings(Section, frozen=True):
     """What a node creates by itself."""
 
     interval_steps: Annotated[int, Meta(ge=0)] = 10
-    """A measurement every so many steps, in the steps where (step - node id) is a multiple; 0: none."""
+    """A measurement every so many steps; 0: none. `due` says in which."""
+    due: Literal["step-id", "step+id", "together"] = "step-id"
+    """Which number must be a multiple: (step - node id), (step + node id), or the step alone (all nodes at once)."""
     until_step: Annotated[int, Meta(ge=0)] | None = None
     """No more measurements from this step on."""
     bytes: Annotated[int, Meta(ge=MEASUREMENT_BYTES, le=1 << 20)] = MEASUREMENT_BYTES
@@ -219,6 +229,9 @@ class AgentSettings(Section, frozen=True):
             raise ConfigError(
                 f"data.bytes: expected at most {INLINE_BYTES} with policy stigmergy, got {self.data.bytes}"
             )
+        drop_oldest = self.store.overflow == "drop-oldest"
+        if drop_oldest and self.custody.mode != "none":
+            raise ConfigError("store.overflow: drop-oldest breaks custody, expected custody.mode none with it")
         bounded = not self.base or replicates
         return NodeSettings(
             node_id=self.node_id,
@@ -226,6 +239,7 @@ class AgentSettings(Section, frozen=True):
             step_s=self.step_s,
             capacity_items=self.store.capacity_items if bounded else None,
             capacity_bytes=self.store.capacity_bytes if bounded else None,
+            drop_oldest=drop_oldest,
             bandwidth_items=self.store.bandwidth_items,
             acknowledged=self.custody.mode == "acknowledged",
             receipts=self.custody.receipts,

@@ -150,7 +150,7 @@ class Node:
         limit = self.settings.inline_bytes if self.replica is not None else MAX_PAYLOAD
         if not 0 < len(payload) <= limit:
             raise DatumError(f"a datum holds 1 to {limit} bytes, got {len(payload)}")
-        if not self.room_for(len(payload)):
+        if not (self.room_for(len(payload)) or self._make_room(len(payload))):
             self.store.count("overflow")
             self.observer.overflow()
             raise StoreFullError("no room for a new datum")
@@ -208,10 +208,11 @@ class Node:
         id = datum.id
         if self.has_custody(giver, number, id, datum.crc):
             return True
-        if id in self.inventory or not self.may_accept(len(datum.payload)):
+        size = len(datum.payload)
+        if id in self.inventory or not (self.may_accept(size) or self._make_room(size)):
             self.refused += 1
             if number == 0:
-                self.observer.dropped(id, Fate.OVERFLOW)
+                self.observer.declined(id)
             return False
         if self.sink:
             self.deliver(datum.arrived())
@@ -250,6 +251,17 @@ class Node:
     def may_accept(self, size: int) -> bool:
         """Whether custody of a datum of `size` bytes of payload can be taken over."""
         return self.store.accepting and self.room_for(size)
+
+    def _make_room(self, size: int) -> bool:
+        """With `drop_oldest`: let go of the least recently used data until `size` bytes of payload fit."""
+        if not self.settings.drop_oldest or self.sink or self.replica is not None or not self.store.accepting:
+            return False
+        while not self.room_for(size):
+            oldest = next(iter(self.inventory), None)
+            if oldest is None:
+                return False
+            self.drop(oldest, Fate.OVERFLOW)
+        return True
 
     def hold(self, datum: Datum) -> None:
         """Store a datum in own custody."""

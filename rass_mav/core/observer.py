@@ -18,7 +18,10 @@ class Observer:
         """A copy is held here now (its own new datum too)."""
 
     def dropped(self, id: DatumId, fate: Fate) -> None:
-        """A copy is not held here any more, or (OVERFLOW) was not taken in and has no other holder."""
+        """A copy is not held here any more."""
+
+    def declined(self, id: DatumId) -> None:
+        """A datum sent without custody found no room here."""
 
     def delivered(self, datum: Datum) -> None:
         """A datum arrived here, at a base, for the first time."""

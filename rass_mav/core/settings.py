@@ -19,6 +19,8 @@ class NodeSettings:
     """Items a drone can hold; None: no bound. A base has no bound of items (but under a replicating policy)."""
     capacity_bytes: int | None = None
     """Bytes of payload a drone can hold; None: no bound."""
+    drop_oldest: bool = False
+    """A full node drops its least recently used datum for a new one; False: it refuses the new one."""
     bandwidth_items: int = 10
     """Items sent in a step at most, retransmissions included."""
     acknowledged: bool = True

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from rass_mav.core.errors import ConfigError
 from rass_mav.core.policy import Policy
 
-from .fitness import FitnessPolicy
+from .fitness import UNREACHABLE_HOPS, FitnessPolicy
+from .reference import ReferencePolicy
 from .stigmergy import Stigmergy
 
 
@@ -30,6 +32,10 @@ class Weights:
     """Weight of risk in Eq. 3, >= 0."""
     threshold: float | None = None
     """T of Eq. 4, >= 0."""
+    unknown_hops: int | None = None
+    """Hop count in Eq. 3 of a node without a route, 1..255."""
+    rules: Literal["paper", "authors"] = "paper"
+    """authors: fitness is judged and data leave as in the authors' code (`ReferencePolicy`)."""
 
 
 def _fitness(name: str, alpha: float, beta: float) -> Callable[[Weights], Policy]:
@@ -38,15 +44,25 @@ def _fitness(name: str, alpha: float, beta: float) -> Callable[[Weights], Policy
         b = beta if weights.beta is None else weights.beta
         if a + b == 0:
             raise ConfigError("policy.alpha: alpha and beta must not both be 0")
-        return FitnessPolicy(name, alpha=a, beta=b, threshold=1.0 if weights.threshold is None else weights.threshold)
+        return _weighed(name, a, b, weights)
 
     return make
 
 
 def _hop_count(weights: Weights) -> Policy:
-    # Its potential is 1/hops by definition; only the threshold can be set.
-    threshold = 1.0 if weights.threshold is None else weights.threshold
-    return FitnessPolicy("hop-count", alpha=1.0, beta=0.0, threshold=threshold)
+    # Its potential is 1/hops by definition: no weights can be set.
+    return _weighed("hop-count", 1.0, 0.0, weights)
+
+
+def _weighed(name: str, alpha: float, beta: float, weights: Weights) -> Policy:
+    kind = ReferencePolicy if weights.rules == "authors" else FitnessPolicy
+    return kind(
+        name,
+        alpha=alpha,
+        beta=beta,
+        threshold=1.0 if weights.threshold is None else weights.threshold,
+        unknown_hops=UNREACHABLE_HOPS if weights.unknown_hops is None else weights.unknown_hops,
+    )
 
 
 def _stigmergy(weights: Weights) -> Policy:

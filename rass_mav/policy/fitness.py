@@ -9,7 +9,7 @@ from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Transfer, View
 from rass_mav.core.routing import Neighbour
 
-#: Hop count that stands for "no route" in Eq. 3: more than any real one.
+#: Hop count that stands for "no route" in Eq. 3 unless another is set: more than any real one.
 UNREACHABLE_HOPS = 255
 
 
@@ -26,23 +26,32 @@ class FitnessPolicy:
     """
 
     replicates = False
+    #: Part of the tag: potentials are compared only within a family.
+    family = "fitness"
 
-    def __init__(self, name: str, *, alpha: float, beta: float, threshold: float = 1.0) -> None:
-        """`alpha` weighs hops, `beta` weighs risk, both >= 0 and not both 0; `threshold` is T >= 0."""
+    def __init__(
+        self, name: str, *, alpha: float, beta: float, threshold: float = 1.0, unknown_hops: int = UNREACHABLE_HOPS
+    ) -> None:
+        """`alpha` weighs hops, `beta` weighs risk, both >= 0 and not both 0; `threshold` is T >= 0.
+
+        `unknown_hops`, >= 1: the hop count in Eq. 3 of a node without a route.
+        """
         if alpha < 0 or beta < 0 or alpha + beta == 0 or threshold < 0:
             raise ValueError("alpha and beta must be >= 0 and not both 0, threshold >= 0")
         self.name = name
         self.alpha = alpha
         self.beta = beta
         self.threshold = threshold
-        self.tag = policy_tag("fitness", alpha, beta)
+        self.unknown_hops = unknown_hops
+        others = () if unknown_hops == UNREACHABLE_HOPS else (unknown_hops,)
+        self.tag = policy_tag(self.family, alpha, beta, *others)
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         """Eq. 3 in wire units (`POTENTIAL_ONE` = fitness 1), rounded, at most one below a base's."""
         if free <= 0:
             return 0
         if hops == NO_ROUTE:
-            hops = UNREACHABLE_HOPS
+            hops = self.unknown_hops
         cost = self.alpha * hops + self.beta * risk
         if cost * (POTENTIAL_BASE - 1) <= POTENTIAL_ONE:
             return POTENTIAL_BASE - 1

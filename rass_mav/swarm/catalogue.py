@@ -37,8 +37,27 @@ def load_scenario(name: str, options: dict[str, Any] | None = None, assignments:
     Raises `ConfigError` that names the file and the key.
     """
     path = find(name)
+    scenario = convert(_overridden(path, options or {}, assignments), Scenario, path.name)
+    variant = scenario.variants.get(scenario.policy.name)
+    if variant is not None:
+        scenario = convert(_overridden(path, options or {}, assignments, variant), Scenario, path.name)
+    try:
+        settings = scenario.agent_settings(0)
+        settings.node_settings()
+        settings.policy.make()
+    except ConfigError as error:
+        raise ConfigError(f"{path.name}: {error}") from None
+    return scenario
+
+
+def _overridden(
+    path: Path, options: dict[str, Any], assignments: Sequence[str], variant: dict[str, dict[str, Any]] | None = None
+) -> dict[str, Any]:
+    """The keys of a file, then of the variant, then `options` and `assignments`: each goes before those before it."""
     raw = read_yaml(path)
-    for key, value in (options or {}).items():
+    for section, keys in (variant or {}).items():
+        raw.setdefault(section, {}).update(keys)
+    for key, value in options.items():
         place = raw
         *sections, last = key.split(".")
         for section in sections:
@@ -48,11 +67,4 @@ def load_scenario(name: str, options: dict[str, Any] | None = None, assignments:
         place[last] = value
     for assignment in assignments:
         set_key(raw, assignment)
-    scenario = convert(raw, Scenario, path.name)
-    try:
-        settings = scenario.agent_settings(0)
-        settings.node_settings()
-        settings.policy.make()
-    except ConfigError as error:
-        raise ConfigError(f"{path.name}: {error}") from None
-    return scenario
+    return raw

@@ -77,7 +77,7 @@ class Ledger:
                 self.lost.pop(id, None)
 
     def drop(self, id: DatumId, fate: Fate) -> None:
-        """A drone has a copy less; or, with OVERFLOW, a datum sent without custody was not taken in."""
+        """A drone has a copy less."""
         copies = self.copies.get(id, 0)
         if copies:
             copies -= 1
@@ -88,13 +88,16 @@ class Ledger:
                 del self.copies[id]
         if id in self.arrived:
             return
-        if fate is not Fate.OVERFLOW:
-            self.waiting_copies -= 1
-            if not copies:
-                self.waiting -= 1
+        self.waiting_copies -= 1
         if not copies:
+            self.waiting -= 1
             # PASSED_ON without another copy: it was sent without custody, and is in the air until it turns up.
             self.lost[id] = Fate.VANISHED if fate is Fate.PASSED_ON else fate
+
+    def decline(self, id: DatumId) -> None:
+        """A datum sent without custody was not taken in. Unless there is another copy, it is lost."""
+        if id not in self.copies and id not in self.arrived:
+            self.lost[id] = Fate.OVERFLOW
 
     def deliver(self, datum: Datum) -> None:
         """A datum arrived at a base."""
@@ -132,6 +135,9 @@ class _Book(Observer):
     def dropped(self, id: DatumId, fate: Fate) -> None:
         if not self._base:
             self._ledger.drop(id, fate)
+
+    def declined(self, id: DatumId) -> None:
+        self._ledger.decline(id)
 
     def delivered(self, datum: Datum) -> None:
         self._ledger.deliver(datum)

@@ -52,7 +52,7 @@ class Mobility(Protocol):
         ...
 
 
-class _Stepper:
+class Stepper:
     """What the kinds of mobility share: the positions, and the check that no step is left out or taken twice."""
 
     moves = True
@@ -71,7 +71,7 @@ class _Stepper:
         raise NotImplementedError
 
 
-class Static(_Stepper):
+class Static(Stepper):
     """Nodes that stay where they are."""
 
     moves = False
@@ -80,7 +80,7 @@ class Static(_Stepper):
         return False
 
 
-class RandomWalk(_Stepper):
+class RandomWalk(Stepper):
     """Every robot, the base too, moves 0.15 m a step, and before that takes a new uniform heading with chance 0.1.
 
     A robot about to pass a wall turns back first: the part of its heading that points at the wall changes sign. So its
@@ -111,7 +111,7 @@ class RandomWalk(_Stepper):
         return True
 
 
-class LennardJones(_Stepper):
+class LennardJones(Stepper):
     """Robots that keep their distance from those within range, like the particles of a fluid.
 
     Neighbour at distance r: the force on the robot, along the direction to the neighbour, is
@@ -164,7 +164,7 @@ class LennardJones(_Stepper):
         return list(zip(forces_x, forces_y, strict=True))
 
 
-class Islands(_Stepper):
+class Islands(Stepper):
     """A swarm that splits in two: at `split_step` all nodes with x > 0 jump by `gap_m` in +x, and stay there.
 
     With `rejoin_step` they jump back to their first places at that step. On the grid the swarm is cut in two if

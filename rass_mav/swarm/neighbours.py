@@ -59,17 +59,37 @@ class Cells:
                     yield here, there
 
 
+def segment_distance(point: Position, start: Position, end: Position) -> float:
+    """Distance of a point from the straight line between two others, metres."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    length2 = dx * dx + dy * dy
+    along = ((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / length2 if length2 else 0.0
+    along = min(max(along, 0.0), 1.0)
+    return math.dist(point, (start[0] + along * dx, start[1] + along * dy))
+
+
 class RangeGraph:
     """The graph whose edges join nodes at most `range_m` metres apart. Node ids are the indices into the positions."""
 
     neighbours: list[list[int]]
     """For each node the ids within range of it, ascending, itself left out."""
 
-    def __init__(self, positions: Sequence[Position], range_m: float) -> None:
-        """Build the graph. `range_m` in metres, > 0 (`ValueError` otherwise)."""
+    def __init__(
+        self,
+        positions: Sequence[Position],
+        range_m: float,
+        cylinders: Sequence[Position] = (),
+        cylinder_m: float = 0.0,
+    ) -> None:
+        """Build the graph. `range_m` in metres, > 0 (`ValueError` otherwise).
+
+        `cylinders`: centres of upright cylinders of radius `cylinder_m`, metres; no edge passes through one.
+        """
         if not (math.isfinite(range_m) and range_m > 0):
             raise ValueError(f"range_m must be a finite number > 0, got {range_m!r}")
         self.range_m = range_m
+        self._cylinders = cylinders
+        self._cylinder_m = cylinder_m
         self.update(positions)
 
     def update(self, positions: Sequence[Position]) -> None:
@@ -90,6 +110,18 @@ class RangeGraph:
         for ids in neighbours:
             ids.sort()
         self.neighbours = neighbours
+        for cylinder in self._cylinders:
+            self._cast_shadow(positions, cylinder)
+
+    def _cast_shadow(self, positions: Sequence[Position], cylinder: Position) -> None:
+        radius = self._cylinder_m
+        limit = self.range_m + radius
+        # Who is farther away has no edge that reaches the cylinder.
+        near = [i for i, position in enumerate(positions) if math.dist(position, cylinder) <= limit]
+        for i in near:
+            self.neighbours[i] = [
+                j for j in self.neighbours[i] if segment_distance(cylinder, positions[i], positions[j]) > radius
+            ]
 
     def connected(self, ids: Iterable[int] | None = None) -> bool:
         """Whether these nodes (default: all) reach each other over hops between themselves. True for none or one."""

@@ -25,6 +25,24 @@ class Source(NamedTuple):
     """Radiation level at the source itself, >= 0 without unit; 1 corrupts every datum there in one step."""
 
 
+class Threshold(NamedTuple):
+    """The authors' rule of corruption: a datum is struck when a tolerance drawn for it is below the drone's risk.
+
+    Tolerances are uniform in low..high, so a risk of at most `low - jitter` is perfectly safe, and one of at least
+    `high + jitter` strikes everything. Source: the authors' code (docs/reproduction.md).
+    """
+
+    low: float
+    high: float
+    jitter: float
+    """Added to the risk, uniform in +-jitter, once for each drone and step."""
+
+    def probability(self, level: float, rng: Random) -> float:
+        """Probability 0..1 that a datum is struck in this step, at this level (clipped to a risk of 0..1)."""
+        risk = min(max(level, 0.0), 1.0) + rng.uniform(-self.jitter, self.jitter)
+        return min(max((risk - self.low) / (self.high - self.low), 0.0), 1.0)
+
+
 def random_sources(rng: Random, n: int = 3, spread_m: float = 3.5) -> list[Source]:
     """The paper's sources: `n` of them, x and y uniform in +-spread_m metres, intensity uniform in 0..1."""
 

@@ -15,6 +15,7 @@ from rass_mav.agent.settings import (
     Fraction,
     MavlinkSettings,
     NonNegative,
+    PolicyName,
     PolicySettings,
     Positive,
     RiskSettings,
@@ -46,6 +47,9 @@ class MobilitySection(Section, frozen=True):
     """How far it moves, metres."""
     positions: list[tuple[float, float]] | None = None
     """For the topology `positions`: [x, y] of each node, metres, the arena's centre as origin."""
+    layout: Literal["own", "authors"] = "own"
+    """authors: places and motion of `grid`, `scale-free`, `lennard-jones`, `random-walk` as in the authors' experiment
+    (swarm/authors.py)."""
 
 
 class RadioSection(Section, frozen=True):
@@ -68,6 +72,8 @@ class RadiationSection(Section, frozen=True):
 
     sources: list[tuple[float, float, NonNegative]] | None = None
     """[x, y, intensity] of each source, metres, the arena's centre as origin; null: `random_sources` by the seed."""
+    sets: list[list[tuple[float, float, NonNegative]]] | None = None
+    """Sources of several runs: seed k has set k mod their number. Instead of `sources`."""
     random_sources: Annotated[int, Meta(ge=0)] = 3
     """How many, x and y uniform in +-spread_m, intensity uniform in 0..1."""
     spread_m: NonNegative = 3.5
@@ -78,7 +84,49 @@ class RadiationSection(Section, frozen=True):
     noise: NonNegative = 0.05
     """Standard deviation of the sensor's noise b of Eq. 1."""
     corruption: bool = True
-    """Whether data in drones' stores are struck with Eq. 2's probability."""
+    """Whether data in drones' stores are struck."""
+    rule: Literal["probability", "threshold"] = "probability"
+    """probability: Eq. 2; threshold: a datum is struck when a tolerance drawn for it is below the drone's risk."""
+    tolerance: tuple[float, float] = (0.15, 0.5)
+    """threshold: tolerances are uniform between these."""
+    jitter: NonNegative = 0.05
+    """threshold: uniform in +-jitter, added to the risk, once for each drone and step."""
+    round_m: NonNegative = 0.0
+    """The field is taken at positions rounded to multiples of this, metres; 0: not rounded."""
+    cylinder_m: NonNegative = 0.0
+    """Radius of the sources as cylinders that block the radio's line of sight, metres; 0: they block nothing."""
+    cylinders: Literal["own", "slipped"] = "own"
+    """Whose they are. slipped: seed k shows those of set (k mod sets - 1) mod 10, as in the authors' experiment."""
+
+    def sources_of(self, seed: int) -> list[tuple[float, float, float]] | None:
+        """The sources of a run; None: `random_sources`."""
+        return self.sets[seed % len(self.sets)] if self.sets else self.sources
+
+    def cylinders_of(self, seed: int) -> list[tuple[float, float, float]]:
+        """The sources whose cylinders stand in the way in a run; only sources that are given have cylinders."""
+        if self.cylinders == "slipped" and self.sets:
+            run = seed % len(self.sets)
+            # Of the number of the run before only the last digit was read.
+            return self.sets[max(run - 1, 0) % 10 % len(self.sets)]
+        return self.sources_of(seed) or []
+
+    def __post_init__(self) -> None:
+        """What no single key can say."""
+        if self.sets is not None and (not self.sets or self.sources is not None):
+            raise ValueError(
+                "radiation.sets: expected at least one set of sources, and no radiation.sources beside them"
+            )
+        if self.tolerance[0] >= self.tolerance[1]:
+            raise ValueError(f"radiation.tolerance: expected two rising numbers, got {list(self.tolerance)}")
+        if self.cylinder_m and (self.drift or (self.sources is None and self.sets is None)):
+            raise ValueError("radiation.cylinder_m: expected 0 unless the sources are given and stay where they are")
+
+
+class StatisticsSection(Section, frozen=True):
+    """How the summary counts."""
+
+    full_items: Count | None = None
+    """How many data in a drone's store are 100 % of its memory; null: `store.capacity_items`."""
 
 
 class FailureSection(Section, frozen=True):
@@ -116,6 +164,10 @@ class Scenario(Section, frozen=True):
     radio: RadioSection = RadioSection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
+    statistics: StatisticsSection = StatisticsSection()
+    variants: dict[PolicyName, dict[str, dict[str, Any]]] = msgspec.field(default_factory=dict)
+    """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They go before the
+    file's other keys, and the command's options go before them (applied by `catalogue.load_scenario`)."""
 
     def __post_init__(self) -> None:
         """What no single key can say."""

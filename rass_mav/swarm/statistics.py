@@ -28,8 +28,10 @@ def spread(values: list[int]) -> dict[str, float | int | None]:
 class Statistics:
     """Counts once a step, after the air is quiet."""
 
-    def __init__(self, world: VirtualSwarm) -> None:
+    def __init__(self, world: VirtualSwarm, full_items: int | None = None) -> None:
+        """`full_items`: how many data in a drone's store are 100 %; None: its capacity."""
         self._world = world
+        self._full_items = full_items
         self._steps = 0
         self._stored = 0
         self._copies = 0
@@ -57,7 +59,7 @@ class Statistics:
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
         drones = len(world.agents) - bases
-        capacity = settings.store.capacity_items
+        capacity = self._full_items or settings.store.capacity_items
         room = drones * self._steps * (capacity or 0)
         nodes = [agent.node for agent in world.agents]
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")

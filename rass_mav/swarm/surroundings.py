@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import random
 
-from rass_mav.swarm.mobility import make_mobility
+from rass_mav.swarm.authors import make_authors_mobility
+from rass_mav.swarm.mobility import Mobility, make_mobility
 from rass_mav.swarm.neighbours import Position, RangeGraph
 from rass_mav.swarm.radiation import RadiationField, Source, random_sources
 from rass_mav.swarm.scenario import Scenario
@@ -18,29 +20,20 @@ class Surroundings:
         seed = scenario.seed
         # One generator for each purpose: what one part draws does not disturb the others. Seeding with a text is
         # the same in every process.
-        self.mobility = make_mobility(
-            scenario.topology,
-            nodes=scenario.nodes,
-            range_m=scenario.radio.range_m,
-            arena_m=scenario.arena,
-            rng=random.Random(f"{seed}:places"),
-            bases=scenario.bases,
-            pitch_m=scenario.mobility.pitch_m,
-            split_step=scenario.mobility.split_step,
-            rejoin_step=scenario.mobility.rejoin_step,
-            gap_m=scenario.mobility.gap_m,
-            positions=scenario.mobility.positions,
-        )
+        self.mobility = _mobility(scenario, random.Random(f"{seed}:places"))
         radiation = scenario.radiation
         rng = random.Random(f"{seed}:field")
-        if radiation.sources is None:
+        given = radiation.sources_of(seed)
+        if given is None:
             sources = random_sources(rng, radiation.random_sources, radiation.spread_m)
         else:
-            sources = [Source(*source) for source in radiation.sources]
+            sources = [Source(*source) for source in given]
         self.field = RadiationField(
             sources, decay=radiation.decay, drift=radiation.drift, rng=rng, bounds=scenario.arena / 2
         )
-        self.graph = RangeGraph(self.mobility.positions, scenario.radio.range_m)
+        cylinders = [(x, y) for x, y, _ in radiation.cylinders_of(seed)] if radiation.cylinder_m else []
+        self.graph = RangeGraph(self.mobility.positions, scenario.radio.range_m, cylinders, radiation.cylinder_m)
+        self._round_m = radiation.round_m
         self.levels: list[float] = []
         """Radiation at each node without the sensor's noise, Eq. 1."""
         self.corruption: list[float] = []
@@ -66,5 +59,28 @@ class Surroundings:
 
     def _measure(self) -> None:
         positions = self.mobility.positions
+        if self._round_m:
+            grain = self._round_m
+            positions = [
+                (grain * math.floor(x / grain + 0.5), grain * math.floor(y / grain + 0.5)) for x, y in positions
+            ]
         self.levels = [self.field.level(x, y) for x, y in positions]
         self.corruption = [self.field.corruption(x, y) for x, y in positions]
+
+
+def _mobility(scenario: Scenario, rng: random.Random) -> Mobility:
+    if scenario.mobility.layout == "authors":
+        return make_authors_mobility(scenario.topology, scenario.nodes, rng)
+    return make_mobility(
+        scenario.topology,
+        nodes=scenario.nodes,
+        range_m=scenario.radio.range_m,
+        arena_m=scenario.arena,
+        rng=rng,
+        bases=scenario.bases,
+        pitch_m=scenario.mobility.pitch_m,
+        split_step=scenario.mobility.split_step,
+        rejoin_step=scenario.mobility.rejoin_step,
+        gap_m=scenario.mobility.gap_m,
+        positions=scenario.mobility.positions,
+    )

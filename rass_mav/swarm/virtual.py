@@ -32,10 +32,12 @@ class VirtualSwarm(ABC):
         *,
         seed: int,
         topology: str,
+        full_items: int | None = None,
         record: Record | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: what the summary says of it.
+        :param full_items: how many data in a drone's store the summary calls 100 %; None: the store's capacity.
         :param record: called with every frame put on the air, and its step.
         """
         self.seed = seed
@@ -58,7 +60,7 @@ class VirtualSwarm(ABC):
             self.agents.append(Agent(settings, store, rng, now=0.0, observer=book, newborn=True))
         self.step_s = self.agents[0].settings.step_s
         """Length of a step, seconds."""
-        self.statistics = Statistics(self)
+        self.statistics = Statistics(self, full_items)
         self._begins = bool(radio.latency_steps or radio.reorder)
         self._at_once = not radio.latency_steps
         self._strike_rng = random.Random(f"{seed}:strikes")
@@ -83,7 +85,8 @@ class VirtualSwarm(ABC):
         """One step: arrivals due, places and readings, corruption, every node's turn in id order, the air."""
         t = self.t
         now = t * self.step_s
-        self.ledger.step = t - 1
+        # What was overtaken belongs to the step before; what takes whole steps arrives in this one.
+        self.ledger.step = t - 1 if self._at_once else t
         if self._begins:
             self.radio.begin_step(t)
             self._deliver(t, now)
@@ -108,9 +111,12 @@ class VirtualSwarm(ABC):
             for outgoing in agents[hearer].peer_bytes(frame, now):
                 send(hearer, outgoing[0], t)
 
-    def _strike(self, node_id: int, probability: float) -> None:
-        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
-        rng = self._strike_rng
+    def _strike(self, node_id: int, probability: float, rng: random.Random | None = None) -> None:
+        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit.
+
+        `rng`: the drone's own generator, if it has one for this.
+        """
+        rng = rng or self._strike_rng
         store = self.stores[node_id]
         for id in list(store.ids()):
             if rng.random() < probability:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.neighbours import RangeGraph
+from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.radio import Record
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
@@ -25,11 +26,19 @@ class World(VirtualSwarm):
             MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name)
             for node_id in range(scenario.nodes)
         ]
+        radiation = scenario.radiation
+        self._threshold: Threshold | None = None
+        self._robot_rngs: list[random.Random] = []
+        if radiation.rule == "threshold":
+            self._threshold = Threshold(*radiation.tolerance, radiation.jitter)
+            # The authors' robots draw the same numbers in each run: these generators start from the id alone.
+            self._robot_rngs = [random.Random(f"robot:{node_id}") for node_id in range(scenario.nodes)]
         super().__init__(
             (scenario.agent_settings(node_id) for node_id in range(scenario.nodes)),
             scenario.radio,
             seed=scenario.seed,
             topology=scenario.topology,
+            full_items=scenario.statistics.full_items,
             record=record,
         )
 
@@ -47,7 +56,16 @@ class World(VirtualSwarm):
         if t:
             self.surroundings.step()
         self._sense(now)
-        if self.scenario.radiation.corruption:
+        if not self.scenario.radiation.corruption:
+            return
+        if self._threshold is not None:
+            levels = self.surroundings.levels
+            for node_id in range(self.scenario.bases, self.scenario.nodes):
+                rng = self._robot_rngs[node_id]
+                probability = self._threshold.probability(levels[node_id], rng)
+                if probability:
+                    self._strike(node_id, probability, rng)
+        else:
             corruption = self.surroundings.corruption
             for node_id in range(self.scenario.bases, self.scenario.nodes):
                 if corruption[node_id]:

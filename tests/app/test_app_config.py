@@ -39,7 +39,8 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         ("policy: {alfa: 1}", "node.yaml: policy.alfa: unknown key (did you mean 'alpha'?)"),
         ("polic: {}", "node.yaml: polic: unknown key (did you mean 'policy'?)"),
         ("log: {zzz: 1}", "node.yaml: log.zzz: unknown key (known: level)"),
-        ("policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, got 3"),
+        ("policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, unknown_hops, "
+         "rules, got 3"),
         ("policy: {name: best}",
          "node.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, got 'best'"),
         (DRONE + "policy: {alpha: 0, beta: 0}", "node.yaml: policy.alpha: alpha and beta must not both be 0"),
