@@ -5,6 +5,7 @@
 #   make test     the tests
 #   make lint     ruff and mypy (style, format and types by themselves)
 #   make bench    the benchmarks
+#   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)
 #   make clean    removes .venv and what the tools left behind
 #
 # Another interpreter: make PYTHON=python3.12. Another place for the environment: make VENV=/some/where.
@@ -13,11 +14,14 @@ PYTHON ?= python3
 VENV ?= .venv
 # Tests that run at the same time.
 JOBS ?= 2
+# For `make paper`: runs of each kind, and where the tables and figures go.
+RUNS ?= 2
+OUT ?= build/paper
 
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-.PHONY: install demo test lint style format types bench clean
+.PHONY: install demo test lint style format types bench paper clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
@@ -52,6 +56,9 @@ types: $(READY)
 
 bench: $(READY)
 	@$(BIN)/python -m benchmarks
+
+paper: $(READY)
+	@$(BIN)/rass-mav experiment paper --out '$(OUT)' --runs $(RUNS) --jobs $(JOBS)
 
 clean:
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache

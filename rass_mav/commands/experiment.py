@@ -1,0 +1,244 @@
+"""`experiment`: the paper's experiments and ours, into a directory of tables and figures."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from rass_mav.core.errors import ConfigError, RassError
+
+from .common import HelpFormatter, Subparsers, add_command, add_set, print_json, progress, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.experiment.runner import Outcome
+    from rass_mav.experiment.runs import Result, Run
+
+T = TypeVar("T")
+
+_TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
+_POLICIES = ("rass", "hop-count", "stigmergy", "rass-literal")
+_FITNESS_POLICIES = ("rass", "hop-count", "rass-literal")
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command with its experiments."""
+    parser = subparsers.add_parser(
+        "experiment", help="run a named experiment: CSV, Markdown tables and PNG figures",
+        description="Run a named experiment. The runs that it finished are kept, and the same command goes on.",
+        epilog="example: rass-mav experiment paper --out results", formatter_class=HelpFormatter,
+    )  # fmt: skip
+    names = parser.add_subparsers(dest="experiment", metavar="NAME", required=True)
+
+    paper = _add(
+        names, "paper", _paper, "the paper's simulations: its Table I and its figures",
+        "rass-mav experiment paper --out results --runs 2 --topology grid", _POLICIES[:3],
+    )  # fmt: skip
+    paper.add_argument(
+        "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
+    )
+    paper.add_argument(
+        "--world", choices=("paper", "reference", "both"), default="both",
+        help="paper: the text's rules; reference: what the authors' code did (default: both)",
+    )  # fmt: skip
+    paper.add_argument(
+        "--reference-data", metavar="DIR",
+        help="the authors' curves.csv and delays.csv, to draw them in (default: shared/data/paper beside the project)",
+    )  # fmt: skip
+
+    _add(
+        names, "five-drones", _five_drones, "the paper's physical experiment: reliability, whole and by drone",
+        "rass-mav experiment five-drones --out results", _FITNESS_POLICIES,
+    )  # fmt: skip
+
+    moving = _add(
+        names, "moving-sources", _moving_sources, "what becomes of data when the sources of radiation move",
+        "rass-mav experiment moving-sources --out results --drift 0.05 0.5", _FITNESS_POLICIES,
+    )  # fmt: skip
+    moving.add_argument(
+        "--drift", nargs="+", type=float, metavar="METRES", default=[0.0, 0.05, 0.2, 0.5],
+        help="how far each source moves in a step (default: 0 0.05 0.2 0.5)",
+    )  # fmt: skip
+    moving.add_argument("--topology", choices=_TOPOLOGIES, default="grid", help="where the drones are (default: grid)")
+
+    maxima = _add(
+        names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
+        "rass-mav experiment local-maxima --out results", _FITNESS_POLICIES,
+    )  # fmt: skip
+    maxima.add_argument(
+        "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
+    )
+
+    counting = add_command(
+        names, "counting-to-infinity", _counting,
+        help="what Alg. 2 as written does when the base vanishes, and what sequence numbers change",
+        example="rass-mav experiment counting-to-infinity --out results",
+    )  # fmt: skip
+    _add_out(counting)
+    counting.add_argument("--steps", type=int, default=200, metavar="N", help="(default: 200; the base vanishes at 60)")
+
+
+def _add_out(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", required=True, metavar="DIR", help="where everything is written")
+
+
+def _add(
+    names: Subparsers,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    help: str,
+    example: str,
+    policies: Sequence[str],
+) -> argparse.ArgumentParser:
+    """An experiment made of runs of the mock swarm."""
+    parser = add_command(names, name, run, help=help, example=example)
+    _add_out(parser)
+    parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
+    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 a run (default: 500)")
+    parser.add_argument(
+        "--policy", nargs="+", default=list(policies), metavar="NAME",
+        choices=_POLICIES if "stigmergy" in policies else _FITNESS_POLICIES,
+        help=f"which to compare (default: {' '.join(policies)})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)"
+    )
+    parser.add_argument("--dask", metavar="ADDRESS", help="use the workers of this Dask scheduler instead")
+    add_set(parser)
+    return parser
+
+
+def _paper(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import paper
+    from rass_mav.experiment.published import default_directory, load_published
+
+    given = options.reference_data
+    published = load_published(default_directory() if given is None else Path(given))
+    worlds = paper.WORLDS if options.world == "both" else (options.world,)
+
+    def plan() -> list[Run]:
+        return paper.plan(
+            worlds, _distinct(options.topology), _distinct(options.policy),
+            runs=options.runs, steps=options.steps, assignments=options.assignments,
+        )  # fmt: skip
+
+    return _runs(options, plan, lambda results, out: paper.report(results, out, published), "table1.md")
+
+
+def _five_drones(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import five_drones
+
+    def plan() -> list[Run]:
+        return five_drones.plan(
+            _distinct(options.policy), runs=options.runs, steps=options.steps, assignments=options.assignments
+        )
+
+    return _runs(options, plan, five_drones.report, "table.md")
+
+
+def _moving_sources(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import moving_sources
+
+    def plan() -> list[Run]:
+        return moving_sources.plan(
+            _distinct(options.drift), options.topology, _distinct(options.policy),
+            runs=options.runs, steps=options.steps, assignments=options.assignments,
+        )  # fmt: skip
+
+    return _runs(options, plan, moving_sources.report, "table.md")
+
+
+def _local_maxima(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import local_maxima
+
+    def plan() -> list[Run]:
+        return local_maxima.plan(
+            _distinct(options.topology), _distinct(options.policy),
+            runs=options.runs, steps=options.steps, assignments=options.assignments,
+        )  # fmt: skip
+
+    return _runs(options, plan, local_maxima.report, "table.md")
+
+
+def _counting(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import counting
+    from rass_mav.experiment.figures import need_matplotlib
+
+    start_logging(options.verbose, "error")
+    need_matplotlib()
+    if options.steps <= counting.VANISHES:
+        raise ConfigError(f"--steps: expected more than {counting.VANISHES}, when the base vanishes")
+    out = _directory(options.out)
+    files = counting.report(out, options.steps)
+    if options.json:
+        print_json({"experiment": options.experiment, "out": str(out), "files": [path.name for path in files]})
+    else:
+        _show(out, files, "table.md")
+    return 0
+
+
+def _runs(
+    options: argparse.Namespace,
+    plan: Callable[[], list[Run]],
+    report: Callable[[Sequence[Result], Path], list[Path]],
+    table: str,
+) -> int:
+    """What the experiments that are made of runs have in common."""
+    from rass_mav.experiment.figures import need_matplotlib
+    from rass_mav.experiment.runner import run_all
+
+    start_logging(options.verbose, "error")
+    need_matplotlib()
+    for name in ("runs", "steps", "jobs"):
+        if getattr(options, name) < 1:
+            raise ConfigError(f"--{name}: expected 1 or more, got {getattr(options, name)}")
+    planned = plan()
+    out = _directory(options.out)
+    begin = time.perf_counter()
+    outcome: Outcome = run_all(
+        planned,
+        out / "runs",
+        jobs=options.jobs,
+        dask=options.dask,
+        progress=lambda total: progress(total, "runs", quiet=options.json),
+    )
+    wall = time.perf_counter() - begin
+    files = report(outcome.results, out)
+    if options.json:
+        print_json(
+            {
+                "experiment": options.experiment,
+                "out": str(out),
+                "runs": len(outcome.results),
+                "done": outcome.done,
+                "reused": outcome.reused,
+                "files": [path.name for path in files],
+                "wall_s": round(wall, 3),
+            }
+        )
+        return 0
+    _show(out, files, table)
+    say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} had been done before")
+    return 0
+
+
+def _show(out: Path, files: Sequence[Path], table: str) -> None:
+    say((out / table).read_text(encoding="utf-8"))
+    say(f"in {out}: " + ", ".join(path.name for path in files))
+
+
+def _directory(path: str) -> Path:
+    out = Path(path)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RassError(f"--out {path}: {(error.strerror or str(error)).lower()}") from None
+    return out
+
+
+def _distinct(values: Sequence[T]) -> list[T]:
+    """Each once, in the order given."""
+    return list(dict.fromkeys(values))

@@ -1,0 +1,113 @@
+"""What becomes of data when the sources of radiation move: fitness is a step old, and a safe place does not stay so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rass_mav.experiment.curves import (
+    NAN,
+    by_policy,
+    final_reliability,
+    mean_delay,
+    over_time,
+    reliability,
+    summary_estimate,
+)
+from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.runs import Result, Run
+from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.swarm.catalogue import load_scenario
+
+TABLE_COLUMNS = (
+    "drift_m", "policy", "runs", "steps", "reliability_mean", "reliability_ci95", "delay_mean", "delay_ci95",
+)  # fmt: skip
+_Y_LABEL = "reliability (1 - lost / created)"
+
+
+def plan(
+    drifts: Sequence[float],
+    topology: str,
+    policies: Sequence[str],
+    *,
+    runs: int,
+    steps: int,
+    assignments: Sequence[str] = (),
+) -> list[Run]:
+    """The runs in the world `paper`, each source moving `drift` metres a step. Raises `ConfigError`."""
+    return [
+        Run(
+            "moving-sources", _variant(drift),
+            load_scenario(
+                f"paper-{topology}",
+                {"policy.name": policy, "seed": seed, "steps": steps, "radiation.drift": drift}, assignments,
+            ),
+        )
+        for drift in sorted(drifts)
+        for policy in policies
+        for seed in range(runs)
+    ]  # fmt: skip
+
+
+def _variant(drift: float) -> str:
+    return f"drift-{drift:g}"
+
+
+def report(results: Sequence[Result], out: Path) -> list[Path]:
+    """Write runs.csv, table.csv, table.md and two figures; returns their paths."""
+    drifts = {result.variant: float(result.variant.removeprefix("drift-")) for result in results}
+    groups = {variant: by_policy(r for r in results if r.variant == variant) for variant in drifts}
+    rows: list[list[object]] = []
+    cells: list[list[str]] = []
+    lines: dict[str, list[tuple[float, float, float]]] = {}
+    for variant, policies in groups.items():
+        for policy, group in policies.items():
+            kept = summary_estimate(group, final_reliability)
+            delay = summary_estimate(group, mean_delay)
+            drift = drifts[variant]
+            rows.append([drift, policy, len(group), group[0].steps, *figures_of(kept), *figures_of(delay)])
+            cells.append(
+                [
+                    f"{drift:g}",
+                    policy_style(policy).label,
+                    "n/a" if kept is None else kept.text(3),
+                    "n/a" if delay is None else delay.text(2),
+                ]
+            )
+            point = (drift, NAN, 0.0) if kept is None else (drift, kept.mean, kept.half_width or 0.0)
+            lines.setdefault(policy, []).append(point)
+    some = results[0]
+    runs = len(next(iter(next(iter(groups.values())).values())))
+    note = f"mean of {runs} run{'s' if runs > 1 else ''}" + (", band: 95 % confidence interval" if runs > 1 else "")
+    text = (
+        f"# Moving sources: {some.topology}, world paper\n\n"
+        f"Mean of {runs} runs of {some.steps} steps ± half of the 95 % confidence interval (Student's t). Each source\n"
+        "does a random walk of so many metres a step. Delay: steps, of data that arrived.\n\n"
+        + markdown(["Drift, m a step", "Algorithm", "Reliability", "Delay"], cells)
+    )
+    against_drift = []
+    for policy, points in lines.items():
+        style = policy_style(policy)
+        x, y, half = zip(*points, strict=True)
+        against_drift.append(Curve(style.label, x, y, style.color, style.marker, half if runs > 1 else None))
+    return [
+        write_runs(out / "runs.csv", results),
+        write_csv(out / "table.csv", TABLE_COLUMNS, rows),
+        write_text(out / "table.md", text),
+        draw(
+            out / "reliability-by-drift.png",
+            [Panel(f"Moving sources: {some.topology}", "drift of each source (m a step)", _Y_LABEL, against_drift)],
+            note=note,
+        ),
+        draw(
+            out / "reliability.png",
+            [
+                Panel(
+                    f"Drift {drifts[variant]:g} m a step", "step", _Y_LABEL,
+                    [over_time(group, reliability) for group in policies.values()], (0, 1.03),
+                )
+                for variant, policies in groups.items()
+            ],
+            columns=min(2, len(groups)), note=note,
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,274 @@
+"""The paper's simulations: four topologies, three ways of storing, two worlds. Its Table I and its figures."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.experiment.curves import (
+    NAN,
+    by_policy,
+    final_reliability,
+    mean_delay,
+    memory_used,
+    over_time,
+    reliability,
+    summary_estimate,
+    total_stored,
+)
+from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.measures import OUT_OF_REACH
+from rass_mav.experiment.published import TABLE_1, Published
+from rass_mav.experiment.runs import Result, Run
+from rass_mav.experiment.statistics import Estimate, estimate
+from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.swarm.catalogue import load_scenario, shipped
+
+WORLDS = ("paper", "reference")
+TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
+#: What is compared unless other policies are asked for.
+POLICIES = ("rass", "hop-count", "stigmergy")
+#: What may be asked for. `rass-literal` is a reading of the text, so it runs in the world `paper` only.
+ALL_POLICIES = (*POLICIES, "rass-literal")
+
+TOPOLOGY_TITLES = {
+    "grid": "grid",
+    "scale-free": "scale-free",
+    "lennard-jones": "Lennard-Jones",
+    "random-walk": "random walk",
+}
+TABLE_COLUMNS = (
+    "world", "topology", "policy", "runs", "steps", "delay_paper", "delay_mean", "delay_ci95", "memory_paper",
+    "memory_mean", "memory_ci95", "reliability_authors", "reliability_mean", "reliability_ci95",
+)  # fmt: skip
+DISTANCE_COLUMNS = (
+    "world", "topology", "policy", "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals",
+    "delay_of_runs_mean", "delay_of_runs_ci95",
+)  # fmt: skip
+#: The delay at which distributions are cut off in figures leaves at most this share of the data out.
+_TAIL = 0.02
+
+
+def plan(
+    worlds: Sequence[str],
+    topologies: Sequence[str],
+    policies: Sequence[str],
+    *,
+    runs: int,
+    steps: int,
+    assignments: Sequence[str] = (),
+) -> list[Run]:
+    """The runs, seeds 0 .. runs - 1 of each combination. Raises `ConfigError`, for a missing scenario too."""
+    known = shipped()
+    planned = []
+    for world in worlds:
+        for topology in topologies:
+            name = f"{world}-{topology}"
+            if name not in known:
+                raise ConfigError(f"world {world}: this version of rass-mav has no scenario {name}")
+            for policy in policies:
+                if policy == "rass-literal" and world != "paper":
+                    continue
+                for seed in range(runs):
+                    options = {"policy.name": policy, "seed": seed, "steps": steps}
+                    planned.append(Run(world, "", load_scenario(name, options, assignments)))
+    if not planned:
+        raise ConfigError("nothing to run: rass-literal belongs to the world paper")
+    return planned
+
+
+def report(results: Sequence[Result], out: Path, published: Published) -> list[Path]:
+    """Write runs.csv, table1.csv, table1.md, delay-by-distance.csv and the figures; returns their paths."""
+    groups: dict[tuple[str, str], dict[str, list[Result]]] = {}
+    for result in results:
+        groups.setdefault((result.world, result.topology), {})
+    for world, topology in groups:
+        groups[world, topology] = by_policy(r for r in results if (r.world, r.topology) == (world, topology))
+    files = [write_runs(out / "runs.csv", results), *_table_1(groups, out, published), _distances(groups, out)]
+    for (world, topology), policies in groups.items():
+        where = f"{world}-{topology}"
+        title = f"{TOPOLOGY_TITLES.get(topology, topology)}, world {world}"
+        runs = max(len(group) for group in policies.values())
+        count = f"{runs} run{'s' if runs > 1 else ''}"
+        band = ", band: 95 % confidence interval" if runs > 1 else ""
+        authors = any((topology, policy) in published.curves for policy in policies)
+        dashed = "; dashed: the authors' runs" if authors else ""
+        note = f"solid: mean of {count}{band}{dashed}"
+        files += [
+            draw(out / f"reliability-{where}.png", [_reliability(title, topology, policies, published)], note=note),
+            draw(out / f"delays-{where}.png", [_delays(title, topology, policies, published)],
+                 legend_columns=2,
+                 note=f"solid: the data of {count} together{dashed}; the longest {_TAIL:.0%} are cut off"),
+            draw(out / f"stored-{where}.png", [_stored(title, topology, policies, published)], note=note),
+            draw(
+                out / f"delay-by-distance-{where}.png", [_delay_by_distance(title, policies)],
+                note=f"each point: mean over the means of {count}{band}",
+            ),
+        ]  # fmt: skip
+    return files
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+
+def _table_1(
+    groups: dict[tuple[str, str], dict[str, list[Result]]], out: Path, published: Published
+) -> tuple[Path, Path]:
+    rows: list[list[object]] = []
+    text: dict[str, list[list[str]]] = {}
+    for (world, topology), policies in groups.items():
+        for policy, results in policies.items():
+            delay_paper, memory_paper = TABLE_1.get((topology, policy), (None, None))
+            # The paper has no delay for stigmergy, which knows no base.
+            delay = None if policy == "stigmergy" else summary_estimate(results, mean_delay)
+            memory = summary_estimate(results, memory_used)
+            kept = summary_estimate(results, final_reliability)
+            curve = published.curves.get((topology, policy))
+            authors = None if curve is None else curve.reliability[-1]
+            rows.append(
+                [
+                    world, topology, policy, len(results), results[0].steps,
+                    delay_paper, *figures_of(delay), memory_paper, *figures_of(memory), authors, *figures_of(kept),
+                ]
+            )  # fmt: skip
+            text.setdefault(world, []).append(
+                [
+                    TOPOLOGY_TITLES.get(topology, topology), policy_style(policy).label,
+                    _cell(delay_paper), _cell(delay), _cell(memory_paper), _cell(memory),
+                    _cell(authors, 3), _cell(kept, 3),
+                ]
+            )  # fmt: skip
+    return write_csv(out / "table1.csv", TABLE_COLUMNS, rows), write_text(out / "table1.md", _table_text(text, groups))
+
+
+def _cell(value: Estimate | float | None, digits: int = 2) -> str:
+    if value is None:
+        return "n/a"
+    return value.text(digits) if isinstance(value, Estimate) else f"{value:.{digits}f}"
+
+
+def _table_text(rows: dict[str, list[list[str]]], groups: dict[tuple[str, str], dict[str, list[Result]]]) -> str:
+    columns = [
+        "Topology", "Algorithm", "Delay, paper", "Delay, ours", "Memory, paper", "Memory, ours",
+        "Reliability, authors", "Reliability, ours",
+    ]  # fmt: skip
+    parts = [
+        "# Table I of the paper, beside ours\n",
+        "Ours: mean over runs ± half of the 95 % confidence interval (Student's t). Delay: steps from creation to\n"
+        'arrival, of data that arrived (the paper prints it as "transfer speed (hops)"). Memory: items in a drone,\n'
+        "mean over drones and steps, in percent of 50 items. Reliability: 1 - lost / created at the\n"
+        "end; the paper has it in figures only, the numbers are those of the authors' logs.\n",
+    ]
+    for world, lines in rows.items():
+        some = next(results for (w, _), p in groups.items() if w == world for results in p.values())
+        parts.append(f"## World {world}: {len(some)} runs of {some[0].steps} steps\n")
+        parts.append(markdown(columns, lines))
+    return "\n".join(parts)
+
+
+def _distances(groups: dict[tuple[str, str], dict[str, list[Result]]], out: Path) -> Path:
+    rows: list[list[object]] = []
+    for (world, topology), policies in groups.items():
+        for policy, results in policies.items():
+            for hops in sorted({hops for result in results for hops in result.distances}):
+                here = [result.distances[hops] for result in results if hops in result.distances]
+                arrived = sum(d.arrived for d in here)
+                total = sum(d.delay_sum for d in here)
+                runs = _delays_at(results, hops)
+                rows.append(
+                    [
+                        world, topology, policy, "out of reach" if hops == OUT_OF_REACH else hops,
+                        sum(d.created for d in here), arrived, sum(d.lost for d in here),
+                        round(total / arrived, 4) if arrived else None, len(runs), *figures_of(estimate(runs)),
+                    ]
+                )  # fmt: skip
+    return write_csv(out / "delay-by-distance.csv", DISTANCE_COLUMNS, rows)
+
+
+def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
+    """Mean delay of each run, of its data made so many hops from the base, where any arrived."""
+    distances = [result.distances.get(hops) for result in results]
+    return [d.delay_sum / d.arrived for d in distances if d is not None and d.arrived]
+
+
+# -- figures -----------------------------------------------------------------------------------------------------------
+
+
+def _reliability(title: str, topology: str, policies: dict[str, list[Result]], published: Published) -> Panel:
+    curves = [over_time(results, reliability) for results in policies.values()]
+    for policy in policies:
+        authors = published.curves.get((topology, policy))
+        if authors is not None:
+            style = policy_style(policy)
+            curves.append(Curve(f"{style.label}, authors", authors.step, authors.reliability, style.color, line="--"))
+    return Panel(f"Reliability over time: {title}", "step", "reliability (1 - lost / created)", curves, (0, 1.03))
+
+
+def _stored(title: str, topology: str, policies: dict[str, list[Result]], published: Published) -> Panel:
+    curves = [over_time(results, total_stored) for results in policies.values()]
+    for policy in policies:
+        authors = published.curves.get((topology, policy))
+        if authors is not None:
+            style = policy_style(policy)
+            total = [swarm + base for swarm, base in zip(authors.swarm, authors.base, strict=True)]
+            curves.append(Curve(f"{style.label}, authors", authors.step, total, style.color, line="--"))
+    return Panel(f"Total stored over time: {title}", "step", "items in all drones and at the base", curves)
+
+
+def _delays(title: str, topology: str, policies: dict[str, list[Result]], published: Published) -> Panel:
+    curves, last = [], 1
+    for policy, results in policies.items():
+        if policy == "stigmergy":
+            continue
+        counts: Counter[int] = Counter()
+        for result in results:
+            counts.update(result.delays)
+        style = policy_style(policy)
+        for delays, label, marker, line in (
+            (counts, style.label, style.marker, "-"),
+            (published.delays.get((topology, policy), {}), f"{style.label}, authors", "", "--"),
+        ):
+            total = sum(delays.values())
+            if total:
+                mean = sum(delay * count for delay, count in delays.items()) / total
+                x = list(range(max(delays) + 1))
+                y = [100 * delays.get(delay, 0) / total for delay in x]
+                curves.append(Curve(f"{label} (mean {mean:.1f})", x, y, style.color, marker, line=line))
+                last = max(last, _cut(delays, total))
+    return Panel(
+        f"Distribution of transfer delays: {title}", "delay from creation to arrival at the base (steps)",
+        "share of the data that arrived (%)", curves, x_range=(0, last),
+    )  # fmt: skip
+
+
+def _cut(delays: dict[int, int], total: int) -> int:
+    """The delay that all but the longest `_TAIL` do not exceed."""
+    seen = 0
+    for delay in sorted(delays):
+        seen += delays[delay]
+        if seen >= (1 - _TAIL) * total:
+            return delay
+    return max(delays)
+
+
+def _delay_by_distance(title: str, policies: dict[str, list[Result]]) -> Panel:
+    curves = []
+    for policy, results in policies.items():
+        if policy == "stigmergy":
+            continue
+        style = policy_style(policy)
+        hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
+        found = [estimate(_delays_at(results, h)) for h in hops]
+        y = [NAN if e is None else e.mean for e in found]
+        half = [NAN if e is None or e.half_width is None else e.half_width for e in found]
+        if any(math.isfinite(value) for value in y):
+            curves.append(Curve(style.label, hops, y, style.color, style.marker, half if len(results) > 1 else None))
+    # Bands of distances at which hardly anything was made may be huge: the lines set the scale.
+    highest = max((y for curve in curves for y in curve.y if math.isfinite(y)), default=0.0)
+    return Panel(
+        f"Mean delay by distance of birth: {title}", "distance from the base at creation (hops)",
+        "mean delay of the data that arrived (steps)", curves, (0, 1.15 * highest if highest else 1),
+    )  # fmt: skip

@@ -1,0 +1,183 @@
+"""Does the runs of an experiment, on several processes or a cluster, and keeps each that is finished."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
+
+#: Given how many runs there are to do, shows how many are done.
+Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """All results of an experiment."""
+
+    results: list[Result]
+    """In the order in which the runs were asked for."""
+    done: int
+    """How many were done now."""
+    reused: int
+    """How many had been done before."""
+
+
+class Archive:
+    """Finished runs on disk, one JSON file each. A file is whole or not there, whenever the process is killed."""
+
+    def __init__(self, directory: Path) -> None:
+        """Makes the directory. Raises `RassError` if it cannot."""
+        self.directory = directory
+        with _disk(directory):
+            directory.mkdir(parents=True, exist_ok=True)
+
+    def find(self, run: Run) -> Result | None:
+        """What a run left earlier; None if it was not finished, or its file cannot be read as such."""
+        path = self.directory / run.file_name
+        try:
+            result = msgspec.json.decode(path.read_bytes(), type=Result)
+        except FileNotFoundError:
+            return None
+        except msgspec.DecodeError:
+            return None
+        except OSError as error:
+            raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        return result if result.key == run.key else None
+
+    def keep(self, run: Run, result: Result) -> None:
+        """Write a finished run. Raises `RassError` if the disk does not take it."""
+        path = self.directory / run.file_name
+        # The same call may run twice at a time: each writes a file of its own, and both rename the same content.
+        draft = path.with_suffix(f".{os.getpid()}.part")
+        with _disk(path):
+            try:
+                draft.write_bytes(msgspec.json.encode(result) + b"\n")
+                draft.replace(path)
+            finally:
+                draft.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _disk(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+
+
+def run_all(
+    runs: Sequence[Run],
+    directory: Path,
+    *,
+    jobs: int = 1,
+    dask: str | None = None,
+    progress: Progress | None = None,
+) -> Outcome:
+    """Do those of `runs` that are not in `directory` yet.
+
+    `jobs`: processes at a time, at least 1. `dask`: address of a Dask scheduler that is used instead. After an
+    interruption the same call goes on where it was; at most `jobs` unfinished runs are done again.
+    Raises `RassError` if a run or a worker fails; what is finished stays.
+    """
+    archive = Archive(directory)
+    code = code_fingerprint()
+    runs = [replace(run, code=code) for run in runs]
+    found = {run.file_name: archive.find(run) for run in runs}
+    waiting = list({run.file_name: run for run in runs if found[run.file_name] is None}.values())
+    show = progress or _silent
+    # Closed at once when somebody interrupts while a result is being written: workers end then.
+    with show(len(waiting)) as advance, contextlib.closing(_execute_all(waiting, jobs, dask)) as finished:
+        for run, result in finished:
+            archive.keep(run, result)
+            found[run.file_name] = result
+            advance(1)
+    results = [kept for run in runs if (kept := found[run.file_name]) is not None]
+    return Outcome(results, len(waiting), len(found) - len(waiting))
+
+
+@contextlib.contextmanager
+def _silent(total: int) -> Iterator[Callable[[int], object]]:
+    yield lambda done: None
+
+
+def _execute_all(runs: Sequence[Run], jobs: int, dask: str | None) -> Generator[tuple[Run, Result], None, None]:
+    """Each run with its result, as they get finished."""
+    if dask is None and (jobs == 1 or len(runs) < 2):
+        for run in runs:
+            yield run, execute(run)
+        return
+    executor = _processes(min(jobs, len(runs))) if dask is None else _cluster(dask)
+    with executor as pool:
+        futures = {pool.submit(execute, run): run for run in runs}
+        try:
+            for future in concurrent.futures.as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise RassError("a worker process died; finished runs are kept, the same command goes on") from None
+
+
+@contextlib.contextmanager
+def _processes(count: int) -> Iterator[concurrent.futures.Executor]:
+    """Processes that are started afresh (spawn): the same on every system, and nothing is inherited by accident."""
+    context = multiprocessing.get_context("spawn")
+    level = logging.getLogger().getEffectiveLevel()
+    others = set(multiprocessing.active_children())
+    with concurrent.futures.ProcessPoolExecutor(
+        count, mp_context=context, initializer=_prepare_worker, initargs=(level,)
+    ) as pool:
+        try:
+            yield pool
+        except BaseException:
+            # Runs that have begun are given up: nobody waits for them. The pool finds its workers gone and drops the
+            # rest; cancelling that first would make the pool's own thread stumble (Python 3.10 and 3.11).
+            for child in set(multiprocessing.active_children()) - others:
+                child.terminate()
+            raise
+
+
+def _prepare_worker(log_level: int) -> None:
+    """A worker ends at once on Ctrl-C, without a traceback, and does not outlive a parent that was killed."""
+    logging.basicConfig(level=log_level)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _cluster(address: str) -> Iterator[concurrent.futures.Executor]:
+    """The workers of a Dask cluster; they need the same rass_mav. Raises `ConfigError`."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigError("--dask needs the package distributed: pip install 'rass-mav[dask]'") from None
+    try:
+        client = Client(address, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--dask {address}: {error}") from None
+    with client:
+        pool = client.get_executor(pure=False)
+        try:
+            yield pool
+        finally:
+            # Does not wait: all is done, or what is not is given up.
+            pool.shutdown(wait=False)

@@ -1,0 +1,128 @@
+"""One run of an experiment: what determines it, how it is done, what it leaves."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import hashlib
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from rass_mav.core.errors import RassError
+from rass_mav.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
+from rass_mav.swarm.scenario import Scenario, plain
+from rass_mav.swarm.world import World
+
+#: Raised when what a run leaves changes its form.
+FORMAT = 1
+
+_PACKAGE = Path(__file__).parents[1]
+#: What a run's outcome depends on: these rooms with their data files, and this room's two modules that look.
+_ROOMS = ("core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm")
+_MODULES = ("experiment/measures.py", "experiment/runs.py")
+
+
+@functools.cache
+def code_fingerprint() -> str:
+    """SHA-256 over the source files that a run's outcome depends on: other code is another run."""
+    digest = hashlib.sha256()
+    files = [path for room in _ROOMS for path in (_PACKAGE / room).rglob("*") if path.is_file()]
+    files += [_PACKAGE / module for module in _MODULES]
+    for path in sorted(files):
+        if path.suffix != ".pyc":
+            digest.update(path.relative_to(_PACKAGE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run, to be done here or in another process."""
+
+    world: str
+    """The experiment's name for its scenario: `paper`, `reference`, `five-drones`."""
+    variant: str
+    """What else sets it apart within its experiment, or empty."""
+    scenario: Scenario
+    """All keys, the seed and the policy among them."""
+    measures: tuple[str, ...] = ()
+    """Names in `MEASURES`."""
+    code: str = ""
+    """`code_fingerprint` of who asks for the run; empty: do not compare."""
+
+    @property
+    def policy(self) -> str:
+        """The policy's name."""
+        return self.scenario.policy.name
+
+    @property
+    def key(self) -> str:
+        """64 hexadecimal digits for everything that determines the outcome."""
+        what = [FORMAT, self.world, self.variant, plain(self.scenario), list(self.measures), self.code]
+        return hashlib.sha256(msgspec.json.encode(what, order="sorted")).hexdigest()
+
+    @property
+    def file_name(self) -> str:
+        """Where its outcome is kept: readable, and different for different keys."""
+        parts = (self.world, self.scenario.topology, self.policy, self.variant, str(self.scenario.seed), self.key[:16])
+        return "_".join(part for part in parts if part) + ".json"
+
+
+class Result(msgspec.Struct):
+    """What a run leaves: one small JSON file."""
+
+    key: str
+    world: str
+    topology: str
+    policy: str
+    variant: str
+    seed: int
+    steps: int
+    summary: dict[str, Any]
+    """As `swarm --json` prints it, without wall times."""
+    series: Series
+    delays: dict[int, int]
+    """Steps from creation to first arrival -> how many data."""
+    distances: dict[int, Distance]
+    """By hops from the base at creation."""
+    extra: dict[str, dict[str, Any]]
+    """By the name of a measure."""
+
+
+def execute(run: Run) -> Result:
+    """Do a run. Raises `RassError` if this process has other code than the one that asked."""
+    if run.code and run.code != code_fingerprint():
+        raise RassError("a worker has another version of rass_mav than this process: install the same one")
+    world = World(run.scenario)
+    series, distances = SeriesMeasure(), DistanceMeasure()
+    extra = {name: MEASURES[name]() for name in run.measures}
+    watching: list[Watcher] = [series, distances, *extra.values()]
+
+    def after(world: World) -> None:
+        for measure in watching:
+            measure.after(world)
+
+    # The swarm lives to the end: the garbage collector need not look through it again and again.
+    gc.collect()
+    gc.freeze()
+    try:
+        world.run(run.scenario.steps, after=after)
+    finally:
+        gc.unfreeze()
+    return Result(
+        key=run.key,
+        world=run.world,
+        topology=run.scenario.topology,
+        policy=run.policy,
+        variant=run.variant,
+        seed=run.scenario.seed,
+        steps=run.scenario.steps,
+        summary=world.statistics.summary(),
+        series=series.series,
+        delays=dict(sorted(Counter(world.ledger.delays()).items())),
+        distances=distances.result(world),
+        extra={name: measure.result() for name, measure in extra.items()},
+    )

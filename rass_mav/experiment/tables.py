@@ -1,0 +1,69 @@
+"""CSV and Markdown files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from rass_mav.core.errors import RassError
+from rass_mav.experiment.runs import Result
+from rass_mav.experiment.statistics import Estimate
+
+#: Columns of runs.csv that say which run a row is; the summary's scalars follow.
+RUN_COLUMNS = ("world", "topology", "policy", "variant", "seed", "steps")
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
+    """A CSV file with a header; None is an empty field. Raises `RassError` if the disk does not take it."""
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(rows)
+    except OSError as error:
+        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    return path
+
+
+def write_text(path: Path, text: str) -> Path:
+    """A text file. Raises `RassError` if the disk does not take it."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    return path
+
+
+def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(row) + " |" for row in (columns, ["---"] * len(columns), *rows)]
+    return "\n".join(lines) + "\n"
+
+
+def flatten(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Scalars of nested objects, named by their path (`delay_steps.mean`)."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from flatten(value, f"{prefix}{key}.")
+        elif not isinstance(value, list):
+            yield prefix + key, value
+
+
+def write_runs(path: Path, results: Sequence[Result]) -> Path:
+    """runs.csv: a row a run, `RUN_COLUMNS`, then the scalars of the summary."""
+    flat = [dict(flatten(result.summary)) for result in results]
+    columns = [key for key in flat[0] if key not in RUN_COLUMNS] if flat else []
+    rows = [
+        [r.world, r.topology, r.policy, r.variant, r.seed, r.steps, *(values[c] for c in columns)]
+        for r, values in zip(results, flat, strict=True)
+    ]
+    return write_csv(path, [*RUN_COLUMNS, *columns], rows)
+
+
+def figures_of(value: Estimate | None, digits: int = 4) -> list[float | None]:
+    """Mean and half width for two columns of a CSV file."""
+    if value is None:
+        return [None, None]
+    return [round(value.mean, digits), None if value.half_width is None else round(value.half_width, digits)]
