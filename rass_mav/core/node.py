@@ -6,11 +6,9 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from .archive import MAX_ORIGINS, Archive
-from .custody import Custody
-from .datum import MAX_PAYLOAD, Datum, DatumId, Fate, make_datum
+from .datum import MAX_PAYLOAD, DatumId, Fate, make_datum
 from .errors import DatumError, StoreFullError
-from .inventory import Inventory
+from .keeper import Keeper
 from .messages import (
     BEACON_BASE,
     BEACON_WANTED,
@@ -41,36 +39,25 @@ from .store import Store
 from .transfers import Transfers
 
 
-class Node:
+class Node(Keeper):
     """One RASS participant."""
 
     __slots__ = (
         "_beacon_number",
-        "_scrub_at",
         "_steps",
-        "archive",
         "base",
         "corrupt_received",
-        "custody",
         "echoes",
         "fresh",
         "id",
-        "inventory",
-        "observer",
         "percolation",
         "policy",
         "potential",
-        "refused",
-        "replica",
         "risk",
         "rivals",
         "rng",
         "routing",
         "sent_data",
-        "settings",
-        "sink",
-        "store",
-        "transfers",
     )
 
     def __init__(
@@ -89,22 +76,13 @@ class Node:
 
         `newborn`: nobody can remember this node from an earlier life, so it need not wait before it takes a route.
         """
-        self.settings = settings
+        # Under a replicating policy a base is an ordinary peer.
+        super().__init__(settings, store, rng, observer, sink=settings.base and not policy.replicates)
         self.id = settings.node_id
         self.base = settings.base
         self.policy = policy
         self.risk = risk
         self.rng = rng
-        self.store = store
-        self.observer = observer or Observer()
-        sink = self.base and not policy.replicates
-        self.archive = Archive(store.ids() if sink else (), max_origins=None if sink else MAX_ORIGINS)
-        """What has arrived at a base: complete at the base itself, elsewhere as receipts told."""
-        self.sink = sink
-        """Whether what comes here has arrived for good."""
-        self.inventory = Inventory(
-            store, capacity_items=settings.capacity_items, capacity_bytes=settings.capacity_bytes, load=not sink
-        )
         lifetime = (settings.neighbour_steps + 0.5) * settings.step_s
         self.routing = RoutingTable(
             self.id,
@@ -116,7 +94,6 @@ class Node:
             restarted=None if newborn else now,
             number=following(store.get_meta("announcement") or 0),
         )
-        self.custody = Custody(rng)
         self.transfers = Transfers(self, lifetime)
         self.percolation = Percolation(self)
         self.replica = Replica(self) if policy.replicates else None
@@ -127,15 +104,12 @@ class Node:
         """Epochs of other nodes heard under this node's id, and when last."""
         self.echoes = 0
         """Own beacons that came back."""
-        self.refused = 0
-        """Hand-overs refused for want of room."""
         self.corrupt_received = 0
         """Data that came in with a checksum that does not fit."""
         self.sent_data = 0
         """Data, copies and chunks sent, retransmissions included."""
         self._beacon_number = rng.getrandbits(16)
         self._steps = 0
-        self._scrub_at = 0
         if self.base:
             store.set_meta("announcement", self.routing.number)
 
@@ -150,7 +124,7 @@ class Node:
         limit = self.settings.inline_bytes if self.replica is not None else MAX_PAYLOAD
         if not 0 < len(payload) <= limit:
             raise DatumError(f"a datum holds 1 to {limit} bytes, got {len(payload)}")
-        if not (self.room_for(len(payload)) or self._make_room(len(payload))):
+        if not (self.room_for(len(payload)) or self.make_room(len(payload))):
             self.store.count("overflow")
             self.observer.overflow()
             raise StoreFullError("no room for a new datum")
@@ -203,89 +177,6 @@ class Node:
             return [Committed(self.id, data.sender, tuple(committed), tuple(refused))]
         return []
 
-    def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
-        """Accept a datum that arrived whole and intact. False: no room, the giver keeps it."""
-        id = datum.id
-        if self.has_custody(giver, number, id, datum.crc):
-            return True
-        size = len(datum.payload)
-        if id in self.inventory or not (self.may_accept(size) or self._make_room(size)):
-            self.refused += 1
-            if number == 0:
-                self.observer.declined(id)
-            return False
-        if self.sink:
-            self.deliver(datum.arrived())
-        else:
-            self.hold(datum.arrived())
-        if number:
-            self.custody.accept(giver, number, id)
-        return True
-
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
-        """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken.
-
-        False with `id` still in the inventory: what is held under this id is another datum, so the offer is refused.
-        """
-        if id in self.archive:
-            return True
-        if id not in self.inventory:
-            return bool(number) and self.custody.has_accepted(giver, number, id)
-        # The giver will delete its copy on our word, so ours must be good at this moment; a bad one is dropped here.
-        held = self.load(id)
-        if held is None or held.crc != crc:
-            return False
-        if number and self.custody.has_accepted(giver, number, id):
-            return True
-        # The datum has come round: whatever we offered of it, nobody's answer may delete it any more.
-        self.custody.cancel(id)
-        self.transfers.cancel(id)
-        if number:
-            self.custody.accept(giver, number, id)
-        return True
-
-    def room_for(self, size: int) -> bool:
-        """Whether a new datum of `size` bytes of payload can be stored."""
-        return (self.sink or self.inventory.room_for(size)) and self.store.room_for(size)
-
-    def may_accept(self, size: int) -> bool:
-        """Whether custody of a datum of `size` bytes of payload can be taken over."""
-        return self.store.accepting and self.room_for(size)
-
-    def _make_room(self, size: int) -> bool:
-        """With `drop_oldest`: let go of the least recently used data until `size` bytes of payload fit."""
-        if not self.settings.drop_oldest or self.sink or self.replica is not None or not self.store.accepting:
-            return False
-        while not self.room_for(size):
-            oldest = next(iter(self.inventory), None)
-            if oldest is None:
-                return False
-            self.drop(oldest, Fate.OVERFLOW)
-        return True
-
-    def hold(self, datum: Datum) -> None:
-        """Store a datum in own custody."""
-        self.inventory.add(datum)
-        self.observer.gained(datum)
-
-    def deliver(self, datum: Datum) -> None:
-        """A datum has arrived: at a base that is a sink."""
-        self.store.put(datum)
-        self.archive.add(datum.id)
-        self.observer.delivered(datum)
-
-    def drop(self, id: DatumId, fate: Fate) -> None:
-        """Let go of a held datum."""
-        self.custody.cancel(id)
-        self.transfers.cancel(id)
-        if fate in (Fate.CORRUPTED, Fate.EXPIRED):
-            self.custody.forget(id)
-            self.store.count(fate.value)
-        if self.replica is not None:
-            self.replica.forget(id, fate)
-        self.inventory.remove(id, fate)
-        self.observer.dropped(id, fate)
-
     def _on_committed(self, message: Committed, now: float) -> list[Message]:
         for number, crc in message.committed:
             id = self.custody.answered(number, message.sender)
@@ -326,7 +217,7 @@ class Node:
         self.scrub()
         self.percolation.begin_step()
         if settings.lifetime_s is not None:
-            self._expire(now - settings.lifetime_s)
+            self.expire(now - settings.lifetime_s)
         routing = self.routing
         if self.base and settings.seq_period and self._steps % settings.seq_period == 0:
             routing.raise_number()
@@ -383,40 +274,6 @@ class Node:
             self.potential,
             0,
         )
-
-    # -- care of what is held ------------------------------------------------------------------------------------------
-
-    def load(self, id: DatumId) -> Datum | None:
-        """A held datum as it may be sent. None: its bytes are corrupt, and it has been dropped."""
-        datum = self.store.get(id)
-        if datum is not None and datum.intact:
-            return datum
-        self.drop(id, Fate.CORRUPTED)
-        return None
-
-    def scrub(self) -> None:
-        """Verify checksums of what is held, `scrub_items` of them, going round."""
-        inventory = self.inventory
-        count = len(inventory)
-        if not count:
-            return
-        limit = self.settings.scrub_items
-        if limit is None or limit >= count:
-            ids = list(inventory)
-        else:
-            if self._scrub_at >= count:
-                self._scrub_at = 0
-            ids = inventory.oldest(self._scrub_at, limit)
-            self._scrub_at += limit
-        get = self.store.get
-        for id in ids:
-            datum = get(id)
-            if datum is None or not datum.intact:
-                self.drop(id, Fate.CORRUPTED)
-
-    def _expire(self, before: float) -> None:
-        for id in [id for id in self.inventory if self.inventory.info(id).created < before]:
-            self.drop(id, Fate.EXPIRED)
 
 
 _HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
