@@ -23,6 +23,8 @@ class Changes:
     """Older rows to delete (a set that keeps its order)."""
     losses: dict[DatumId, Fate] = field(default_factory=dict)
     """New entries of the table of losses; a loss that is noted already stays as it is."""
+    founds: dict[DatumId, None] = field(default_factory=dict)
+    """Entries to take out of the table of losses, before the new ones come."""
     counters: dict[str, int] = field(default_factory=dict)
     """New values of the counters that changed."""
     meta: dict[str, int] = field(default_factory=dict)
@@ -31,15 +33,16 @@ class Changes:
     """The next sequence number, if one has been claimed."""
 
     def __bool__(self) -> bool:
-        return self.urgent or bool(self.removes or self.counters) or self.sequence is not None
+        return self.urgent or bool(self.removes or self.founds or self.counters) or self.sequence is not None
 
     @property
     def urgent(self) -> bool:
         """Whether a commit is due.
 
         Data, losses and meta numbers are about to be told to others, and nothing goes out that the disk does not know.
-        Removals and counters may wait: after a crash the node merely holds a spare copy, or counts a little less. A
-        claimed sequence number may wait too: nobody has seen it before the datum that bears it is durable.
+        Removals and counters may wait: after a crash the node merely holds a spare copy, tells a loss twice, or counts
+        a little less. A claimed sequence number may wait too: nobody has seen it before the datum that bears it is
+        durable.
         """
         return bool(self.puts or self.losses or self.meta)
 
@@ -56,13 +59,23 @@ class Changes:
         if self.puts.pop(id, None) is None:
             self.removes[id] = None
 
+    def lose(self, id: DatumId, fate: Fate) -> None:
+        """Note a loss."""
+        self.losses.setdefault(id, fate)
+
+    def found(self, id: DatumId) -> None:
+        """Take a loss out of the table."""
+        self.losses.pop(id, None)
+        self.founds[id] = None
+
     def followed_by(self, later: Changes) -> Changes:
         """These changes and then the `later` ones, as one."""
         puts = {id: datum for id, datum in self.puts.items() if id not in later.removes}
         return Changes(
             puts={**puts, **later.puts},
             removes={**self.removes, **later.removes},
-            losses={**later.losses, **self.losses},
+            losses={**later.losses, **{id: fate for id, fate in self.losses.items() if id not in later.founds}},
+            founds={**self.founds, **later.founds},
             counters={**self.counters, **later.counters},
             meta={**self.meta, **later.meta},
             sequence=self.sequence if later.sequence is None else later.sequence,

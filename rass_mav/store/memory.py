@@ -10,7 +10,8 @@ from rass_mav.core.store import StoredInfo
 
 from .quota import ROW_OVERHEAD, charge
 
-_RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
+#: Fates that go into the table of losses.
+RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
 
 class MemoryStore:
@@ -99,12 +100,16 @@ class MemoryStore:
             return
         if self._quota is not None:
             self._used -= len(datum.payload) + ROW_OVERHEAD
-        if fate in _RECORDED:
+        if fate in RECORDED:
             self._losses.setdefault(id, fate)
 
     def lose(self, id: DatumId, fate: Fate) -> None:
         """Note a loss elsewhere. The first fate that is noted for an id stays."""
         self._losses.setdefault(id, fate)
+
+    def found(self, id: DatumId) -> None:
+        """Take an entry out of the table of losses. Unknown ids are ignored."""
+        self._losses.pop(id, None)
 
     def flip_bit(self, id: DatumId, bit: int) -> None:
         """Radiation: flip one bit of a stored payload and leave its checksum as it was.

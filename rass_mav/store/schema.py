@@ -56,6 +56,7 @@ INSERT_DATUM = (
     "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 )
 DELETE_DATUM = "DELETE FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
+DELETE_LOSS = "DELETE FROM loss WHERE origin = ? AND epoch = ? AND sequence = ?"
 INSERT_LOSS = "INSERT OR IGNORE INTO loss (origin, epoch, sequence, fate) VALUES (?, ?, ?, ?)"
 _SELECT_DATUM = "SELECT kind, created, hops, crc, payload FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
 _SELECT_INFOS = (

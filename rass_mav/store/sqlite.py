@@ -211,7 +211,11 @@ class SqliteStore:
 
     def lose(self, id: DatumId, fate: Fate) -> None:
         """Note a loss elsewhere. The first fate that is noted for an id stays."""
-        self._changes.losses.setdefault(id, fate)
+        self._changes.lose(id, fate)
+
+    def found(self, id: DatumId) -> None:
+        """Take an entry out of the table of losses; need not be durable soon. Unknown ids are ignored."""
+        self._changes.found(id)
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter that survives restarts."""
@@ -267,9 +271,12 @@ class SqliteStore:
 
     def losses(self) -> Iterable[tuple[DatumId, Fate]]:
         """The table of losses: a list, safe to keep while the store changes."""
-        waiting = self._in_flight().followed_by(self._changes).losses
+        waiting = self._in_flight().followed_by(self._changes)
         with explained(self._path, "reading the losses"):
-            return list({**waiting, **schema.read_losses(self._reader)}.items())
+            durable = schema.read_losses(self._reader)
+        for id in waiting.founds:
+            durable.pop(id, None)
+        return list({**waiting.losses, **durable}.items())
 
     def get_meta(self, key: str) -> int | None:
         """A small number that survives restarts."""
@@ -304,7 +311,8 @@ class SqliteStore:
                 raise RuntimeError("the last batch has not been written yet")
             self.restore(self._out)
         changes = self._changes
-        if not (changes.urgent or len(changes.removes) >= MAX_WAITING_REMOVALS or (force and changes)):
+        removals = len(changes.removes) + len(changes.founds)
+        if not (changes.urgent or removals >= MAX_WAITING_REMOVALS or (force and changes)):
             return None
         self._changes = Changes()
         self._buffered = 0
@@ -364,6 +372,7 @@ class SqliteStore:
                     for id, kind, created, hops, crc, payload in changes.puts.values()
                 ),
             )
+            writer.executemany(schema.DELETE_LOSS, changes.founds)
             writer.executemany(schema.INSERT_LOSS, [(*id, fate.value) for id, fate in changes.losses.items()])
             schema.write_numbers(writer, "counter", changes.counters)
             schema.write_numbers(writer, "meta", {**changes.meta, **own})

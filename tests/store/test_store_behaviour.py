@@ -122,6 +122,23 @@ def test_the_first_fate_that_is_told_of_a_loss_stays(store: Store) -> None:
     assert list(store.losses()) == [(id, Fate.OVERFLOW)]
 
 
+def test_a_loss_that_is_found_is_none_until_it_is_lost_again(store: Store) -> None:
+    id = DatumId(9, 1, 5)
+    store.lose(id, Fate.OVERFLOW)
+    store.found(id)
+    assert list(store.losses()) == []
+    store.lose(id, Fate.EXPIRED)
+    commit(store)
+    store.found(id)
+    assert list(store.losses()) == []
+    store.lose(id, Fate.CORRUPTED)
+    assert list(store.losses()) == [(id, Fate.CORRUPTED)]
+    commit(store)
+    assert list(store.losses()) == [(id, Fate.CORRUPTED)]
+    store.found(DatumId(9, 1, 6))
+    assert list(store.losses()) == [(id, Fate.CORRUPTED)]
+
+
 def test_counters_add_up_and_numbers_are_set(store: Store) -> None:
     store.count("delivered")
     commit(store)

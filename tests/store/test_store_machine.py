@@ -84,6 +84,12 @@ class Stores(RuleBasedStateMachine):
             store.lose(id, fate)
         self.model.losses.setdefault(id, fate)
 
+    @rule(id=IDS)
+    def found(self, id: DatumId) -> None:
+        for store in (self.sqlite, self.memory):
+            store.found(id)
+        self.model.losses.pop(id, None)
+
     @rule(name=st.sampled_from(["delivered", "überlauf"]), amount=st.integers(-5, 5))
     def count(self, name: str, amount: int) -> None:
         for store in (self.sqlite, self.memory):
@@ -112,6 +118,8 @@ class Stores(RuleBasedStateMachine):
             if not force:
                 for id in set(waits_at_most.data) - set(self.model.data):
                     del waits_at_most.data[id]
+                for id in set(waits_at_most.losses) - set(self.model.losses):
+                    del waits_at_most.losses[id]
                 waits_at_most.counters, waits_at_most.sequence = self.model.counters, self.model.sequence
             assert self.model == waits_at_most
 
