@@ -17,7 +17,7 @@ from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Kind
 from rass_mav.core.errors import MalformedError
-from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Message
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Message, Word
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
 from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
@@ -29,7 +29,13 @@ from rass_mav.wire.measurement import decode_measurement
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200
 
-_LOSS_REASONS = {1: "corrupted", 2: "expired", 3: "overflow"}
+_LOSS_REASONS = {1: "corrupted", 2: "expired", 3: "overflow", 4: "died", 5: "vanished"}
+_WORDS = {
+    Word.AGAIN: "my copy is bad, take yours back",
+    Word.NONE: "do not count on my copy",
+    Word.TAKEN: "custody is here, or was passed on from here",
+    Word.STILL: "have you still custody?",
+}
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
 _HEX = {"epoch": 8, "base_epoch": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
 
@@ -236,12 +242,25 @@ def _note(record: Any, name: str, value: int) -> str:
         return "good" if record.intact else "BAD: the datum is damaged"
     if name == "reason":
         return _LOSS_REASONS.get(value, "unknown")
+    if name == "spare":
+        return "custody stays with the sender" if value else "custody is offered"
+    if name == "word":
+        return _WORDS.get(value, "unknown")
     if name == "number" and kind == "Handover":
         return "no custody offered" if value == 0 else "hand-over"
     if name in ("size", "chunk_size"):
         return "bytes"
     if name == "closed":
-        return "all sequences below have arrived"
+        return (
+            "all sequences from the floor up to it have arrived"
+            if hasattr(record, "floor")
+            else ("all sequences below have arrived")
+        )
+    if name == "lost":
+        lost = [str(record.closed + i) for i in range(value.bit_length()) if value >> i & 1]
+        return f"{', '.join(lost)} told lost" if lost else ""
+    if name == "floor":
+        return "nothing is said of what lies below"
     if name == "bitmap":
         first = record.closed if hasattr(record, "closed") else record.next_index
         arrived = [str(first + 1 + i) for i in range(value.bit_length()) if value >> i & 1]

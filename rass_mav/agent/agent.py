@@ -10,7 +10,20 @@ from typing import NamedTuple
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.errors import MalformedError, StoreFullError
-from rass_mav.core.messages import BROADCAST, Accept, Beacon, Chunk, Data, Message, Offer, Put, Query, Receipt, Sack
+from rass_mav.core.messages import (
+    BROADCAST,
+    Accept,
+    Beacon,
+    Chunk,
+    Corrupt,
+    Data,
+    Message,
+    Offer,
+    Put,
+    Query,
+    Receipt,
+    Sack,
+)
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
@@ -37,7 +50,7 @@ FULL_REPORT_S = 30.0
 POSITION_STALE_S = 10.0
 _CRITICAL = 2
 _WARNING = 4
-_PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack))
+_PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack, Corrupt))
 _FOR_EVERYBODY = frozenset((Beacon, Receipt, Put))
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
@@ -60,6 +73,7 @@ class Agent:
     __slots__ = (
         "_component_id",
         "_fixed_system_id",
+        "_immediate",
         "_next_full_report",
         "_next_heartbeat",
         "_next_rival_report",
@@ -102,8 +116,8 @@ class Agent:
         """
         self.settings = settings
         self.node = Node(
-            settings.node_settings(), store, settings.policy.make(), settings.risk.estimator(), rng, now=now,
-            observer=observer, newborn=newborn,
+            settings.node_settings(), store, settings.policy.make(), settings.risk.estimator(settings.policy), rng,
+            now=now, observer=observer, newborn=newborn,
         )  # fmt: skip
         self.store = store
         mavlink = settings.mavlink
@@ -128,6 +142,7 @@ class Agent:
         `peer_bytes` and looks at it after."""
         self._rng = rng
         self._node_id = settings.node_id
+        self._immediate = settings.forward == "immediate"
         self._phase = {"step-id": 1, "step+id": -1, "together": 0}[settings.data.due] * settings.node_id
         self._payload_type = mavlink.payload_type
         self._component_id = mavlink.component_id
@@ -201,6 +216,8 @@ class Agent:
         if type(message) is Beacon:
             self.beacon_from = message.sender
         answers = self.node.receive(message, now)
+        if self._immediate:
+            answers += self.node.forward(now)
         return self._encoded(answers, now) if answers else ()
 
     def _count_malformed(self, error: MalformedError) -> None:
@@ -229,8 +246,13 @@ class Agent:
             and (data.until_step is None or self.steps < data.until_step)
         ):
             self.measure(now)
+            out += self.forward(now)
         self.steps += 1
         return out
+
+    def forward(self, now: float) -> Sequence[Outgoing]:
+        """With `node.forward: immediate`: what came in or was put since the last turn moves on; else nothing."""
+        return self._encoded(self.node.forward(now), now) if self._immediate else ()
 
     def _encoded(self, messages: Sequence[Message], now: float) -> list[Outgoing]:
         tunnel = self.peer_writer.tunnel

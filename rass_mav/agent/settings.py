@@ -19,7 +19,8 @@ Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
-PolicyName = Literal["rass", "rass-literal", "hop-count", "stigmergy"]
+Forward = Literal["step", "immediate"]
+PolicyName = Literal["rass", "rass-literal", "hop-count", "stigmergy", "survival"]
 
 
 class Section(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -36,13 +37,15 @@ def only_value(key: str, value: object, only: object) -> None:
 class PolicySettings(Section, frozen=True):
     """Who is fit, and what goes to whom."""
 
-    name: PolicyName = "rass"
+    name: PolicyName = "survival"
     alpha: NonNegative | None = None
     """Weight of hops in Eq. 3; null: the policy's own (rass 1, rass-literal 10)."""
     beta: NonNegative | None = None
     """Weight of risk in Eq. 3; null: the policy's own (rass 10, rass-literal 1)."""
     threshold: NonNegative | None = None
     """T of Eq. 4; null: 1."""
+    hop_cost: Positive | None = None
+    """What a hop costs under survival, beside -log(1 - risk); null: 0.05."""
     unknown_hops: Annotated[int, Meta(ge=1, le=255)] | None = None
     """Hop count of a node that knows no way to a base; null: 255, more than any real one."""
     rules: Literal["paper", "authors"] = "paper"
@@ -50,14 +53,16 @@ class PolicySettings(Section, frozen=True):
 
     def make(self) -> Policy:
         """The policy. Raises `ConfigError`."""
-        return make_policy(self.name, Weights(self.alpha, self.beta, self.threshold, self.unknown_hops, self.rules))
+        return make_policy(
+            self.name, Weights(self.alpha, self.beta, self.threshold, self.unknown_hops, self.hop_cost, self.rules)
+        )
 
 
 class RiskSettings(Section, frozen=True):
     """From readings to risk."""
 
-    gain: Annotated[float, Meta(gt=0, le=1)] = 1.0
-    """Gain of the moving average over readings; 1: no memory."""
+    gain: Annotated[float, Meta(gt=0, le=1)] | None = None
+    """Gain of the moving average over readings, 1: no memory; null: 0.1 under survival, else 1."""
     low: float = 0.0
     """Reading that means risk 0, in the sensor's unit."""
     high: float = 1.0
@@ -76,16 +81,21 @@ class RiskSettings(Section, frozen=True):
         """A reading on the scale where `low` is 0 and `high` is 1; linear, unclipped."""
         return (reading - self.low) / (self.high - self.low)
 
-    def estimator(self) -> RiskEstimator:
+    def estimator(self, policy: PolicySettings) -> RiskEstimator:
         """A new estimator with these settings."""
-        return RiskEstimator(gain=self.gain, stale_s=self.stale_s, worst=self.worst)
+        gain = self.gain
+        if gain is None:
+            # A cost adds up the noise of all readings on the way.
+            gain = 0.1 if policy.name == "survival" else 1.0
+        return RiskEstimator(gain=gain, stale_s=self.stale_s, worst=self.worst)
 
 
 class RoutingSettings(Section, frozen=True):
     """The routing table."""
 
-    seq_period: Annotated[int, Meta(ge=0)] = 30
-    """A base raises its announcement number every so many steps (0: on request only)."""
+    seq_period: Annotated[int, Meta(ge=0)] | None = None
+    """A base raises its announcement number every so many steps (0: on request only); null: 2 under survival, whose
+    costs change all the time, else 30."""
     neighbour_steps: Annotated[int, Meta(ge=0)] = 3
     """A neighbour not heard for so many steps is gone. 0 is for mock swarms with `radio.latency_steps`: only who is
     heard at the beginning of a step is a neighbour in it."""
@@ -99,20 +109,32 @@ class CustodySettings(Section, frozen=True):
     mode: Literal["acknowledged", "none"] = "acknowledged"
     """acknowledged: a datum is kept until the receiver has it on disk; none: what is sent is deleted at once."""
     receipts: bool = True
-    """Bases say what has arrived; others drop their copies of it."""
+    """Bases say what has arrived; others tell it on, and drop their copies of it. What is lost is told to the bases."""
+    receipt_steps: Count = 6
+    """A node sends one receipt frame in so many steps at most."""
     retry_steps: Count = 1
     """A hand-over without an answer is sent again after so many steps."""
     max_tries: Count = 8
     """After so many sendings without an answer another neighbour may be chosen."""
-    mirror: bool = False
-    """Keep a spare copy after custody has passed on; only false in this version."""
+    mirror: bool | None = None
+    """Spare copies: the giver of a datum keeps its copy for a while, and data that rest get one. Only with mode
+    acknowledged, there null means true; no effect under stigmergy."""
+    mirror_until: Literal["passed-on", "receipt"] = "receipt"
+    """How long the giver keeps its copy: until the receiver has passed the datum on in its turn, or, while there is
+    room, until a base says that it has arrived. Without `receipts` no base does: then it is the former."""
     copies: Count | Literal["auto"] = 1
     """How many copies of a datum there should be; only 1 in this version."""
 
     def __post_init__(self) -> None:
-        """What this version cannot do yet."""
-        only_value("custody.mirror", self.mirror, False)
+        """What no single key can say, and what this version cannot do yet."""
+        if self.mirror and self.mode != "acknowledged":
+            raise ValueError(f"custody.mirror: expected false with custody.mode {self.mode}, got true")
         only_value("custody.copies", self.copies, 1)
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether there are spare copies."""
+        return self.mode == "acknowledged" if self.mirror is None else self.mirror
 
 
 class StoreSettings(Section, frozen=True):
@@ -196,6 +218,7 @@ class AgentSettings(Section, frozen=True):
     store: StoreSettings
     data: DataSettings
     mavlink: MavlinkSettings
+    forward: Forward = "immediate"
 
     @classmethod
     def of(
@@ -205,6 +228,7 @@ class AgentSettings(Section, frozen=True):
         node_id: int,
         base: bool,
         step_s: float,
+        forward: Forward = "immediate",
         data: DataSettings | None = None,
         mavlink: MavlinkSettings | None = None,
     ) -> AgentSettings:
@@ -213,6 +237,7 @@ class AgentSettings(Section, frozen=True):
             node_id=node_id,
             base=base,
             step_s=step_s,
+            forward=forward,
             policy=sections.policy,
             risk=sections.risk,
             routing=sections.routing,
@@ -242,14 +267,24 @@ class AgentSettings(Section, frozen=True):
             drop_oldest=drop_oldest,
             bandwidth_items=self.store.bandwidth_items,
             acknowledged=self.custody.mode == "acknowledged",
+            mirror=self.custody.mirrored,
+            mirror_until_receipt=self.custody.mirror_until == "receipt" and self.custody.receipts,
+            immediate=self.forward == "immediate",
             receipts=self.custody.receipts,
+            receipt_steps=self.custody.receipt_steps,
             retry_steps=self.custody.retry_steps,
             max_tries=self.custody.max_tries,
             neighbour_steps=self.routing.neighbour_steps,
             max_neighbours=self.routing.max_neighbours,
             max_hops=self.routing.max_hops,
-            seq_period=self.routing.seq_period,
+            seq_period=self._seq_period(),
             lifetime_s=self.data.lifetime_s,
             scrub_items=self.store.scrub_items,
             inline_bytes=INLINE_BYTES,
         )
+
+    def _seq_period(self) -> int:
+        given = self.routing.seq_period
+        if given is not None:
+            return given
+        return 2 if self.policy.name == "survival" else 30

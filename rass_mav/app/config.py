@@ -17,6 +17,7 @@ from rass_mav.agent.settings import (
     Count,
     CustodySettings,
     DataSettings,
+    Forward,
     MavlinkSettings,
     PolicySettings,
     Positive,
@@ -24,7 +25,6 @@ from rass_mav.agent.settings import (
     RoutingSettings,
     Section,
     StoreSettings,
-    only_value,
 )
 from rass_mav.core.errors import ConfigError
 from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
@@ -44,12 +44,9 @@ class NodeSection(Section, frozen=True):
     """base: a sink, where data arrive."""
     step_s: Positive = 1.0
     """Length of a step, seconds."""
-    forward: Literal["step", "immediate"] = "step"
-    """step: what came in after a step leaves at the next one at the earliest."""
-
-    def __post_init__(self) -> None:
-        """What this version cannot do yet."""
-        only_value("node.forward", self.forward, "step")
+    forward: Forward = "immediate"
+    """step: what came in after a step leaves at the next one at the earliest; immediate: at once, within the step's
+    bandwidth."""
 
 
 class AutopilotSection(Section, frozen=True):
@@ -166,7 +163,9 @@ class RunConfig(Section, frozen=True):
 
     def agent_settings(self) -> AgentSettings:
         """What the agent needs of it."""
-        return AgentSettings.of(self, node_id=self.node_id, base=self.base, step_s=self.node.step_s)
+        return AgentSettings.of(
+            self, node_id=self.node_id, base=self.base, step_s=self.node.step_s, forward=self.node.forward
+        )
 
     def check(self) -> None:
         """Raise `ConfigError` for what no single key can say."""

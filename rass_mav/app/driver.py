@@ -83,7 +83,9 @@ class Driver:
         disk does not take it now (it is kept, and written as soon as possible)."""
         if self._stopping:
             raise StoreError("the node is stopping")
-        id = self.agent.node.put(payload, self.now(), kind)
+        now = self.now()
+        id = self.agent.node.put(payload, now, kind)
+        self._hand_out(self.agent.forward(now))
         durable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._pending_puts.append(durable)
         self._wake.set()

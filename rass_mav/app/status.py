@@ -6,8 +6,9 @@ import os
 from typing import Any
 
 from rass_mav import __version__
+from rass_mav.core.cost_routing import COST_ONE, NO_COST
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.core.policy import POTENTIAL_ONE, Policy
 from rass_mav.core.routing import Neighbour, is_base
 from rass_mav.store.quota import ROW_OVERHEAD
 
@@ -41,7 +42,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "base": None if route is None else {"node_id": route.base, "epoch": f"{route.base_epoch:08x}"},
         "risk": node.risk.risk(now),
         "risk_known": node.risk.known(now),
-        "fitness": _fitness(node.potential, node.base),
+        **_potential(node.potential, node.base, node.policy.costs is not None),
         "reading": None if reading is None else {"value": reading.value, "age_s": round(now - reading.at, 3)},
         "position": None
         if position is None
@@ -59,7 +60,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "armed": telemetry.armed,
             "reboots": telemetry.reboots,
         },
-        "neighbours": [_neighbour(n, now, node.policy.tag) for n in sorted(routing.neighbours.values(), key=_id)],
+        "neighbours": [_neighbour(n, now, node.policy) for n in sorted(routing.neighbours.values(), key=_id)],
         "store": _store(driver),
         "ledger": {
             **node.store.counters(),
@@ -67,6 +68,8 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "refused": node.refused,
             "corrupt_received": node.corrupt_received,
             "handovers_pending": len(node.custody.pending),
+            **({} if node.index is None else {"told_lost": node.index.told_lost}),
+            **({} if node.notes is None else {"loss_notes": len(node.notes.waiting)}),
         },
         "commits": {
             "done": driver.commits,
@@ -89,21 +92,24 @@ def _id(neighbour: Neighbour) -> int:
     return neighbour.id
 
 
-def _fitness(potential: int, base: bool) -> float | None:
-    """The paper's phi; None for a base, which is fitter than any drone."""
-    return None if base else potential / POTENTIAL_ONE
+def _potential(potential: int, base: bool, costs: bool) -> dict[str, float | None]:
+    """What the policy goes by: the paper's phi (None for a base, which is fitter than any drone), or with `costs` the
+    cost of the way (0 for a base, None: no way and no shelter)."""
+    if costs:
+        return {"cost": 0.0 if base else None if potential >= NO_COST else potential / COST_ONE}
+    return {"fitness": None if base else potential / POTENTIAL_ONE}
 
 
-def _neighbour(neighbour: Neighbour, now: float, tag: int) -> dict[str, Any]:
+def _neighbour(neighbour: Neighbour, now: float, policy: Policy) -> dict[str, Any]:
     beacon = neighbour.beacon
     return {
         "node_id": neighbour.id,
         "base": is_base(beacon),
         "hops": None if beacon.hops == NO_ROUTE else beacon.hops,
         "risk": beacon.risk / 65535,
-        "fitness": _fitness(beacon.potential, is_base(beacon)),
+        **_potential(beacon.potential, is_base(beacon), policy.costs is not None),
         "free_items": beacon.free,
-        "same_policy": beacon.policy == tag,
+        "same_policy": beacon.policy == policy.tag,
         "age_s": round(now - neighbour.heard, 3),
     }
 
@@ -113,6 +119,7 @@ def _store(driver: Driver) -> dict[str, Any]:
     items = len(list(node.store.ids()))
     return {
         "items": items,
+        "spares": node.inventory.spares,
         "bytes": node.store.used_bytes - items * ROW_OVERHEAD,
         "capacity_items": None if node.sink else settings.capacity_items,
         "capacity_bytes": None if node.sink else settings.capacity_bytes,

@@ -22,6 +22,8 @@ T = TypeVar("T")
 _TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
 _POLICIES = ("rass", "hop-count", "stigmergy", "rass-literal")
 _FITNESS_POLICIES = ("rass", "hop-count", "rass-literal")
+_ALL_POLICIES = ("rass", "rass-literal", "hop-count", "stigmergy", "survival")
+_VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate")
 
 
 def register(subparsers: Subparsers) -> None:
@@ -35,7 +37,7 @@ def register(subparsers: Subparsers) -> None:
 
     paper = _add(
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
-        "rass-mav experiment paper --out results --runs 2 --topology grid", _POLICIES[:3],
+        "rass-mav experiment paper --out results --runs 2 --topology grid", _POLICIES[:3], _POLICIES,
     )  # fmt: skip
     paper.add_argument(
         "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
@@ -72,6 +74,22 @@ def register(subparsers: Subparsers) -> None:
         "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
     )
 
+    policies = _add(
+        names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
+        "rass-mav experiment policies --out results --runs 2 --topology grid", _ALL_POLICIES,
+    )  # fmt: skip
+    places = (*_TOPOLOGIES, "islands")
+    policies.add_argument(
+        "--topology", nargs="+", choices=places, default=list(places), help="which (default: all five)"
+    )
+    policies.add_argument(
+        "--variant", nargs="+", choices=_VARIANTS, default=list(_VARIANTS), help="which (default: all four)"
+    )
+    policies.add_argument(
+        "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",
+        help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
+    )  # fmt: skip
+
     counting = add_command(
         names, "counting-to-infinity", _counting,
         help="what Alg. 2 as written does when the base vanishes, and what sequence numbers change",
@@ -92,15 +110,16 @@ def _add(
     help: str,
     example: str,
     policies: Sequence[str],
+    choices: Sequence[str] = (),
 ) -> argparse.ArgumentParser:
-    """An experiment made of runs of the mock swarm."""
+    """An experiment made of runs of the mock swarm. `policies`: compared unless others of `choices` are given."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
     parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 a run (default: 500)")
     parser.add_argument(
         "--policy", nargs="+", default=list(policies), metavar="NAME",
-        choices=_POLICIES if "stigmergy" in policies else _FITNESS_POLICIES,
+        choices=choices or policies,
         help=f"which to compare (default: {' '.join(policies)})",
     )  # fmt: skip
     parser.add_argument(
@@ -161,6 +180,18 @@ def _local_maxima(options: argparse.Namespace) -> int:
         )  # fmt: skip
 
     return _runs(options, plan, local_maxima.report, "table.md")
+
+
+def _policies(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import policies
+
+    def plan() -> list[Run]:
+        return policies.plan(
+            _distinct(options.topology), _distinct(options.policy), _distinct(options.variant),
+            runs=options.runs, steps=options.steps, die_fraction=options.failures, assignments=options.assignments,
+        )  # fmt: skip
+
+    return _runs(options, plan, policies.report, "table.md")
 
 
 def _counting(options: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         way = f"{s['hop_count']} hops, next {s['next_hop']}" if s["hop_count"] is not None else "none"
         yield f"route to a base: {way}"
         unknown = "" if s["risk_known"] else " (unknown, counts as the worst)"
-        yield f"risk {s['risk']:.3f}{unknown}, fitness {s['fitness']:.6f}, policy {s['policy']}"
+        yield f"risk {s['risk']:.3f}{unknown}, {_standing(s)}, policy {s['policy']}"
     if s["reading"] is not None:
         yield f"reading {s['reading']['value']:g}, {s['reading']['age_s']:.1f} s old"
     if s["position"] is not None:
@@ -26,8 +26,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     yield f"neighbours: {len(s['neighbours'])}"
     for n in s["neighbours"]:
         hops = "no route" if n["hops"] is None else f"{n['hops']} hops"
-        fitness = "base" if n["base"] else f"fitness {n['fitness']:.6f}"
-        yield f"  node {n['node_id']}: {hops}, risk {n['risk']:.3f}, {fitness}, heard {n['age_s']:.1f} s ago"
+        standing = "base" if n["base"] else _standing(n)
+        yield f"  node {n['node_id']}: {hops}, risk {n['risk']:.3f}, {standing}, heard {n['age_s']:.1f} s ago"
     for link in [*s["links"], *([s["vehicle"]] if s["vehicle"] else [])]:
         yield (
             f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
@@ -39,6 +39,12 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield f"WARNING: {s['commits']['failed']} commits failed"
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, epoch {rival['epoch']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _standing(s: dict[str, Any]) -> str:
+    if "cost" in s:
+        return "no way" if s["cost"] is None else f"cost {s['cost']:.4f}"
+    return f"fitness {s['fitness']:.6f}"
 
 
 def datum_line(entry: dict[str, Any]) -> str:

@@ -40,6 +40,12 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         f"on the air: {frames['sent']:,} MAVLink frames, {s['bytes_sent'] / 1e6:.1f} MB; heard {frames['received']:,} "
         f"times, lost {frames['dropped']:,} times, {frames['malformed']:,} malformed"
     )
+    if "failures" in s:
+        failed = s["failures"]
+        yield (
+            f"drones that died: {failed['died']}, landed: {failed['landed']}; reboots: {failed['rebooted']}, "
+            f"stores wiped: {failed['wiped']}"
+        )
     yield f"altered data: {s['altered']}; routing loops: {s['routing']['loops']}"
     if "wall_s" in s:
         yield f"{s['wall_s']:.1f} s, {s['robot_steps_per_s']:,} robot-steps a second"

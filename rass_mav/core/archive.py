@@ -1,19 +1,14 @@
-"""Which data have arrived: a base's archive index, and what other nodes learn of it from receipts."""
+"""A base's index of what has arrived there, and of what it was told is lost."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
-from .datum import DatumId
-from .messages import Receipt, ReceiptEntry
+from .arrivals import NOTHING, Known, completed, one
+from .datum import DatumId, Fate
 
-#: Origins in one receipt (what fits a frame).
-RECEIPT_ENTRIES = 10
-#: Sequence numbers beyond the closed ones that a receipt can name.
-RECEIPT_BITS = 16
-#: How many (origin, epoch) pairs a node that is no base remembers receipts of.
-MAX_ORIGINS = 1024
+#: How many losses a base believes. Nobody proves them, so there must be an end.
+MAX_TOLD_LOST = 1 << 20
 
 
 class SequenceSet:
@@ -35,75 +30,107 @@ class SequenceSet:
             self.closed += 1
         return True
 
-    def close(self, below: int) -> None:
-        """Add everything below a number."""
-        if below > self.closed:
-            self.closed = below
-            self.beyond = {s for s in self.beyond if s >= below}
-            while self.closed in self.beyond:
-                self.beyond.remove(self.closed)
-                self.closed += 1
-
     def __contains__(self, sequence: int) -> bool:
         return sequence < self.closed or sequence in self.beyond
 
 
-class Archive:
-    """The data that have arrived at a base. At the base it is complete; elsewhere it holds what receipts said."""
+class _Origin:
+    """The data of one origin and epoch."""
 
-    def __init__(self, ids: Iterable[DatumId] = (), *, max_origins: int | None = None) -> None:
-        """`max_origins`: bound of (origin, epoch) pairs, the longest unchanged are forgotten first; None: no bound."""
-        self._sets: OrderedDict[tuple[int, int], SequenceSet] = OrderedDict()
-        self._max_origins = max_origins
-        self._changed: OrderedDict[tuple[int, int], None] = OrderedDict()
+    __slots__ = ("lost", "settled")
+
+    def __init__(self) -> None:
+        self.settled = SequenceSet()
+        """Arrived, or told lost: a loss note closes the hole."""
+        self.lost: set[int] = set()
+        """Told lost, and not arrived."""
+
+    def arrived(self, sequence: int) -> bool:
+        return sequence in self.settled and sequence not in self.lost
+
+    def last(self) -> int:
+        """The highest number that has arrived; -1: none."""
+        beyond = self.settled.beyond - self.lost
+        if beyond:
+            return max(beyond)
+        last = self.settled.closed - 1
+        while last in self.lost:
+            last -= 1
+        return last
+
+
+class Archive:
+    """What has become of all data, as far as one base knows. As large as what it has been told."""
+
+    __slots__ = ("_origins", "told_lost")
+
+    def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
+        """What its store holds, and its table of losses."""
+        self._origins: dict[tuple[int, int], _Origin] = {}
+        self.told_lost = 0
+        """Data told lost that have not arrived."""
         for id in ids:
             self.add(id)
+        for id, _ in losses:
+            self.lose(id)
+
+    def _origin(self, id: DatumId) -> _Origin:
+        key = (id.origin, id.epoch)
+        origin = self._origins.get(key)
+        if origin is None:
+            origin = self._origins[key] = _Origin()
+        return origin
 
     def add(self, id: DatumId) -> bool:
-        """A datum has arrived. False: it had arrived before."""
-        key = (id.origin, id.epoch)
-        self._changed[key] = None
-        return self._set(key).add(id.sequence)
+        """A datum has arrived; if it was told lost, it is lost no longer. False: it had arrived before."""
+        origin = self._origin(id)
+        if id.sequence in origin.lost:
+            origin.lost.remove(id.sequence)
+            self.told_lost -= 1
+            return True
+        return origin.settled.add(id.sequence)
 
-    def _set(self, key: tuple[int, int]) -> SequenceSet:
-        known = self._sets.get(key)
-        if known is None:
-            if self._max_origins is not None and len(self._sets) >= self._max_origins:
-                self._sets.popitem(last=False)
-            known = self._sets[key] = SequenceSet()
-        return known
+    def lose(self, id: DatumId) -> bool:
+        """A datum was told lost. False: that is known, or it has arrived, or there is no end of losses."""
+        if self.told_lost >= MAX_TOLD_LOST:
+            return False
+        origin = self._origin(id)
+        if not origin.settled.add(id.sequence):
+            return False
+        origin.lost.add(id.sequence)
+        self.told_lost += 1
+        return True
 
-    def __contains__(self, id: DatumId) -> bool:
-        known = self._sets.get((id.origin, id.epoch))
-        return known is not None and id.sequence in known
+    def is_lost(self, id: DatumId) -> bool:
+        """Whether a datum was told lost, and has not arrived."""
+        origin = self._origins.get((id.origin, id.epoch))
+        return origin is not None and id.sequence in origin.lost
 
-    def __bool__(self) -> bool:
-        return bool(self._sets)
+    def __contains__(self, id: object) -> bool:
+        """Whether a datum has arrived."""
+        if not isinstance(id, DatumId):
+            return False
+        origin = self._origins.get((id.origin, id.epoch))
+        return origin is not None and origin.arrived(id.sequence)
 
-    def receipt(self, base: int, base_epoch: int) -> Receipt | None:
-        """A receipt for origins of which data have arrived since the last one, at most one frame's worth."""
-        entries: list[ReceiptEntry] = []
-        while self._changed and len(entries) < RECEIPT_ENTRIES:
-            (origin, epoch), _ = self._changed.popitem(last=False)
-            known = self._sets[origin, epoch]
-            bitmap = 0
-            for bit in range(RECEIPT_BITS):
-                if known.closed + 1 + bit in known.beyond:
-                    bitmap |= 1 << bit
-            if known.closed or bitmap:
-                entries.append(ReceiptEntry(origin, epoch, known.closed, bitmap))
-        return Receipt(base, base_epoch, tuple(entries)) if entries else None
+    def __len__(self) -> int:
+        """How many (origin, epoch) pairs there are."""
+        return len(self._origins)
 
-    def learn(self, receipt: Receipt) -> None:
-        """Take in a base's receipt."""
-        for entry in receipt.entries:
-            key = (entry.origin, entry.epoch)
-            known = self._set(key)
-            self._sets.move_to_end(key)
-            known.close(entry.closed)
-            for bit in range(RECEIPT_BITS):
-                if entry.bitmap >> bit & 1:
-                    known.add(entry.closed + 1 + bit)
-            if self._max_origins is not None and len(known.beyond) > 4 * RECEIPT_BITS:
-                # Bounded: what is far beyond a hole is forgotten, and learned again when the hole is closed.
-                known.beyond = set(sorted(known.beyond)[: 4 * RECEIPT_BITS])
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """(origin, epoch) of all data."""
+        return iter(self._origins)
+
+    def has(self, key: tuple[int, int]) -> bool:
+        """Whether anything is known of an (origin, epoch)."""
+        return key in self._origins
+
+    def known(self, key: tuple[int, int]) -> Known:
+        """What can be told of an (origin, epoch); KeyError if nothing is known of it."""
+        last = self._origins[key].last()
+        return self.completed(key, NOTHING if last < 0 else one(last))
+
+    def completed(self, key: tuple[int, int], known: Known) -> Known:
+        """A piece of knowledge of an (origin, epoch) with what this base can add to it."""
+        origin = self._origins.get(key)
+        return known if origin is None else completed(known, origin.arrived, origin.lost.__contains__)

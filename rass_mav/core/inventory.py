@@ -1,32 +1,50 @@
-"""What a node holds: metadata in memory, in the order of eviction; the bytes lie in the store."""
+"""What a node holds: metadata in memory, in the order of eviction; the bytes lie in the store.
+
+Custody comes first. Spare copies (`mirrors`) lie in the room that custody leaves, and count as free: whoever adds a
+datum in custody first lets go of spares, `crowded` and `yielding` tell when and which.
+"""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from itertools import islice
+from itertools import chain, islice
 
 from .datum import Datum, DatumId, Fate
 from .store import Store, StoredInfo
 
 
 class Inventory:
-    """The data in a node's custody, least recently used first (the paper's LRU eviction).
+    """The data in a node's custody, least recently used first (the paper's LRU eviction), and its spare copies.
 
-    Bounded by items and by bytes of payload; None: no bound of that kind.
+    Bounded by items and by bytes of payload; None: no bound of that kind. Length, iteration and `in` mean custody.
     """
 
-    __slots__ = ("_bytes", "_items", "capacity_bytes", "capacity_items", "reserved", "store")
+    __slots__ = (
+        "_active",
+        "_bytes",
+        "_items",
+        "_onward",
+        "_spare_bytes",
+        "capacity_bytes",
+        "capacity_items",
+        "reserved",
+        "store",
+    )
 
     def __init__(
         self, store: Store, *, capacity_items: int | None = None, capacity_bytes: int | None = None, load: bool = True
     ) -> None:
-        """`load`: take over what the store holds from an earlier life."""
+        """`load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers
+        what was a spare, and a copy too many is allowed."""
         self.store = store
         self.capacity_items = capacity_items
         self.capacity_bytes = capacity_bytes
         self._items: OrderedDict[DatumId, StoredInfo] = OrderedDict()
+        self._active: dict[DatumId, StoredInfo] = {}
+        self._onward: dict[DatumId, StoredInfo] = {}
         self._bytes = 0
+        self._spare_bytes = 0
         self.reserved = 0
         """Places kept for items that are to come back."""
         for info in store.held() if load else ():
@@ -44,11 +62,11 @@ class Inventory:
 
     @property
     def bytes(self) -> int:
-        """Bytes of payload held."""
+        """Bytes of payload in custody."""
         return self._bytes
 
     def free(self) -> int:
-        """Items that can still be taken, 0..65535 (65535: no bound)."""
+        """Items that can still be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
         if self.capacity_bytes is not None and self._bytes >= self.capacity_bytes:
             return 0
         if self.capacity_items is None:
@@ -56,7 +74,7 @@ class Inventory:
         return min(max(self.capacity_items - len(self._items) - self.reserved, 0), 0xFFFE)
 
     def room_for(self, size: int) -> bool:
-        """Whether a datum of `size` bytes of payload fits."""
+        """Whether a datum of `size` bytes of payload fits into custody."""
         if self.capacity_bytes is not None and self._bytes + size > self.capacity_bytes:
             return False
         return self.capacity_items is None or len(self._items) + self.reserved < self.capacity_items
@@ -66,11 +84,11 @@ class Inventory:
         return self.capacity_bytes is None or self._bytes + growth <= self.capacity_bytes
 
     def info(self, id: DatumId) -> StoredInfo:
-        """What is known of a held datum; KeyError if it is not held."""
+        """What is known of a datum in custody; KeyError if it is not."""
         return self._items[id]
 
     def add(self, datum: Datum) -> None:
-        """Store a datum as the most recently used one. Raises `StoreFullError` over the store's quota."""
+        """Take a datum into custody as the most recently used one. Raises `StoreFullError` over the store's quota."""
         self.store.put(datum)
         id = datum.id
         old = self._items.pop(id, None)
@@ -81,14 +99,92 @@ class Inventory:
         self._bytes += size
 
     def remove(self, id: DatumId, fate: Fate) -> None:
-        """Let go of a held datum; KeyError if it is not held."""
-        self._bytes -= self._items.pop(id).size
+        """Let go of a datum in custody, or of a spare; KeyError if there is neither."""
+        info = self._items.pop(id, None)
+        if info is not None:
+            self._bytes -= info.size
+        else:
+            info = self._active.pop(id, None) or self._onward.pop(id)
+            self._spare_bytes -= info.size
         self.store.remove(id, fate)
 
     def touch(self, id: DatumId) -> None:
-        """A held datum was used: it becomes the last to be evicted."""
+        """A datum in custody was used: it becomes the last to be evicted."""
         self._items.move_to_end(id)
 
+    # -- spares --------------------------------------------------------------------------------------------------------
+
+    @property
+    def spares(self) -> int:
+        """How many spares there are."""
+        return len(self._active) + len(self._onward)
+
+    @property
+    def spare_bytes(self) -> int:
+        """Bytes of payload of the spares."""
+        return self._spare_bytes
+
+    def holds(self, id: DatumId) -> bool:
+        """Whether there is a copy here, in custody or spare."""
+        return id in self._items or id in self._active or id in self._onward
+
+    def is_active(self, id: DatumId) -> bool:
+        """Whether this spare is one that somebody counts on."""
+        return id in self._active
+
+    def everything(self) -> Iterator[DatumId]:
+        """All copies: those in custody, then the spares."""
+        return chain(self._items, self._active, self._onward)
+
+    def created(self, id: DatumId) -> float:
+        """When a held datum, or a spare, was created, seconds; KeyError if there is neither."""
+        return (self._items.get(id) or self._active.get(id) or self._onward[id]).created
+
     def oldest(self, start: int, count: int) -> list[DatumId]:
-        """`count` ids from position `start` in the order of eviction (for a scrub that goes round)."""
-        return list(islice(self._items, start, start + count))
+        """`count` copies from position `start` of `everything` (for a scrub that goes round)."""
+        return list(islice(self.everything(), start, start + count))
+
+    def demote(self, id: DatumId) -> None:
+        """Custody has passed on: the copy here becomes an active spare."""
+        info = self._items.pop(id)
+        self._active[id] = info
+        self._bytes -= info.size
+        self._spare_bytes += info.size
+
+    def pass_by(self, id: DatumId) -> None:
+        """An active spare is not counted on any more: it yields before the active ones."""
+        self._onward[id] = self._active.pop(id)
+
+    def activate(self, id: DatumId) -> None:
+        """An onward spare is counted on again."""
+        self._active[id] = self._onward.pop(id)
+
+    def promote(self, id: DatumId) -> None:
+        """A spare comes into custody (again), as the most recently used one."""
+        info = self._active.pop(id, None) or self._onward.pop(id)
+        self._items[id] = info
+        self._bytes += info.size
+        self._spare_bytes -= info.size
+
+    def add_spare(self, datum: Datum) -> None:
+        """Store a datum as an active spare. Raises `StoreFullError` over the store's quota."""
+        self.store.put(datum)
+        size = len(datum.payload)
+        self._active[datum.id] = StoredInfo(datum.id, datum.kind, datum.created, datum.hops, datum.crc, size)
+        self._spare_bytes += size
+
+    def crowded(self, size: int) -> bool:
+        """Whether a datum of `size` bytes of payload does not fit beside all that is here, spares included."""
+        if (
+            self.capacity_items is not None
+            and len(self._items) + len(self._active) + len(self._onward) + self.reserved >= self.capacity_items
+        ):
+            return True
+        if self.capacity_bytes is not None and self._bytes + self._spare_bytes + size > self.capacity_bytes:
+            return True
+        return not self.store.room_for(size)
+
+    def yielding(self, *, active: bool = True) -> DatumId | None:
+        """The spare that goes first: the oldest onward one; if there is none, and `active`, the oldest active one."""
+        id = next(iter(self._onward), None)
+        return next(iter(self._active), None) if id is None and active else id

@@ -5,6 +5,7 @@ Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a 
 
 from __future__ import annotations
 
+import enum
 from typing import NamedTuple, TypeAlias
 
 from .datum import Datum, DatumId
@@ -57,7 +58,7 @@ class Beacon(NamedTuple):
     potential: int
     """The policy's potential (fitness phi) in fixed point, 32 bits; see `rass_mav.policy`."""
     digest: int
-    """Digest of the receipts that the sender knows, 32 bits; equal digests: nothing to tell."""
+    """Digest of what the sender knows from receipts, 32 bits; equal digests: nothing to tell. 0: not to be compared."""
 
 
 BEACON_BASE = 1
@@ -78,6 +79,8 @@ class Data(NamedTuple):
     sender: int
     target: int
     handovers: tuple[Handover, ...]
+    spare: bool = False
+    """True: custody stays with the sender; the receiver is to keep spare copies, and answers as to a hand-over."""
 
 
 class Committed(NamedTuple):
@@ -147,22 +150,39 @@ class Sack(NamedTuple):
 
 
 class ReceiptEntry(NamedTuple):
-    """What a base knows of one origin."""
+    """What has arrived of the data of one origin and epoch, as long as little is missing."""
 
     origin: int
     epoch: int
     closed: int
-    """All sequence numbers below this one are closed (arrived, or told lost)."""
+    """All sequence numbers below this one have arrived; this one has not."""
     bitmap: int
-    """Bit i: sequence closed + 1 + i is closed too. 16 bits."""
+    """Bit i: sequence closed + 1 + i has arrived too. 16 bits."""
+
+
+class ReceiptSpan(NamedTuple):
+    """The same when there is more to say: numbers told lost, or a floor (see `core.arrivals`)."""
+
+    origin: int
+    epoch: int
+    closed: int
+    """All sequence numbers from `floor` up to, but not including, this one have arrived; this one has not."""
+    bitmap: int
+    """Bit i: sequence closed + 1 + i has arrived. 16 bits."""
+    lost: int
+    """Bit i: a base was told that sequence closed + i is lost, and has not got it. 16 bits."""
+    floor: int
+    """Of sequence numbers below this one nothing is said. At most `closed`."""
 
 
 class Receipt(NamedTuple):
-    """A base's word that data have arrived, at most `RECEIPT_ENTRIES` origins a frame."""
+    """A base's word that data have arrived, told on by whoever knows it."""
 
     base: int
+    """The base whose word it is; of several bases' words together, the one heard last."""
     base_epoch: int
     entries: tuple[ReceiptEntry, ...]
+    spans: tuple[ReceiptSpan, ...] = ()
 
 
 class LossNoteEntry(NamedTuple):
@@ -172,7 +192,7 @@ class LossNoteEntry(NamedTuple):
     """Hand-over number of the note, as for data."""
     id: DatumId
     reason: int
-    """1 corrupted, 2 expired, 3 overflow; others are carried along."""
+    """1 corrupted, 2 expired, 3 overflow, 4 died, 5 or any other: vanished."""
 
 
 class LossNote(NamedTuple):
@@ -204,4 +224,43 @@ class Query(NamedTuple):
     """At most 12."""
 
 
-Message: TypeAlias = Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query
+class PassedOn(NamedTuple):
+    """A custodian's word to its backer: these data have been passed on, or have arrived."""
+
+    sender: int
+    target: int
+    ids: tuple[DatumId, ...]
+
+
+class Word(enum.IntEnum):
+    """What a custodian and its backer say about a datum in `Corrupt`."""
+
+    AGAIN = 0
+    """The sender has no good copy: the receiver is to take its spare into custody. Answered by TAKEN or NONE."""
+    NONE = 1
+    """The sender has no copy that can be counted on."""
+    TAKEN = 2
+    """Answer to AGAIN: custody is here, or was passed on from here."""
+    STILL = 3
+    """A backer asks whether the receiver still has custody. Answered, if not, by `PassedOn` or AGAIN."""
+
+
+class CorruptEntry(NamedTuple):
+    """What is said of one datum."""
+
+    id: DatumId
+    word: int
+    """A `Word`; unknown values are ignored."""
+
+
+class Corrupt(NamedTuple):
+    """Custodian and backer about copies that are gone: "mine is corrupt, send yours again", and the like."""
+
+    sender: int
+    target: int
+    entries: tuple[CorruptEntry, ...]
+
+
+Message: TypeAlias = (
+    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Corrupt
+)

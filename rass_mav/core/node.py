@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from .datum import MAX_PAYLOAD, DatumId, Fate, make_datum
+from .cost_routing import CostTable
+from .datum import MAX_PAYLOAD, DatumId, make_datum
 from .errors import DatumError, StoreFullError
 from .keeper import Keeper
 from .messages import (
@@ -18,25 +20,33 @@ from .messages import (
     Beacon,
     Chunk,
     Committed,
+    Corrupt,
     Data,
     LossNote,
     Message,
     Offer,
+    PassedOn,
     Put,
     Query,
     Receipt,
     Sack,
+    Word,
 )
+from .mirrors import Mirrors
+from .notes import fate_of
 from .observer import Observer
 from .percolation import Percolation
 from .policy import POTENTIAL_BASE, Policy
 from .replication import Replica
 from .risk import RiskEstimator
 from .routing import RoutingTable
-from .serial import following
+from .serial import following, newer
 from .settings import NodeSettings
 from .store import Store
 from .transfers import Transfers
+
+#: How many announcement numbers a base claims on disk at a time.
+ANNOUNCEMENTS_CLAIMED = 256
 
 
 class Node(Keeper):
@@ -44,6 +54,7 @@ class Node(Keeper):
 
     __slots__ = (
         "_beacon_number",
+        "_claimed",
         "_steps",
         "base",
         "corrupt_received",
@@ -77,14 +88,22 @@ class Node(Keeper):
         `newborn`: nobody can remember this node from an earlier life, so it need not wait before it takes a route.
         """
         # Under a replicating policy a base is an ordinary peer.
-        super().__init__(settings, store, rng, observer, sink=settings.base and not policy.replicates)
+        super().__init__(
+            settings,
+            store,
+            rng,
+            observer,
+            sink=settings.base and not policy.replicates,
+            receipts=settings.receipts and not policy.replicates,
+        )
         self.id = settings.node_id
         self.base = settings.base
         self.policy = policy
         self.risk = risk
         self.rng = rng
         lifetime = (settings.neighbour_steps + 0.5) * settings.step_s
-        self.routing = RoutingTable(
+        make_table = RoutingTable if policy.costs is None else partial(CostTable, policy.costs, 1.5 * settings.step_s)
+        self.routing: RoutingTable = make_table(
             self.id,
             store.epoch,
             base=self.base,
@@ -97,6 +116,8 @@ class Node(Keeper):
         self.transfers = Transfers(self, lifetime)
         self.percolation = Percolation(self)
         self.replica = Replica(self) if policy.replicates else None
+        mirrored = settings.mirror and settings.acknowledged and not self.sink and not policy.replicates
+        self.mirrors = Mirrors(self, now) if mirrored else None
         self.fresh: dict[DatumId, None] = {}
         self.potential = 0
         """Own potential as last announced, wire units."""
@@ -110,14 +131,32 @@ class Node(Keeper):
         """Data, copies and chunks sent, retransmissions included."""
         self._beacon_number = rng.getrandbits(16)
         self._steps = 0
+        self._claimed = self.routing.number
         if self.base:
-            store.set_meta("announcement", self.routing.number)
+            self._claim_announcement()
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
-        return _HANDLERS[type(message)](self, message, now)
+        answers = _HANDLERS[type(message)](self, message, now)
+        if self.mirrors is not None:
+            self.mirrors.flush(answers)
+        return answers
+
+    def forward(self, now: float) -> list[Message]:
+        """What came into custody since the last turn moves on at once, within the bandwidth of this step.
+
+        For `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
+        """
+        out: list[Message] = []
+        if self.stirred and not self.sink:
+            self.stirred = False
+            if self.inventory:
+                self.percolation.forward(now, out)
+            if self.mirrors is not None:
+                self.mirrors.flush(out)
+        return out
 
     def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
         """Create a datum here. Raises `StoreFullError` (counted as overflow) or `DatumError` (too large or empty)."""
@@ -166,7 +205,10 @@ class Node(Keeper):
             if not datum.intact:
                 self.corrupt_received += 1
                 continue
-            verdict = self.take_custody(data.sender, number, datum)
+            if data.spare:
+                verdict = self.keep_spare(data.sender, number, datum)
+            else:
+                verdict = self.take_custody(data.sender, number, datum)
             if number == 0:
                 continue
             if verdict:
@@ -180,20 +222,44 @@ class Node(Keeper):
     def _on_committed(self, message: Committed, now: float) -> list[Message]:
         for number, crc in message.committed:
             id = self.custody.answered(number, message.sender)
-            if id is not None and self.inventory.info(id).crc == crc:
-                self.drop(id, Fate.PASSED_ON)
+            if id is None:
+                if self.notes is not None:
+                    self.notes.committed(number, message.sender)
+            elif self.inventory.info(id).crc == crc:
+                self.give_away(id, message.sender)
         for number in message.refused:
             id = self.custody.answered(number, message.sender)
             if id is not None:
                 self.custody.cancel(id)
                 self.transfers.cancel(id)
+            elif self.notes is not None:
+                self.notes.refused(number, message.sender)
+        out: list[Message] = []
+        if self.mirrors is not None:
+            self.mirrors.offers.answered(message, now, out)
+        return out
+
+    def _on_passed_on(self, message: PassedOn, now: float) -> list[Message]:
+        if self.mirrors is not None:
+            self.mirrors.on_passed_on(message)
         return []
 
+    def _on_corrupt(self, message: Corrupt, now: float) -> list[Message]:
+        out: list[Message] = []
+        if self.mirrors is not None:
+            self.mirrors.on_corrupt(message, now, out)
+        elif self.sink:
+            # Somebody did not know that it gave to a base.
+            arrived = tuple(id for id, word in message.entries if word == Word.STILL and id in self.archive)
+            if arrived:
+                out.append(PassedOn(self.id, message.sender, arrived))
+        return out
+
     def _on_receipt(self, receipt: Receipt, now: float) -> list[Message]:
-        if not self.sink and self.replica is None:
-            self.archive.learn(receipt)
-            for id in [id for id in self.inventory if id in self.archive]:
-                self.drop(id, Fate.DELIVERED)
+        if self.receipts is not None:
+            changed = self.receipts.learn(receipt)
+            if changed:
+                self.heed(changed)
         return []
 
     def _on_put(self, put: Put, now: float) -> list[Message]:
@@ -205,8 +271,13 @@ class Node(Keeper):
         return [] if self.replica is None else self.replica.answer(query)
 
     def _on_loss_note(self, note: LossNote, now: float) -> list[Message]:
-        # Understood on the wire; what to do with it belongs to mirrored custody. Not answered, so it is not lost.
-        return []
+        if self.receipts is None or not (self.sink or self.notes is not None):
+            # Not answered, so it is not lost.
+            return []
+        taken = {number: self.take_note(id, fate_of(reason)) for number, id, reason in note.entries}
+        committed = tuple([(number, 0) for number, good in taken.items() if good])
+        refused = tuple([number for number, good in taken.items() if not good])
+        return [Committed(self.id, note.sender, committed, refused)]
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
 
@@ -218,37 +289,61 @@ class Node(Keeper):
         self.percolation.begin_step()
         if settings.lifetime_s is not None:
             self.expire(now - settings.lifetime_s)
-        routing = self.routing
+        routing, policy = self.routing, self.policy
         if self.base and settings.seq_period and self._steps % settings.seq_period == 0:
             routing.raise_number()
+        if policy.costs is not None:
+            routing.toll = policy.potential(routing.distance, self.risk.risk(now), 1)
         routing.update(now)
         out: list[Message] = [self._beacon(now)]
+        turn = self.receipts is not None and self.receipts.due(self._steps)
+        if turn and self.receipts is not None:
+            receipt = self.receipts.turn(routing.neighbours.values())
+            if receipt is not None:
+                out.append(receipt)
         if self.sink:
-            if self.base and routing.number != self.store.get_meta("announcement"):
-                self.store.set_meta("announcement", routing.number)
-            if settings.receipts:
-                receipt = self.archive.receipt(self.id, self.store.epoch)
-                if receipt is not None:
-                    out.append(receipt)
+            if self.base:
+                self._claim_announcement()
             self.transfers.age(now)
             return out
         self.transfers.age(now)
         if self.replica is not None:
             self.replica.ask(out)
+        self.stirred = False
+        if self.mirrors is not None:
+            self.mirrors.step(now)
         if self.inventory:
             self.percolation.evict(now, out)
+        if self.mirrors is not None:
+            self.mirrors.flush(out)
+        if turn and self.notes is not None:
+            note = self.notes.turn(self.id, routing.next_hop, self.custody.draw)
+            if note is not None:
+                out.append(note)
         return out
+
+    def _claim_announcement(self) -> None:
+        """Keep a number on disk that has not been announced yet: a restarted base goes on after it (RFC 1982)."""
+        number = self.routing.number
+        if not newer(self._claimed, number):
+            # Not at each number: that would be a write each step.
+            self._claimed = (number + ANNOUNCEMENTS_CLAIMED) & 0xFFFF
+            self.store.set_meta("announcement", self._claimed)
 
     def _beacon(self, now: float) -> Beacon:
         routing = self.routing
         risk = self.risk.risk(now)
         inventory = self.inventory
         free = UNBOUNDED_FREE if self.sink else inventory.free()
-        if free and not (self.store.accepting and self.store.room_for(self.settings.inline_bytes)):
+        if free and not (
+            self.store.accepting and self.store.room_for(self.settings.inline_bytes - inventory.spare_bytes)
+        ):
             free = 0
         route = routing.route
         if self.base:
             self.potential = POTENTIAL_BASE if free else 0
+        elif self.policy.costs is not None:
+            self.potential = routing.metric
         else:
             self.potential = self.policy.potential(routing.distance, risk, free)
         routing.announced(now)
@@ -272,7 +367,7 @@ class Node(Keeper):
             free,
             self.policy.tag,
             self.potential,
-            0,
+            0 if self.receipts is None else self.receipts.digest,
         )
 
 
@@ -288,4 +383,6 @@ _HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     Put: Node._on_put,
     Query: Node._on_query,
     LossNote: Node._on_loss_note,
+    PassedOn: Node._on_passed_on,
+    Corrupt: Node._on_corrupt,
 }

@@ -39,12 +39,18 @@ class Percolation:
 
     def evict(self, now: float, out: list[Message]) -> None:
         """Send what has to leave; `out` receives the messages."""
+        if self._node.custody.pending:
+            self._retry(now, out)
+        self.forward(now, out)
+
+    def forward(self, now: float, out: list[Message]) -> None:
+        """The same without the retransmissions: what the policy plans, then spares of what rests."""
         node = self._node
         batches = self._batches
-        if node.custody.pending:
-            self._retry(now, out)
         if self._budget > 0 and node.routing.neighbours:
             self._percolate(now, out)
+            if node.mirrors is not None:
+                node.mirrors.offers.spread(now, out)
         if batches:
             for target, handovers in batches.items():
                 out.append(Data(node.id, target, tuple(handovers)))
@@ -58,6 +64,7 @@ class Percolation:
         recent = now - 1.5 * settings.step_s
         view = View(
             [n for n in neighbours.values() if n.heard >= recent],
+            neighbours.get(node.routing.next_hop) if node.routing.next_hop is not None else None,
             node.routing.distance,
             node.potential,
             node.risk.risk(now),
@@ -110,12 +117,18 @@ class Percolation:
         node = self._node
         settings = node.settings
         due = now - (settings.retry_steps - 0.5) * settings.step_s
-        # Two beacons missed: it has probably moved away, so another is tried before the routing table gives it up.
+        # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
+        # two must be missing: it may have the datum already, and another one would make a second copy.
         silent = now - 2.5 * settings.step_s
+        silent_clean = now - 1.5 * settings.step_s
         neighbours = node.routing.neighbours
         for pending in list(node.custody.pending.values()):
             neighbour = neighbours.get(pending.neighbour)
-            if neighbour is None or neighbour.heard < silent or pending.tries >= settings.max_tries:
+            if (
+                neighbour is None
+                or neighbour.heard < (silent_clean if neighbour.clean else silent)
+                or pending.tries >= settings.max_tries
+            ):
                 node.custody.cancel(pending.id)
                 node.transfers.cancel(pending.id)
                 continue

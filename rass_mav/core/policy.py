@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from .cost_routing import CostRules
 from .datum import DatumId
 from .messages import BROADCAST
 from .routing import Neighbour
@@ -33,6 +34,8 @@ class View:
 
     neighbours: Collection[Neighbour]
     """Neighbours heard lately."""
+    way: Neighbour | None
+    """The routing table's next hop."""
     hops: int
     """Own hop count, or NO_ROUTE."""
     potential: int
@@ -64,8 +67,14 @@ class Policy(Protocol):
     def replicates(self) -> bool:
         """Whether data are broadcast and kept by all (then a base is an ordinary peer with an ordinary store)."""
 
+    @property
+    def costs(self) -> CostRules | None:
+        """If the potential is a cost that adds up along the way, so that lower is better: how. Else None."""
+
     def potential(self, hops: int, risk: float, free: int) -> int:
-        """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1."""
+        """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1.
+
+        With `costs`: what a hop from this node adds to the cost of its way."""
 
     def plan(self, view: View) -> list[Transfer]:
         """What to send this step, at most `view.budget` items."""

@@ -23,6 +23,9 @@ CHANGE_OVER_HOPS = 3
 #: For so many lifetimes somebody may count on a route after its last announcement: a beacon travels for one at most, is
 #: remembered for another, and forgotten at the next step only.
 HOLD_LIFETIMES = 2.5
+#: A neighbour of whose beacons fewer than this were missed of late is on a clean link (`Neighbour.missed`).
+CLEAN_MISSED = 0.2
+_MOST_MISSED = 8
 #: How many bases a node remembers feasibility distances of.
 MAX_BASES = 16
 
@@ -30,13 +33,20 @@ MAX_BASES = 16
 class Neighbour:
     """A neighbour as its last beacon described it."""
 
-    __slots__ = ("beacon", "heard", "id")
+    __slots__ = ("beacon", "heard", "id", "missed")
 
     def __init__(self, beacon: Beacon, heard: float) -> None:
         self.id = beacon.sender
         self.beacon = beacon
         self.heard = heard
         """When the beacon was heard, seconds."""
+        self.missed = 1.0
+        """Beacons missed of late: each one counts a fifth less with each that is heard."""
+
+    @property
+    def clean(self) -> bool:
+        """Whether hardly any beacon is missed on this link: then one that is missing means that it has broken."""
+        return self.missed < CLEAN_MISSED
 
 
 class RoutingTable:
@@ -53,11 +63,13 @@ class RoutingTable:
         "lifetime_s",
         "max_hops",
         "max_neighbours",
+        "metric",
         "neighbours",
         "next_hop",
         "node_id",
         "number",
         "route",
+        "toll",
         "wanted",
     )
 
@@ -94,6 +106,10 @@ class RoutingTable:
         self.distance = 0 if base else NO_ROUTE
         """Fewest hops that any neighbour announces, plus one: h of Eq. 3. It is known even while no route is feasible;
         then it is not announced, so that nobody counts on it."""
+        self.metric = 0
+        """What feasibility compares of the chosen route, counted from this node: its hops (`CostTable`: its cost)."""
+        self.toll = 1
+        """What a hop from this node adds to the metric."""
         self.wanted: tuple[int, int] | None = None
         """(base id, number) this node asks for, for itself or for a neighbour."""
         self._bound: tuple[int, int] | None = None if restarted is None else (-1, -1)
@@ -113,6 +129,7 @@ class RoutingTable:
             last = known.beacon
             if (last.number - beacon.number) & 0xFFFF < _LATE_WINDOW and last.epoch == beacon.epoch:
                 return False
+            known.missed = 0.8 * known.missed + min((beacon.number - last.number - 1) & 0xFFFF, _MOST_MISSED)
             known.beacon = beacon
             known.heard = now
         if beacon.flags & BEACON_WANTED:
@@ -195,9 +212,14 @@ class RoutingTable:
             self.next_hop = None
             self.wanted = blocked
             return
+        self.next_hop = best.sender
+        self._take(best, best.hops + 1, now)
+
+    def _take(self, best: Beacon, metric: int, now: float) -> None:
+        """Choose the route that a neighbour announces, and pass on requests for newer numbers."""
+        self.metric = metric
         route = self.route
         hops = best.hops + 1
-        self.next_hop = best.sender
         if (
             route is None
             or route.hops != hops
@@ -230,9 +252,9 @@ class RoutingTable:
         self._bound_until = now + HOLD_LIFETIMES * self.lifetime_s
         feasible = self._feasible
         own = feasible.get(key)
-        best = (route.number, route.hops)
+        best = (route.number, self.metric)
         if own is not None:
-            if (route.hops >= own[1]) if own[0] == route.number else not newer(route.number, own[0]):
+            if (self.metric >= own[1]) if own[0] == route.number else not newer(route.number, own[0]):
                 best = own
             if len(feasible) > 1:
                 # Kept in the order of use, so that the base in use is the last to be forgotten.

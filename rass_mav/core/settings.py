@@ -25,8 +25,17 @@ class NodeSettings:
     """Items sent in a step at most, retransmissions included."""
     acknowledged: bool = True
     """Custody (`custody.mode: acknowledged`); False: what is sent is deleted at once."""
+    mirror: bool = False
+    """Spare copies are kept (`core.mirrors`); only with `acknowledged`."""
+    mirror_until_receipt: bool = True
+    """A spare is kept, while there is room, until a base says that the datum has arrived; False: only until it has been
+    passed on once more."""
+    immediate: bool = False
+    """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True
-    """A base says what has arrived; others drop what has."""
+    """A base says what has arrived; others tell it on, and drop what has. Lost data are told to the base."""
+    receipt_steps: int = 6
+    """A node sends one receipt frame in so many steps at most."""
     retry_steps: int = 1
     """A hand-over without an answer is sent again after so many steps."""
     max_tries: int = 8

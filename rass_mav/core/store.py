@@ -64,7 +64,11 @@ class Store(Protocol):
         """Forget a datum. `CORRUPTED` and `EXPIRED` are written to the table of losses. Unknown ids are ignored."""
 
     def lose(self, id: DatumId, fate: Fate) -> None:
-        """Note a loss elsewhere (a loss note that reached a base) in the table of losses."""
+        """Note a loss elsewhere (a loss note that came here) in the table of losses."""
+
+    def found(self, id: DatumId) -> None:
+        """Take an entry out of the table of losses: the datum turned up, or the loss has been told on. Need not be
+        durable soon. Unknown ids are ignored."""
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter that survives restarts (the node's ledger)."""

@@ -119,7 +119,7 @@ class Transfers:
             offer.size > MAX_PAYLOAD
             or -(-offer.size // offer.chunk_size) > MAX_CHUNKS
             or len(self._in) >= MAX_TRANSFERS
-            or offer.id in node.inventory
+            or node.inventory.holds(offer.id)
         ):
             return False
         return node.may_accept(offer.size + sum(t.offer.size for t in self._in.values()))

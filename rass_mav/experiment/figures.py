@@ -33,7 +33,10 @@ POLICIES: dict[str, Style] = {
     "hop-count": Style("hop count", "#D55E00", "s"),
     "stigmergy": Style("virtual stigmergy", "#009E73", "^"),
     "rass-literal": Style("RASS as printed (α = 10 on hops)", "#CC79A7", "D"),
+    "survival": Style("survival", "#E69F00", "P"),
 }
+#: A horizontal line that is not a policy.
+LEVEL = Style("", "#555555", "")
 #: For curves that are not policies.
 OTHERS = ("#56B4E9", "#E69F00", "#000000")
 
@@ -85,6 +88,35 @@ class Bars:
     hatch: str = ""
 
 
+@dataclass(frozen=True)
+class Point:
+    """A point with error bars."""
+
+    style: Style
+    """Its label is not shown."""
+    x: float
+    y: float
+    x_half: float = 0.0
+    """Half width of its confidence interval; 0: none."""
+    y_half: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """A pair of axes with points."""
+
+    title: str
+    x_label: str
+    y_label: str
+    """With the unit."""
+    points: Sequence[Point]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    """A point outside of the ranges is drawn at their edge, with its place in brackets."""
+    level: float | None = None
+    """A horizontal line at this y."""
+
+
 def need_matplotlib() -> None:
     """Raises `ConfigError` if figures cannot be drawn; before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:
@@ -128,6 +160,54 @@ def draw_bars(
     axes.set_axisbelow(True)
     _legend(figure, axes, 3)
     return _write(figure, path, note)
+
+
+def draw_scatter(path: Path, panels: Sequence[Scatter], keys: Sequence[Style], *, note: str = "") -> Path:
+    """Write panels side by side as PNG.
+
+    `keys`: the legend, beside markers with "-" for a colour alone, and "" for the line at `level`.
+    """
+    figure = _figure((6.2 * len(panels) + 2.9, 5.2))
+    row = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, panel in zip(row, panels, strict=True):
+        _draw_points(axes, panel)
+    for key in keys:
+        line = {"": "--", "-": "-"}.get(key.marker, "none")
+        row[0].plot(
+            [], [], color=key.color, label=key.label, linestyle=line, linewidth=4 if line == "-" else 1.2,
+            marker=key.marker if line == "none" else "none", markersize=7,
+        )  # fmt: skip
+    figure.legend(*row[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False)
+    return _write(figure, path, note)
+
+
+def _draw_points(axes: Axes, panel: Scatter) -> None:
+    (left, right), (low, high) = panel.x_range, panel.y_range
+    if panel.level is not None:
+        axes.axhline(panel.level, color=LEVEL.color, linestyle="--", linewidth=1.2, zorder=1)
+    # Points that coincide stay visible: later markers are smaller.
+    markers = list(dict.fromkeys(point.style.marker for point in panel.points))
+    for point in panel.points:
+        x, y = min(max(point.x, left), right), min(max(point.y, low), high)
+        outside = (x, y) != (point.x, point.y)
+        color = point.style.color
+        size = max(5.0, 10.5 - 1.5 * markers.index(point.style.marker))
+        axes.errorbar(
+            x, y, 0.0 if outside else point.y_half, 0.0 if outside else point.x_half, point.style.marker, color=color,
+            elinewidth=1, capsize=2, markersize=size, markeredgecolor="white", markeredgewidth=0.7, zorder=3,
+            clip_on=not outside,
+        )  # fmt: skip
+        if outside:
+            axes.annotate(
+                f"({point.x:.3g}, {point.y:.2f})", (x, y), (-7 if x == right else 7, 6), textcoords="offset points",
+                ha="right" if x == right else "left", fontsize=8, color=color,
+            )  # fmt: skip
+    axes.set_title(panel.title, fontsize=11)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    axes.set_xlim(left, right)
+    axes.set_ylim(low, high)
+    axes.grid(alpha=0.3, linewidth=0.6)
 
 
 def _figure(size: tuple[float, float]) -> Figure:

@@ -11,6 +11,7 @@ import msgspec
 from rass_mav.core.datum import Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
+from rass_mav.experiment.oracle import Ceiling
 from rass_mav.swarm.world import World
 
 #: Time series hold every so many steps, and the last one; so do the authors' curves.
@@ -215,4 +216,4 @@ class Basins:
 
 
 #: By the name that a `Run` gives.
-MEASURES: dict[str, Callable[[], Measure]] = {"origins": Origins, "basins": Basins}
+MEASURES: dict[str, Callable[[], Measure]] = {"origins": Origins, "basins": Basins, "ceiling": Ceiling}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from rass_mav.core.errors import ConfigError
+from rass_mav.experiment import distances
 from rass_mav.experiment.curves import (
-    NAN,
     by_policy,
     final_reliability,
     mean_delay,
@@ -20,10 +19,9 @@ from rass_mav.experiment.curves import (
     total_stored,
 )
 from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
-from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.published import TABLE_1, Published
 from rass_mav.experiment.runs import Result, Run
-from rass_mav.experiment.statistics import Estimate, estimate
+from rass_mav.experiment.statistics import Estimate
 from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
 from rass_mav.swarm.catalogue import load_scenario, shipped
 
@@ -44,10 +42,7 @@ TABLE_COLUMNS = (
     "world", "topology", "policy", "runs", "steps", "delay_paper", "delay_mean", "delay_ci95", "memory_paper",
     "memory_mean", "memory_ci95", "reliability_authors", "reliability_mean", "reliability_ci95",
 )  # fmt: skip
-DISTANCE_COLUMNS = (
-    "world", "topology", "policy", "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals",
-    "delay_of_runs_mean", "delay_of_runs_ci95",
-)  # fmt: skip
+DISTANCE_COLUMNS = ("world", "topology", "policy", *distances.COLUMNS)
 #: The delay at which distributions are cut off in figures leaves at most this share of the data out.
 _TAIL = 0.02
 
@@ -170,28 +165,13 @@ def _table_text(rows: dict[str, list[list[str]]], groups: dict[tuple[str, str], 
 
 
 def _distances(groups: dict[tuple[str, str], dict[str, list[Result]]], out: Path) -> Path:
-    rows: list[list[object]] = []
-    for (world, topology), policies in groups.items():
-        for policy, results in policies.items():
-            for hops in sorted({hops for result in results for hops in result.distances}):
-                here = [result.distances[hops] for result in results if hops in result.distances]
-                arrived = sum(d.arrived for d in here)
-                total = sum(d.delay_sum for d in here)
-                runs = _delays_at(results, hops)
-                rows.append(
-                    [
-                        world, topology, policy, "out of reach" if hops == OUT_OF_REACH else hops,
-                        sum(d.created for d in here), arrived, sum(d.lost for d in here),
-                        round(total / arrived, 4) if arrived else None, len(runs), *figures_of(estimate(runs)),
-                    ]
-                )  # fmt: skip
+    rows = [
+        [world, topology, policy, *row]
+        for (world, topology), policies in groups.items()
+        for policy, results in policies.items()
+        for row in distances.rows(results)
+    ]
     return write_csv(out / "delay-by-distance.csv", DISTANCE_COLUMNS, rows)
-
-
-def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
-    """Mean delay of each run, of its data made so many hops from the base, where any arrived."""
-    distances = [result.distances.get(hops) for result in results]
-    return [d.delay_sum / d.arrived for d in distances if d is not None and d.arrived]
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
@@ -255,20 +235,5 @@ def _cut(delays: dict[int, int], total: int) -> int:
 
 
 def _delay_by_distance(title: str, policies: dict[str, list[Result]]) -> Panel:
-    curves = []
-    for policy, results in policies.items():
-        if policy == "stigmergy":
-            continue
-        style = policy_style(policy)
-        hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
-        found = [estimate(_delays_at(results, h)) for h in hops]
-        y = [NAN if e is None else e.mean for e in found]
-        half = [NAN if e is None or e.half_width is None else e.half_width for e in found]
-        if any(math.isfinite(value) for value in y):
-            curves.append(Curve(style.label, hops, y, style.color, style.marker, half if len(results) > 1 else None))
-    # Bands of distances at which hardly anything was made may be huge: the lines set the scale.
-    highest = max((y for curve in curves for y in curve.y if math.isfinite(y)), default=0.0)
-    return Panel(
-        f"Mean delay by distance of birth: {title}", "distance from the base at creation (hops)",
-        "mean delay of the data that arrived (steps)", curves, (0, 1.15 * highest if highest else 1),
-    )  # fmt: skip
+    groups = [(policy_style(policy), results) for policy, results in policies.items() if policy != "stigmergy"]
+    return distances.panel(f"Mean delay by distance of birth: {title}", groups)

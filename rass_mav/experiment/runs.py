@@ -21,9 +21,9 @@ from rass_mav.swarm.world import World
 FORMAT = 1
 
 _PACKAGE = Path(__file__).parents[1]
-#: What a run's outcome depends on: these rooms with their data files, and this room's two modules that look.
+#: What a run's outcome depends on: these rooms with their data files, and this room's modules that look.
 _ROOMS = ("core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm")
-_MODULES = ("experiment/measures.py", "experiment/runs.py")
+_MODULES = ("experiment/measures.py", "experiment/oracle.py", "experiment/runs.py")
 
 
 @functools.cache

@@ -54,9 +54,10 @@ def flatten(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, obj
 def write_runs(path: Path, results: Sequence[Result]) -> Path:
     """runs.csv: a row a run, `RUN_COLUMNS`, then the scalars of the summary."""
     flat = [dict(flatten(result.summary)) for result in results]
-    columns = [key for key in flat[0] if key not in RUN_COLUMNS] if flat else []
+    # Some runs have more to tell than others: whole-robot failures, for one.
+    columns = [key for key in dict.fromkeys(key for values in flat for key in values) if key not in RUN_COLUMNS]
     rows = [
-        [r.world, r.topology, r.policy, r.variant, r.seed, r.steps, *(values[c] for c in columns)]
+        [r.world, r.topology, r.policy, r.variant, r.seed, r.steps, *(values.get(c) for c in columns)]
         for r, values in zip(results, flat, strict=True)
     ]
     return write_csv(path, [*RUN_COLUMNS, *columns], rows)

@@ -20,6 +20,7 @@ from rass_mav.core.policy import Policy
 from .fitness import UNREACHABLE_HOPS, FitnessPolicy
 from .reference import ReferencePolicy
 from .stigmergy import Stigmergy
+from .survival import SurvivalPolicy
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class Weights:
     """T of Eq. 4, >= 0."""
     unknown_hops: int | None = None
     """Hop count in Eq. 3 of a node without a route, 1..255."""
+    hop_cost: float | None = None
+    """What a hop is worth, > 0 (`SurvivalPolicy`)."""
     rules: Literal["paper", "authors"] = "paper"
     """authors: fitness is judged and data leave as in the authors' code (`ReferencePolicy`)."""
 
@@ -69,11 +72,16 @@ def _stigmergy(weights: Weights) -> Policy:
     return Stigmergy()
 
 
+def _survival(weights: Weights) -> Policy:
+    return SurvivalPolicy() if weights.hop_cost is None else SurvivalPolicy(hop_cost=weights.hop_cost)
+
+
 POLICIES: dict[str, Callable[[Weights], Policy]] = {
     "rass": _fitness("rass", 1.0, 10.0),
     "rass-literal": _fitness("rass-literal", 10.0, 1.0),
     "hop-count": _hop_count,
     "stigmergy": _stigmergy,
+    "survival": _survival,
 }
 
 

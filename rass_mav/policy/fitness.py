@@ -26,6 +26,7 @@ class FitnessPolicy:
     """
 
     replicates = False
+    costs = None
     #: Part of the tag: potentials are compared only within a family.
     family = "fitness"
 

@@ -18,6 +18,7 @@ class Stigmergy:
 
     name = "stigmergy"
     replicates = True
+    costs = None
     tag = policy_tag("stigmergy")
 
     def potential(self, hops: int, risk: float, free: int) -> int:

@@ -79,6 +79,7 @@ class ReplaySettings(Section, frozen=True):
             node_id=node_id,
             base=system_id is None,
             step_s=self.node.step_s,
+            forward=self.node.forward,
             data=msgspec.structs.replace(self.data, until_step=steps if until is None else min(until, steps)),
             mavlink=msgspec.structs.replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
         )

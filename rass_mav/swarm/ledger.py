@@ -29,6 +29,8 @@ class Ledger:
         self.arrived: dict[DatumId, int] = {}
         """Step of first arrival at a base."""
         self.lost: dict[DatumId, Fate] = {}
+        self.spoilt: dict[DatumId, Fate] = {}
+        """Why a copy was lost while another was left: the latest reason."""
         self.overflow = 0
         """Measurements refused by full nodes: created and lost, but they never got an id."""
         self.altered = 0
@@ -89,10 +91,14 @@ class Ledger:
         if id in self.arrived:
             return
         self.waiting_copies -= 1
-        if not copies:
+        if copies:
+            if fate is not Fate.PASSED_ON:
+                self.spoilt[id] = fate
+        else:
             self.waiting -= 1
-            # PASSED_ON without another copy: it was sent without custody, and is in the air until it turns up.
-            self.lost[id] = Fate.VANISHED if fate is Fate.PASSED_ON else fate
+            # PASSED_ON without another copy: whoever took the datum over has lost it since, and that is why it is lost.
+            # If nobody has, it was sent without custody, and is in the air until it turns up.
+            self.lost[id] = self.spoilt.get(id, Fate.VANISHED) if fate is Fate.PASSED_ON else fate
 
     def decline(self, id: DatumId) -> None:
         """A datum sent without custody was not taken in. Unless there is another copy, it is lost."""

@@ -85,7 +85,12 @@ class NodeProcess:
         self.until_step = until_step
         radio = f"127.0.0.1:{ports.air[self.node_id]}"
         config = RunConfig(
-            node=NodeSection(id=self.node_id, role="base" if settings.base else "drone", step_s=settings.step_s),
+            node=NodeSection(
+                id=self.node_id,
+                role="base" if settings.base else "drone",
+                step_s=settings.step_s,
+                forward=settings.forward,
+            ),
             # The node speaks first, from any free port: so the radio learns where it is, and no port can be in use.
             autopilot=AutopilotSection(url=f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}"),
             links=(LinkSection(listen="127.0.0.1:0", peers=(PeerSection(address=radio),)),),
@@ -368,12 +373,14 @@ def run(
     `keep`: a directory, new or empty, for configurations, stores and logs; None: a temporary one. `record`: a .tlog of
     all frames put on the air. `progress` is called with the present step.
 
-    Raises `ConfigError`: more than `MAX_NODES` nodes, a swarm that cannot be placed, a directory that cannot be used;
-    `SwarmError`: a process that ended unexpectedly, with the last lines of its log; `StoreError`: a store that
-    cannot be read.
+    Raises `ConfigError`: more than `MAX_NODES` nodes, failures that only virtual time has, a swarm that cannot be
+    placed, a directory that cannot be used; `SwarmError`: a process that ended unexpectedly, with the last lines of its
+    log; `StoreError`: a store that cannot be read.
     """
     if scenario.nodes > MAX_NODES:
         raise ConfigError(f"nodes: expected at most {MAX_NODES} with transport udp, got {scenario.nodes}")
+    for key in scenario.failures.of_robots:
+        raise ConfigError(f"failures.{key}: needs transport loopback; udp knows failures.kill_every_s only")
     Surroundings(scenario)  # says here, and not in the radio process, what cannot be placed
     if keep is not None:
         _prepare(keep)

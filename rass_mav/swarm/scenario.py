@@ -12,6 +12,7 @@ from rass_mav.agent.settings import (
     Count,
     CustodySettings,
     DataSettings,
+    Forward,
     Fraction,
     MavlinkSettings,
     NonNegative,
@@ -30,8 +31,9 @@ class NodeSection(Section, frozen=True):
 
     step_s: Positive = 0.2
     """Length of a step, seconds."""
-    forward: Literal["step"] = "step"
-    """step: what came in after a step leaves at the next one at the earliest."""
+    forward: Forward = "immediate"
+    """step: what came in after a step leaves at the next one at the earliest; immediate: at once, within the step's
+    bandwidth."""
 
 
 class MobilitySection(Section, frozen=True):
@@ -130,10 +132,53 @@ class StatisticsSection(Section, frozen=True):
 
 
 class FailureSection(Section, frozen=True):
-    """What goes wrong beside radiation."""
+    """What goes wrong beside radiation. All but `kill_every_s` is for virtual time; see docs/simulation.md."""
 
     kill_every_s: Positive | None = None
     """With the udp transport: every so many seconds a drone is killed with SIGKILL and started again; null: none."""
+    die_fraction: Fraction = 0.0
+    """This part of the drones, rounded to the nearest number, dies for good, each at a step uniform over the run."""
+    die_rate: Fraction = 0.0
+    """Probability that a drone dies for good in a step where the radiation is 1; in proportion where it is less."""
+    reboot_rate: Fraction = 0.0
+    """Probability that a drone reboots in a step: its store stays, what it had in memory is gone."""
+    wipe_rate: Fraction = 0.0
+    """Probability that a drone loses its store in a step, and comes back with an empty one of a new epoch."""
+    reboot_steps: Annotated[int, Meta(ge=0)] = 10
+    """How long a reboot takes, with the store or without, steps."""
+    battery_steps: tuple[Count, Count] | None = None
+    """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: for ever."""
+    recharge_steps: Count | None = None
+    """How long a drone that has landed is off, steps; null: for good."""
+    base_off: list[tuple[Annotated[int, Meta(ge=0)], Count]] = msgspec.field(default_factory=list)
+    """[[from, to], ...]: all bases are off from one step until another, at which they are on again."""
+    base_wiped: bool = False
+    """Whether bases come back with an empty store of a new epoch."""
+
+    def __post_init__(self) -> None:
+        """What no single key can say."""
+        if self.battery_steps is not None and self.battery_steps[0] > self.battery_steps[1]:
+            raise ValueError(
+                f"failures.battery_steps: expected two numbers that do not fall, got {list(self.battery_steps)}"
+            )
+        if self.recharge_steps is not None and self.battery_steps is None:
+            raise ValueError("failures.recharge_steps: expected null unless failures.battery_steps is given")
+        if self.base_wiped and not self.base_off:
+            raise ValueError("failures.base_wiped: expected false unless failures.base_off is given")
+        last = 0
+        for begin, end in self.base_off:
+            if not last <= begin < end:
+                raise ValueError(
+                    "failures.base_off: expected [from, to] one after the other, each from below its to, "
+                    f"got {[list(pair) for pair in self.base_off]}"
+                )
+            last = end
+
+    @property
+    def of_robots(self) -> list[str]:
+        """The keys that are set and make whole robots fail in virtual time."""
+        keys = ("die_fraction", "die_rate", "reboot_rate", "wipe_rate", "battery_steps", "base_off")
+        return [key for key in keys if getattr(self, key)]
 
 
 class Scenario(Section, frozen=True):
@@ -192,8 +237,9 @@ class Scenario(Section, frozen=True):
         """The settings of one node."""
         mavlink = msgspec.structs.replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
         return AgentSettings.of(
-            self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, mavlink=mavlink
-        )
+            self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, forward=self.node.forward,
+            mavlink=mavlink,
+        )  # fmt: skip
 
 
 def system_id(node_id: int) -> int:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rass_mav.core.messages import NO_ROUTE
 
 if TYPE_CHECKING:
+    from rass_mav.agent.agent import Agent
     from rass_mav.swarm.virtual import VirtualSwarm
 
 
@@ -36,6 +37,10 @@ class Statistics:
         self._stored = 0
         self._copies = 0
         self._waiting = 0
+        # Of agents that are no more.
+        self._received = 0
+        self._malformed = 0
+        self._sent_data = 0
         self.max_hop_count = 0
 
     def count(self) -> None:
@@ -50,6 +55,12 @@ class Statistics:
             if self.max_hop_count < hops != NO_ROUTE:
                 self.max_hop_count = hops
 
+    def retire(self, agent: Agent) -> None:
+        """An agent's life ends, and another one takes its place: what it counted still counts."""
+        self._received += agent.frames_received
+        self._malformed += agent.malformed + agent.peer_reader.malformed
+        self._sent_data += agent.node.sent_data
+
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, but for the wall times."""
         world = self._world
@@ -61,10 +72,11 @@ class Statistics:
         drones = len(world.agents) - bases
         capacity = self._full_items or settings.store.capacity_items
         room = drones * self._steps * (capacity or 0)
-        nodes = [agent.node for agent in world.agents]
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
-        received = sum(agent.frames_received for agent in world.agents)
-        return {
+        received = self._received + sum(agent.frames_received for agent in world.agents)
+        malformed = self._malformed + sum(a.malformed + a.peer_reader.malformed for a in world.agents)
+        sent_data = self._sent_data + sum(agent.node.sent_data for agent in world.agents)
+        summary = {
             "nodes": len(world.agents),
             "bases": bases,
             "steps": self._steps,
@@ -81,14 +93,17 @@ class Statistics:
             "hops": spread(ledger.hops),
             "memory_used_percent": round(100 * self._stored / room, 4) if room else 0.0,
             "copies_mean": round(self._copies / self._waiting, 4) if self._waiting else 0.0,
-            "transmissions_per_datum": round(sum(n.sent_data for n in nodes) / created, 4) if created else 0.0,
+            "transmissions_per_datum": round(sent_data / created, 4) if created else 0.0,
             "frames": {
                 "sent": world.radio.sent,
                 "received": received,
                 "dropped": world.radio.dropped,
-                "malformed": sum(a.malformed + a.peer_reader.malformed for a in world.agents),
+                "malformed": malformed,
             },
             "bytes_sent": world.radio.bytes_sent,
             "air_sha256": world.radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
+        if world.failures is not None:
+            summary["failures"] = dict(world.failures.counts)
+        return summary

@@ -12,7 +12,10 @@ from typing import TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.core.datum import Fate
 from rass_mav.store.memory import MemoryStore
+from rass_mav.swarm.crash_store import CrashStore
+from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.invariants import count_loops
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.radio import Radio, Record
@@ -33,11 +36,13 @@ class VirtualSwarm(ABC):
         seed: int,
         topology: str,
         full_items: int | None = None,
+        failures: Failures | None = None,
         record: Record | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: what the summary says of it.
         :param full_items: how many data in a drone's store the summary calls 100 %; None: the store's capacity.
+        :param failures: which nodes go off, and when; whoever says what surrounds them carries it out. None: none do.
         :param record: called with every frame put on the air, and its step.
         """
         self.seed = seed
@@ -50,11 +55,16 @@ class VirtualSwarm(ABC):
         """The step that comes next."""
         self.loops = 0
         """Cycles of next hops seen, one for each cycle and step."""
+        self.failures = failures
+        self.off: dict[int, int | None] = {}
+        """Nodes that are off, and the step in which each has its turn again (None: never)."""
+        self._make_store = MemoryStore if failures is None else CrashStore
         self.stores: list[MemoryStore] = []
         self.agents: list[Agent] = []
+        """Of a node that is off: the one that will start on its store."""
         for settings in agents:
             rng = random.Random(f"{seed}:node:{settings.node_id}")
-            store = MemoryStore(rng.getrandbits(32), quota_bytes=settings.store.quota_bytes)
+            store = self._make_store(rng.getrandbits(32), quota_bytes=settings.store.quota_bytes)
             self.stores.append(store)
             book = self.ledger.book(base=settings.base)
             self.agents.append(Agent(settings, store, rng, now=0.0, observer=book, newborn=True))
@@ -91,9 +101,15 @@ class VirtualSwarm(ABC):
             self.radio.begin_step(t)
             self._deliver(t, now)
         self.ledger.step = t
+        off = self.off
+        if off:
+            for node_id in [node_id for node_id, back in off.items() if back == t]:
+                del off[node_id]
         self._surround(t, now)
         send = self.radio.send
         for node_id, agent in enumerate(self.agents):
+            if node_id in off:
+                continue
             for outgoing in agent.step(now):
                 send(node_id, outgoing[0], t)
             if agent.to_vehicle:
@@ -107,9 +123,47 @@ class VirtualSwarm(ABC):
     def _deliver(self, t: int, now: float) -> None:
         agents = self.agents
         send = self.radio.send
-        for _, hearer, frame in self.radio.arrivals(t, self.neighbours):
+        arrivals = self.radio.arrivals(t, self.neighbours)
+        if off := self.off:
+            arrivals = (arrival for arrival in arrivals if arrival[1] not in off)
+        for _, hearer, frame in arrivals:
             for outgoing in agents[hearer].peer_bytes(frame, now):
                 send(hearer, outgoing[0], t)
+
+    def crash(self, node_id: int, back: int | None, *, wiped: bool = False) -> None:
+        """A node goes off before its turn of the present step: what it had in memory is gone.
+
+        :param back: the step, this or a later one, in which it has its turn again; None: never, it counts as dead.
+        :param wiped: its store is gone too, and it comes back with an empty one of a new epoch.
+        :raises ValueError: `back` is over, or this swarm was made without failures.
+        """
+        t = self.t
+        if self.failures is None or (back is not None and back < t):
+            raise ValueError(f"node {node_id} cannot be off from step {t} to {back}")
+        old, store = self.agents[node_id], self.stores[node_id]
+        observer = old.node.observer
+        # A new generator: nothing that was said in the old life is said again by accident.
+        rng = random.Random(f"{self.seed}:node:{node_id}:off:{t}")
+        stored = dict.fromkeys(store.ids())
+        if wiped or back is None:
+            for id in stored:
+                observer.dropped(id, Fate.DIED)
+            store = self._make_store(rng.getrandbits(32), quota_bytes=old.settings.store.quota_bytes)
+            self.stores[node_id] = store
+        else:
+            store.restart()
+            for id in store.ids():
+                if id not in stored and (datum := store.get(id)) is not None:
+                    # Its removal had not been written.
+                    observer.gained(datum)
+        self.statistics.retire(old)
+        start = t if back is None else back
+        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=observer)
+        # So its data are due in the same steps as if it had never been off.
+        agent.steps = start
+        self.agents[node_id] = agent
+        if back != t:
+            self.off[node_id] = back
 
     def _strike(self, node_id: int, probability: float, rng: random.Random | None = None) -> None:
         """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit.

@@ -6,6 +6,7 @@ import random
 from collections.abc import Sequence
 
 from rass_mav.swarm.autopilot import MockAutopilot
+from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.radio import Record
@@ -33,12 +34,18 @@ class World(VirtualSwarm):
             self._threshold = Threshold(*radiation.tolerance, radiation.jitter)
             # The authors' robots draw the same numbers in each run: these generators start from the id alone.
             self._robot_rngs = [random.Random(f"robot:{node_id}") for node_id in range(scenario.nodes)]
+        failures: Failures | None = None
+        if scenario.failures.of_robots:
+            failures = Failures(
+                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes, bases=scenario.bases
+            )
         super().__init__(
             (scenario.agent_settings(node_id) for node_id in range(scenario.nodes)),
             scenario.radio,
             seed=scenario.seed,
             topology=scenario.topology,
             full_items=scenario.statistics.full_items,
+            failures=failures,
             record=record,
         )
 
@@ -55,6 +62,9 @@ class World(VirtualSwarm):
     def _surround(self, t: int, now: float) -> None:
         if t:
             self.surroundings.step()
+        if self.failures is not None:
+            for failure in self.failures.due(t, self.surroundings.levels):
+                self.crash(failure.node, failure.back, wiped=failure.wiped)
         self._sense(now)
         if not self.scenario.radiation.corruption:
             return
@@ -78,8 +88,12 @@ class World(VirtualSwarm):
         positions = self.surroundings.positions
         levels = self.surroundings.levels
         agents = self.agents
+        off = self.off
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]
             vehicle_bytes = agents[node_id].vehicle_bytes
-            for frame in autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise)):
+            frames = autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise))
+            if node_id in off:
+                continue
+            for frame in frames:
                 vehicle_bytes(frame, now)

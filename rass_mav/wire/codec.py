@@ -10,7 +10,6 @@ import struct
 from collections.abc import Callable
 from itertools import chain
 
-from rass_mav.core.archive import RECEIPT_ENTRIES
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.errors import MalformedError
 from rass_mav.core.messages import (
@@ -19,16 +18,20 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    Corrupt,
+    CorruptEntry,
     Data,
     Handover,
     LossNote,
     LossNoteEntry,
     Message,
     Offer,
+    PassedOn,
     Put,
     Query,
     Receipt,
     ReceiptEntry,
+    ReceiptSpan,
     Sack,
 )
 from rass_mav.core.replication import QUERY_IDS
@@ -38,7 +41,7 @@ MAX_TUNNEL = 128
 #: Major version of the format, the high four bits of the first byte.
 VERSION = 1
 
-BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY = range(1, 12)
+BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, CORRUPT = range(1, 14)
 
 _BEACON = struct.Struct("<HIHBHIHBHHHHHII")
 _TO = struct.Struct("<BHHB")
@@ -52,9 +55,11 @@ _DONE = struct.Struct("<II")
 _NUMBER = struct.Struct("<I")
 _RECEIPT = struct.Struct("<BHIB")
 _RECEIPT_ENTRY = struct.Struct("<HIIH")
+_RECEIPT_SPAN = struct.Struct("<HIIHHI")
 _NOTE = struct.Struct("<IHIIB")
 _PUT = struct.Struct("<BHHHHIIIBBIB")
 _ID = struct.Struct("<HII")
+_WORD = struct.Struct("<HIIB")
 
 #: Largest payload of a datum that goes whole in one frame.
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
@@ -62,6 +67,7 @@ INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
 CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
 
 _POLL = 0x8000
+_SPARE = 0x80
 
 
 class ForeignError(MalformedError):
@@ -100,18 +106,19 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
     frames = []
     parts: list[bytes] = []
     room = MAX_TUNNEL - _TO.size
+    flag = _SPARE if m.spare else 0
     for number, (id, kind, created, hops, crc, payload) in m.handovers:
         size = _DATUM.size + len(payload)
         if size > room:
             if size > MAX_TUNNEL - _TO.size:
                 raise ValueError(f"a datum of {len(payload)} bytes does not go whole")
-            frames.append(_TO.pack(_head(DATA), m.sender, m.target, len(parts) // 2) + b"".join(parts))
+            frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
             parts = []
             room = MAX_TUNNEL - _TO.size
         parts.append(_DATUM.pack(number, *id, _age(created, now), hops, kind, crc, len(payload)))
         parts.append(payload)
         room -= size
-    frames.append(_TO.pack(_head(DATA), m.sender, m.target, len(parts) // 2) + b"".join(parts))
+    frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
     return frames
 
 
@@ -156,12 +163,19 @@ def _encode_committed(m: Committed, now: float) -> list[bytes]:
 
 
 def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
+    entries, spans = list(m.entries), list(m.spans)
     frames = []
-    for start in range(0, len(m.entries) or 1, RECEIPT_ENTRIES):
-        part = m.entries[start : start + RECEIPT_ENTRIES]
-        head = _RECEIPT.pack(_head(RECEIPT), m.base, m.base_epoch, len(part))
-        frames.append(head + b"".join([_RECEIPT_ENTRY.pack(*entry) for entry in part]))
-    return frames
+    while True:
+        room = MAX_TUNNEL - _RECEIPT.size
+        some = entries[: room // _RECEIPT_ENTRY.size]
+        more = spans[: (room - len(some) * _RECEIPT_ENTRY.size) // _RECEIPT_SPAN.size]
+        del entries[: len(some)], spans[: len(more)]
+        parts = [_RECEIPT.pack(_head(RECEIPT), m.base, m.base_epoch, len(some) | len(more) << 4)]
+        parts += [_RECEIPT_ENTRY.pack(*entry) for entry in some]
+        parts += [_RECEIPT_SPAN.pack(*span) for span in more]
+        frames.append(b"".join(parts))
+        if not entries and not spans:
+            return frames
 
 
 def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
@@ -190,6 +204,26 @@ def _encode_query(m: Query, now: float) -> list[bytes]:
     return [_TO.pack(_head(QUERY), m.sender, m.target, len(m.ids)) + b"".join([_ID.pack(*id) for id in m.ids])]
 
 
+def _encode_passed_on(m: PassedOn, now: float) -> list[bytes]:
+    each = (MAX_TUNNEL - _TO.size) // _ID.size
+    frames = []
+    for start in range(0, len(m.ids) or 1, each):
+        part = m.ids[start : start + each]
+        head = _TO.pack(_head(PASSED_ON), m.sender, m.target, len(part))
+        frames.append(head + b"".join([_ID.pack(*id) for id in part]))
+    return frames
+
+
+def _encode_corrupt(m: Corrupt, now: float) -> list[bytes]:
+    each = (MAX_TUNNEL - _TO.size) // _WORD.size
+    frames = []
+    for start in range(0, len(m.entries) or 1, each):
+        part = m.entries[start : start + each]
+        head = _TO.pack(_head(CORRUPT), m.sender, m.target, len(part))
+        frames.append(head + b"".join([_WORD.pack(*e.id, e.word) for e in part]))
+    return frames
+
+
 _ENCODERS: dict[type, Callable[..., list[bytes]]] = {
     Beacon: _encode_beacon,
     Data: _encode_data,
@@ -202,6 +236,8 @@ _ENCODERS: dict[type, Callable[..., list[bytes]]] = {
     LossNote: _encode_loss_note,
     Put: _encode_put,
     Query: _encode_query,
+    PassedOn: _encode_passed_on,
+    Corrupt: _encode_corrupt,
 }
 
 
@@ -242,7 +278,7 @@ def _decode_data(p: bytes, now: float) -> Data:
     _, sender, target, count = _TO.unpack_from(p)
     at = _TO.size
     handovers = []
-    for _ in range(count):
+    for _ in range(count & ~_SPARE):
         number, origin, epoch, sequence, age, hops, kind, crc, size = _DATUM.unpack_from(p, at)
         at += _DATUM.size
         data = p[at : at + size]
@@ -251,7 +287,7 @@ def _decode_data(p: bytes, now: float) -> Data:
             raise MalformedError("truncated datum")
         datum = Datum(DatumId(origin, epoch, sequence), kind, now - age / 1000.0, hops, crc, data)
         handovers.append(Handover(number, datum))
-    return Data(sender, target, tuple(handovers))
+    return Data(sender, target, tuple(handovers), count >= _SPARE)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:
@@ -289,14 +325,18 @@ def _decode_committed(p: bytes, now: float) -> Committed:
 
 
 def _decode_receipt(p: bytes, now: float) -> Receipt:
-    _, base, epoch, count = _RECEIPT.unpack_from(p)
-    entries = tuple(
-        [
-            ReceiptEntry._make(_RECEIPT_ENTRY.unpack_from(p, _RECEIPT.size + i * _RECEIPT_ENTRY.size))
-            for i in range(count)
-        ]
-    )
-    return Receipt(base, epoch, entries)
+    _, base, epoch, counts = _RECEIPT.unpack_from(p)
+    middle = _RECEIPT.size + (counts & 15) * _RECEIPT_ENTRY.size
+    end = middle + (counts >> 4) * _RECEIPT_SPAN.size
+    if end > len(p):
+        raise MalformedError("truncated receipt")
+    entries = tuple(map(ReceiptEntry._make, _RECEIPT_ENTRY.iter_unpack(p[_RECEIPT.size : middle])))
+    if middle == end:
+        return Receipt(base, epoch, entries)
+    spans = tuple(map(ReceiptSpan._make, _RECEIPT_SPAN.iter_unpack(p[middle:end])))
+    if any(span.floor > span.closed for span in spans):
+        raise MalformedError("a receipt of what lies below its own floor")
+    return Receipt(base, epoch, entries, spans)
 
 
 def _decode_loss_note(p: bytes, now: float) -> LossNote:
@@ -323,6 +363,21 @@ def _decode_query(p: bytes, now: float) -> Query:
     return Query(sender, target, tuple([DatumId._make(_ID.unpack_from(p, i)) for i in starts]))
 
 
+def _decode_passed_on(p: bytes, now: float) -> PassedOn:
+    _, sender, target, count = _TO.unpack_from(p)
+    starts = range(_TO.size, _TO.size + count * _ID.size, _ID.size)
+    return PassedOn(sender, target, tuple([DatumId._make(_ID.unpack_from(p, i)) for i in starts]))
+
+
+def _decode_corrupt(p: bytes, now: float) -> Corrupt:
+    _, sender, target, count = _TO.unpack_from(p)
+    entries = []
+    for i in range(count):
+        origin, epoch, sequence, word = _WORD.unpack_from(p, _TO.size + i * _WORD.size)
+        entries.append(CorruptEntry(DatumId(origin, epoch, sequence), word))
+    return Corrupt(sender, target, tuple(entries))
+
+
 _DECODERS: dict[int, Callable[[bytes, float], Message]] = {
     _head(BEACON): _decode_beacon,
     _head(DATA): _decode_data,
@@ -335,6 +390,8 @@ _DECODERS: dict[int, Callable[[bytes, float], Message]] = {
     _head(LOSS_NOTE): _decode_loss_note,
     _head(PUT): _decode_put,
     _head(QUERY): _decode_query,
+    _head(PASSED_ON): _decode_passed_on,
+    _head(CORRUPT): _decode_corrupt,
 }
 #: Types whose target node id stands in bytes 3 and 4.
-_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, QUERY))
+_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, QUERY, PASSED_ON, CORRUPT))

@@ -10,7 +10,9 @@ import pytest
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.loading import convert
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.core.messages import BROADCAST, Beacon, Data
+from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Route
+from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     HEARTBEAT,
@@ -25,14 +27,16 @@ from rass_mav.mavlink.messages import (
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
-from rass_mav.wire import decode
+from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, decode_measurement
 
+ONE_HOP = Route(0, 9, 1, 1)
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 
 
-def make(node_id: int, *, base: bool = False, **sections: Any) -> Agent:
-    raw = {"node_id": node_id, "base": base, "step_s": 1.0, **{name: sections.get(name, {}) for name in SECTIONS}}
+def make(node_id: int, *, base: bool = False, forward: str = "step", **sections: Any) -> Agent:
+    raw = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": forward}
+    raw |= {name: sections.get(name, {}) for name in SECTIONS}
     settings = convert(raw, AgentSettings, "test")
     store = MemoryStore(1000 + node_id, quota_bytes=settings.store.quota_bytes)
     return Agent(settings, store, random.Random(node_id), now=0.0, newborn=True)
@@ -220,6 +224,36 @@ def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
         assert (beacon.promises, data.promises) == (False, node is slow)
         [answer] = base.peer_bytes(data.frame, 1.0)
         assert answer.promises
+
+
+def heard(agent: Agent, message: Message, now: float) -> list[Any]:
+    """What an agent answers to a neighbour's message."""
+    out: list[Any] = []
+    for payload in encode(message, now):
+        out += agent.peer_bytes(FrameWriter(9, 191).tunnel(payload, payload_type=33200), now)
+    return out
+
+
+def fit_beacon(agent: Agent, sender: int, number: int) -> Beacon:
+    return Beacon(
+        sender, 1, number, 0, *ONE_HOP, 0, 0, 0, 50, agent.node.policy.tag, POTENTIAL_ONE, 0
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("forward", ["step", "immediate"])
+def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
+    agent = make(3, forward=forward, data={"interval_steps": 1, "due": "together", "until_step": 1})
+    heard(agent, fit_beacon(agent, 2, 0), 0.0)
+    first = [type(m) for m in said(agent.step(0.0))]
+    d = make_datum(DatumId(4, 5, 6), 0, 0.0, b"x")
+    then = [type(m) for m in said(heard(agent, Data(4, 3, (Handover(7, d),)), 0.1))]
+    agent.node.put(b"y", 0.2)
+    put = [type(m) for m in said(agent.forward(0.2))]
+    if forward == "immediate":
+        # Its own measurement, what came in, what was put.
+        assert (first, then, put) == ([Beacon, Data], [Committed, Data], [Data])
+    else:
+        assert (first, then, put) == ([Beacon], [Committed], [])
 
 
 def test_named_value_floats_of_other_names_are_ignored() -> None:

@@ -12,15 +12,18 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
 import pytest
 from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.settings import PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import MAX_WAITING, Driver
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.core.messages import Committed
+from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data
+from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.link.loopback import LoopbackHub
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store import MemoryStore, SqliteStore
@@ -131,6 +134,41 @@ def test_a_put_is_answered_when_it_is_durable(tmp_path: Path) -> None:
             found = again.get(id)
             assert found is not None
             assert found.payload == b"hello"
+
+    run(scenario)
+
+
+def test_with_immediate_forwarding_data_leave_after_their_commit_and_not_after_the_next_step(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        hub = LoopbackHub()
+        link, other = hub.endpoint("node"), hub.endpoint("base")
+        hub.connect(link, other)
+        base = NeighbourEnd(other, 1)
+        disk = HeldExecutor()
+        about = msgspec.structs.replace(
+            settings(3, step_s=3600.0), forward="immediate", policy=PolicySettings(name="rass")
+        )
+        store = open_store(tmp_path / "node.db")
+        async with running(link, store, about, executor=disk) as driver:
+            await base.beacons(1)
+            tag = driver.agent.node.policy.tag
+            base.say(Beacon(1, 5, 0, BEACON_BASE, 1, 5, 0, 0, 0, 0, 0, UNBOUNDED_FREE, tag, POTENTIAL_BASE, 0), 3)
+            base.hand_over(3, 7, a_datum(0))
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            assert base.kinds() == []
+            disk.arrived.clear()
+            disk.release()
+            await base.until(lambda heard: base.kinds() == [Committed, Data])
+            putting = asyncio.ensure_future(driver.put(b"hello", 0))
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            assert base.kinds() == [Committed, Data]
+            disk.release()
+            id = await asyncio.wait_for(putting, TIMEOUT_S)
+            await base.until(lambda heard: base.kinds() == [Committed, Data, Data])
+            [said] = [m for m in base.heard[-1:] if isinstance(m, Data)]
+            assert [handover.datum.id for handover in said.handovers] == [id]
+            assert driver.agent.steps == 1
+        store.abandon()
 
     run(scenario)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import signal
 import socket
@@ -88,8 +89,8 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
     assert [n["node_id"] for n in status["neighbours"]] == [2]
     assert status["links"][0]["sent"] > 0
     assert status["malformed"] == 0
-    assert status["fitness"] == pytest.approx(1 / 12)
-    # An unknown risk is the worst, so the potential of a node two hops away is 1 / (1 * 2 + 10 * 1).
+    # An unknown risk is the worst, so a way of two hops costs 2 (0.05 - log(1 - 0.999)).
+    assert status["cost"] == pytest.approx(2 * (0.05 - math.log(0.001)), abs=1e-5)
     base.until(lambda: far.status()["store"]["items"] == 0)
     human = command(tmp_path, "status", "n3.yaml").stdout.decode()
     assert human.startswith(f"node 3 (drone), epoch {status['epoch']}")

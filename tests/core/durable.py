@@ -80,9 +80,14 @@ class DurableStore:
         return self._live.data.get(id)
 
     def flip_bit(self, id: DatumId) -> None:
-        """Radiation: the first bit of a stored payload changes."""
+        """Radiation: the first bit of a stored payload changes, on the disk and in what is read from it."""
         d = self._live.data[id]
-        self._live.data[id] = d._replace(payload=bytes([d.payload[0] ^ 1]) + d.payload[1:])
+        struck = d._replace(payload=bytes([d.payload[0] ^ 1]) + d.payload[1:])
+        self._live.data[id] = struck
+        if id in self.disk.data:
+            # The states of earlier commits are somebody else's.
+            self.disk = self.disk.snapshot()
+            self.disk.data[id] = struck
 
     def remove(self, id: DatumId, fate: Fate) -> None:
         if self._live.data.pop(id, None) is not None:
@@ -93,6 +98,10 @@ class DurableStore:
     def lose(self, id: DatumId, fate: Fate) -> None:
         self._live.losses.setdefault(id, fate)
         self._urgent = True
+
+    def found(self, id: DatumId) -> None:
+        if self._live.losses.pop(id, None) is not None:
+            self._lazy = True
 
     def count(self, name: str, amount: int = 1) -> None:
         self._live.counters[name] = self._live.counters.get(name, 0) + amount

@@ -22,7 +22,7 @@ def neighbour(id: int, potential: int, *, tag: int, free: int = 50, hops: int = 
 
 def view(*neighbours: Neighbour, potential: int, budget: int = 10, risk: float = 0.0, seed: int = 0) -> View:
     fresh = dict.fromkeys(IDS)
-    return View(neighbours, 3, potential, risk, budget, lambda neighbour: iter(IDS), fresh, random.Random(seed))
+    return View(neighbours, None, 3, potential, risk, budget, lambda neighbour: iter(IDS), fresh, random.Random(seed))
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def rows_of(swarm: ReplaySwarm, origin: int) -> list[Arrival]:
 
 
 def test_readings_reach_the_base_over_several_hops_with_their_positions(tmp_path: Path) -> None:
-    swarm = swarm_of(tmp_path, *line(4), range_m=12.0)
+    swarm = swarm_of(tmp_path, *line(4), range_m=12.0, keys=("node.forward=step",))
     result = summary(swarm, arrivals(swarm))
     assert result["topology"] == "replay"
     assert (result["nodes"], result["bases"], result["steps"]) == (5, 1, 61)
@@ -85,8 +85,11 @@ def test_a_reading_that_stops_is_unknown_after_a_while(tmp_path: Path) -> None:
 
 def test_risk_is_scaled_to_the_largest_reading_unless_it_is_set(tmp_path: Path) -> None:
     flight = vehicle(1, 60, x=5, home=(0, 0), reading=lambda t: 4.0 if t < 30 else 8.0)
-    assert [row.risk for row in arrivals(swarm_of(tmp_path, flight))] == pytest.approx([0.5] * 3 + [1.0] * 3, abs=1e-4)
-    keys = ("risk.low=2", "risk.high=22")
+    at_once = ("risk.gain=1",)
+    assert [row.risk for row in arrivals(swarm_of(tmp_path, flight, keys=at_once))] == pytest.approx(
+        [0.5] * 3 + [1.0] * 3, abs=1e-4
+    )
+    keys = ("risk.low=2", "risk.high=22", *at_once)
     rows = arrivals(swarm_of(tmp_path, flight, keys=keys))
     assert [row.risk for row in rows] == pytest.approx([0.1] * 3 + [0.3] * 3, abs=1e-4)
     # A low above all readings: none of them is a risk.
@@ -150,10 +153,11 @@ def test_height_counts_as_distance(tmp_path: Path) -> None:
 
 def test_draining_brings_home_what_was_on_its_way(tmp_path: Path) -> None:
     flights = line(6, seconds=66)
-    left = swarm_of(tmp_path, *flights, range_m=12.0)
+    keys = ("node.forward=step",)
+    left = swarm_of(tmp_path, *flights, range_m=12.0, keys=keys)
     assert left.ledger.held > 0
     created = left.ledger.created
-    drained = swarm_of(tmp_path, *flights, range_m=12.0, drain=500)
+    drained = swarm_of(tmp_path, *flights, range_m=12.0, keys=keys, drain=500)
     assert drained.ledger.held == 0
     assert drained.ledger.created == len(drained.ledger.arrived) == created
     assert drained.t < drained.span_steps + 500

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.agent.loading import convert
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check, count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
@@ -95,10 +96,11 @@ def test_a_datum_made_h_hops_away_takes_h_steps_and_h_exposures() -> None:
         scenario(
             nodes=5,
             topology="line",
+            node={"forward": "step"},
             policy={"name": "hop-count"},
             radiation={"sources": [], "noise": 0},
             data={"interval_steps": 50},
-            custody={"receipts": False},
+            custody={"receipts": False, "mirror": False},
         )
     )
     # Routes are known after four steps; what was made before is left out of account.
@@ -113,6 +115,7 @@ def test_memory_is_counted_after_the_air_is_quiet() -> None:
         nodes=2,
         topology="line",
         steps=100,
+        node={"forward": "step"},
         radiation={"sources": [], "noise": 0},
         data={"interval_steps": 10},
         store={"capacity_items": 10},
@@ -123,7 +126,14 @@ def test_memory_is_counted_after_the_air_is_quiet() -> None:
 
 def test_corruption_is_found_in_the_step_that_struck() -> None:
     world = World(
-        scenario(nodes=3, topology="line", steps=1, radiation={"sources": [[0, 0, 1.0]], "decay": 0, "noise": 0})
+        scenario(
+            nodes=3,
+            topology="line",
+            steps=1,
+            radiation={"sources": [[0, 0, 1.0]], "decay": 0, "noise": 0},
+            node={"forward": "step"},
+            custody={"mirror": False},
+        )
     )
     world.run(40, after=check)
     summary = world.statistics.summary()
@@ -247,6 +257,27 @@ def test_routes_die_when_the_base_is_out_of_reach() -> None:
     hops = [agent.node.routing.hops for agent in world.agents]
     near = world.graph.hops_from([0])
     assert [h == NO_ROUTE for h in hops] == [n is None for n in near]
+
+
+def test_the_far_half_of_islands_is_cut_off_for_good() -> None:
+    world = World(load_scenario("islands", {"steps": 120}))
+    far = {n for n, (x, _) in enumerate(world.surroundings.positions) if x > 0}
+    assert len(far) == 50
+    world.run(100)
+    assert None not in world.graph.hops_from([0])
+    world.run(1)
+    assert {n for n, hops in enumerate(world.graph.hops_from([0])) if hops is None} == far
+
+
+def test_when_an_island_rejoins_all_that_it_held_arrives() -> None:
+    options = {"nodes": 36, "arena_m": 12, "mobility.split_step": 30, "mobility.rejoin_step": 130}
+    still = ["radiation.sources=[]", "data.until_step=130", "data.interval_steps=10"]
+    world = World(load_scenario("islands", options, still))
+    world.run(130, after=check)
+    assert world.ledger.held > 100
+    world.run(60, after=check)
+    summary = world.statistics.summary()
+    assert summary["delivered"] == summary["created"] == 35 * 13
 
 
 def test_what_is_recorded_is_what_pymavlink_reads(tmp_path: Any) -> None:

@@ -11,17 +11,22 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
+    Corrupt,
+    CorruptEntry,
     Data,
     Handover,
     LossNote,
     LossNoteEntry,
     Message,
     Offer,
+    PassedOn,
     Put,
     Query,
     Receipt,
     ReceiptEntry,
+    ReceiptSpan,
     Sack,
+    Word,
 )
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
@@ -44,9 +49,15 @@ SAMPLES: dict[str, Message] = {
     "sack": Sack(2, 3, 0xA1B2, 10, 0b101),
     "committed": Committed(2, 3, ((0x01020304, HELLO.crc),), (0x01020305,)),
     "receipt": Receipt(1, 0x0BADF00D, (ReceiptEntry(3, 0xCAFEBABE, 7, 0b10),)),
+    "receipt-span": Receipt(
+        1, 0x0BADF00D, (ReceiptEntry(4, 0x12345678, 70, 0),), (ReceiptSpan(3, 0xCAFEBABE, 40, 0b10, 0b1, 12),)
+    ),
     "loss-note": LossNote(3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1),)),
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
+    "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
+    "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
+    "corrupt": Corrupt(2, 3, (CorruptEntry(HELLO.id, Word.AGAIN), CorruptEntry(WORLD.id, Word.NONE))),
 }
 
 u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))
@@ -60,10 +71,14 @@ def data(largest: int) -> st.SearchStrategy[Datum]:
     return st.builds(Datum, ids, u8, moments, u8, u32, st.binary(min_size=1, max_size=largest))
 
 
+#: A span's floor is not above its end.
+spans = st.builds(ReceiptSpan, u16, u32, u32, u16, u16, u32).map(
+    lambda s: s._replace(closed=max(s.closed, s.floor), floor=min(s.closed, s.floor))
+)
 handovers = st.builds(Handover, u32, data(INLINE_BYTES))
 by_type: dict[type, st.SearchStrategy[Message]] = {
     Beacon: st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32),
-    Data: st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple)),
+    Data: st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans()),
     Offer: st.builds(
         Offer, u16, u16, u32, ids, u8, moments, u8, u32, st.integers(1, 0xFFFFFFFF), st.integers(1, CHUNK_BYTES)
     ),
@@ -78,10 +93,16 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         st.lists(u32, max_size=60).map(tuple),
     ),
     Receipt: st.builds(
-        Receipt, u16, u32, st.lists(st.builds(ReceiptEntry, u16, u32, u32, u16), max_size=25).map(tuple)
+        Receipt,
+        u16,
+        u32,
+        st.lists(st.builds(ReceiptEntry, u16, u32, u32, u16), max_size=25).map(tuple),
+        st.lists(spans, max_size=15).map(tuple),
     ),
     LossNote: st.builds(LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8), max_size=20).map(tuple)),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
+    PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple)),
+    Corrupt: st.builds(Corrupt, u16, u16, st.lists(st.builds(CorruptEntry, ids, u8), max_size=30).map(tuple)),
 }
 any_message = st.one_of(*by_type.values())

@@ -1,0 +1,61 @@
+"""Delay by the distance at which data were made: policies that lose far data look faster in a mean over all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from rass_mav.experiment.curves import NAN
+from rass_mav.experiment.figures import Curve, Panel, Style
+from rass_mav.experiment.measures import OUT_OF_REACH
+from rass_mav.experiment.runs import Result
+from rass_mav.experiment.statistics import estimate
+from rass_mav.experiment.tables import figures_of
+
+#: Columns of delay-by-distance.csv behind those that say which runs a row is about.
+COLUMNS = (
+    "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", "delay_of_runs_mean",
+    "delay_of_runs_ci95",
+)  # fmt: skip
+
+
+def rows(results: Sequence[Result]) -> list[list[object]]:
+    """`COLUMNS`, a row a distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
+    found: list[list[object]] = []
+    for hops in sorted({hops for result in results for hops in result.distances}):
+        here = [result.distances[hops] for result in results if hops in result.distances]
+        arrived = sum(d.arrived for d in here)
+        total = sum(d.delay_sum for d in here)
+        runs = _delays_at(results, hops)
+        found.append(
+            [
+                "out of reach" if hops == OUT_OF_REACH else hops,
+                sum(d.created for d in here), arrived, sum(d.lost for d in here),
+                round(total / arrived, 4) if arrived else None, len(runs), *figures_of(estimate(runs)),
+            ]
+        )  # fmt: skip
+    return found
+
+
+def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel:
+    """Mean delay against distance, a line a group of runs with its 95 % confidence band."""
+    curves = []
+    for style, results in groups:
+        hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
+        found = [estimate(_delays_at(results, h)) for h in hops]
+        y = [NAN if e is None else e.mean for e in found]
+        half = [NAN if e is None or e.half_width is None else e.half_width for e in found]
+        if any(math.isfinite(value) for value in y):
+            curves.append(Curve(style.label, hops, y, style.color, style.marker, half if len(results) > 1 else None))
+    # Bands of distances at which hardly anything was made may be huge: the lines set the scale.
+    highest = max((y for curve in curves for y in curve.y if math.isfinite(y)), default=0.0)
+    return Panel(
+        title, "distance from the base at creation (hops)", "mean delay of the data that arrived (steps)", curves,
+        (0, 1.15 * highest if highest else 1),
+    )  # fmt: skip
+
+
+def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
+    """Mean delay of each run, of its data made so many hops from the base, where any arrived."""
+    distances = [result.distances.get(hops) for result in results]
+    return [d.delay_sum / d.arrived for d in distances if d is not None and d.arrived]

@@ -1,0 +1,325 @@
+"""All policies beside each other, with spare copies and immediate forwarding and without: what safety costs.
+
+All run in the world `paper` with the same seeds: the same places, motion, sources, noise and failures. So they are
+compared run by run. The ceiling is what an oracle would keep with one copy (`oracle`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.experiment import distances
+from rass_mav.experiment.comparison import Comparison, compare
+from rass_mav.experiment.figures import LEVEL, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
+from rass_mav.experiment.paper import TOPOLOGY_TITLES
+from rass_mav.experiment.runs import Result, Run
+from rass_mav.experiment.statistics import Estimate
+from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.ledger import LOST
+
+POLICIES = ("rass", "rass-literal", "hop-count", "stigmergy", "survival")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the swarm is."""
+
+    title: str
+    scenario: str
+    keys: dict[str, Any] = field(default_factory=dict)
+    """What differs from the scenario."""
+
+
+#: By the name that `--topology` takes.
+PLACES = {
+    **{name: Place(title, f"paper-{name}") for name, title in TOPOLOGY_TITLES.items()},
+    "islands": Place(
+        "islands",
+        "paper-grid",
+        {"topology": "islands", "mobility.split_step": 100, "mobility.gap_m": 2.0, "data.interval_steps": 40},
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a variant is called and drawn."""
+
+    title: str
+    marker: str
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How data are kept and passed on, whatever the policy."""
+
+    look: Look
+    keys: dict[str, Any] = field(default_factory=dict)
+    """What differs from the scenarios, which have one copy, one hop a step and no receipts."""
+    policies: tuple[str, ...] = ("rass", "rass-literal", "hop-count", "survival")
+    """Which policies have it."""
+
+
+#: By the name that `--variant` takes.
+VARIANTS = {
+    "plain": Variant(Look("one copy, one hop a step", "o"), policies=POLICIES),
+    "immediate": Variant(Look("one copy, immediate", "s"), {"node.forward": "immediate"}),
+    "mirror": Variant(
+        Look("mirror until passed on, one hop a step", "^"),
+        {"custody.mirror": True, "custody.mirror_until": "passed-on"},
+    ),
+    "mirror-immediate": Variant(
+        Look("mirror until receipt, immediate", "D"),
+        {
+            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
+            "node.forward": "immediate",
+        },
+    ),
+}  # fmt: skip
+#: Stigmergy has no variants: what is new is broadcast once, and kept by all who have room.
+EVERYWHERE = Look("copies everywhere", "X")
+
+#: Policy and variant that the others are compared with.
+REFERENCE = ("rass", "plain")
+#: What `Run.world` says of runs without and with failures.
+WORLD, FAILING = "paper", "paper-failures"
+
+_REASONS = tuple(fate.value for fate in LOST)
+TABLE_COLUMNS = (
+    "world", "topology", "policy", "variant", "runs", "steps", "reliability_mean", "reliability_ci95",
+    "over_reference_mean", "over_reference_ci95", "losses_in_references", "ceiling_mean", "ceiling_ci95",
+    "share_of_ceiling", "delay_mean", "delay_ci95", "transmissions_mean", "transmissions_ci95",
+    "transmissions_in_references", "memory_mean", "memory_ci95", "copies_mean", "copies_ci95", "loops",
+    *(f"lost_{reason}_{part}" for reason in _REASONS for part in ("mean", "ci95")),
+)  # fmt: skip
+DISTANCE_COLUMNS = ("world", "topology", "policy", "variant", *distances.COLUMNS)
+
+#: The runs of each world and topology, by policy and variant.
+Groups = dict[tuple[str, str], dict[tuple[str, str], list[Result]]]
+#: What is told of them.
+Compared = dict[tuple[str, str], dict[tuple[str, str], Comparison]]
+
+
+def plan(
+    topologies: Sequence[str],
+    policies: Sequence[str],
+    variants: Sequence[str],
+    *,
+    runs: int,
+    steps: int,
+    die_fraction: float | None = None,
+    assignments: Sequence[str] = (),
+) -> list[Run]:
+    """The runs, seeds 0 .. runs - 1 of each combination; with `die_fraction` (0..1) all of them once more, failing.
+
+    Raises `ConfigError`.
+    """
+    worlds: dict[str, dict[str, Any]] = {WORLD: {}}
+    if die_fraction is not None:
+        worlds[FAILING] = {"failures.die_fraction": die_fraction}
+    planned = []
+    for topology in topologies:
+        place = PLACES[topology]
+        for world, failures in worlds.items():
+            for policy in policies:
+                for name in variants:
+                    variant = VARIANTS[name]
+                    if policy not in variant.policies:
+                        continue
+                    options = {**place.keys, **variant.keys, **failures, "policy.name": policy, "steps": steps}
+                    scenario = load_scenario(place.scenario, options, assignments)
+                    if (scenario.topology, scenario.policy.name) != (topology, policy):
+                        raise ConfigError("--set: topology and policy.name are chosen by --topology and --policy here")
+                    if scenario.radiation.rule != "probability":
+                        raise ConfigError("radiation.rule: expected probability, the oracle knows no other")
+                    for seed in range(runs):
+                        planned.append(Run(world, name, msgspec.structs.replace(scenario, seed=seed), ("ceiling",)))
+    if not planned:
+        raise ConfigError("nothing to run: the policy stigmergy has the variant plain only")
+    return planned
+
+
+def report(results: Sequence[Result], out: Path) -> list[Path]:
+    """Write runs.csv, table.csv, table.md, delay-by-distance.csv and each topology's figures; returns their paths."""
+    groups: Groups = {}
+    for result in results:
+        groups.setdefault((result.world, result.topology), {}).setdefault(
+            (result.policy, result.variant), []
+        ).append(result)  # fmt: skip
+    compared = {
+        where: {what: compare(found, here.get(REFERENCE, ())) for what, found in here.items()}
+        for where, here in groups.items()
+    }
+    files = [
+        write_runs(out / "runs.csv", results),
+        write_csv(out / "table.csv", TABLE_COLUMNS, _rows(groups, compared)),
+        write_text(out / "table.md", _text(groups, compared)),
+        write_csv(
+            out / "delay-by-distance.csv", DISTANCE_COLUMNS,
+            ([*where, *what, *row] for where, here in groups.items() for what, found in here.items()
+             for row in distances.rows(found)),
+        ),
+    ]  # fmt: skip
+    for topology in dict.fromkeys(topology for _, topology in groups):
+        files.append(_draw_costs(out / f"reliability-by-transmissions-{topology}.png", topology, groups, compared))
+        for (world, where), here in groups.items():
+            panels = _delays(_title(world, topology, here), here) if where == topology else []
+            if panels:
+                name = f"delay-by-distance-{topology}{'-failures' if world == FAILING else ''}.png"
+                note = f"each point: mean over the means of {_count(results)}"
+                files.append(draw(out / name, panels, columns=min(2, len(panels)), note=note))
+    return files
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+
+def _rows(groups: Groups, compared: Compared) -> list[list[object]]:
+    """`TABLE_COLUMNS`."""
+    return [
+        [
+            *where, *what, c.runs, groups[where][what][0].steps, *figures_of(c.reliability), *figures_of(c.gain),
+            _rounded(c.loss_ratio), *figures_of(c.ceiling), _rounded(c.ceiling_share), *figures_of(_delay(what[0], c)),
+            *figures_of(c.transmissions), _rounded(c.transmission_ratio), *figures_of(c.memory), *figures_of(c.copies),
+            c.loops, *(value for reason in _REASONS for value in figures_of(c.lost[reason])),
+        ]
+        for where, here in compared.items()
+        for what, c in here.items()
+    ]  # fmt: skip
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
+def _text(groups: Groups, compared: Compared) -> str:
+    """A table a topology and world."""
+    some = next(iter(groups.values()))
+    first = next(iter(some.values()))
+    reference = f"{policy_style(REFERENCE[0]).label}, {_look(*REFERENCE).title}"
+    columns = [
+        "Policy", "Variant", "Reliability", "Over the reference", "Losses, x reference", "Share of the ceiling",
+        "Delay", "Sent per datum", "x reference", "Memory, %", "Loops",
+    ]  # fmt: skip
+    parts = [
+        "# Policies, world paper\n",
+        f"Mean of {len(first)} runs of {first[0].steps} steps ± half of the 95 % confidence interval (Student's t).\n"
+        f"The reference is {reference}, in the same runs.\n"
+        "Delay: steps from creation to arrival, of data that arrived. Sent: data and copies, per datum created.\n"
+        "Ceiling: what an oracle keeps that knows everything beforehand, with one copy and one hop a step. It is no\n"
+        "bound for the other variants.\n",
+    ]
+    for (world, topology), here in compared.items():
+        what = next(iter(here))
+        parts.append(f"## {_title(world, topology, groups[world, topology])}\n")
+        highest = here[what].ceiling
+        if highest is not None:
+            parts.append(f"Ceiling: {highest.text(3)}\n")
+        parts.append(markdown(columns, [_cells(*what, c) for what, c in here.items()]))
+    return "\n".join(parts)
+
+
+def _cells(policy: str, variant: str, c: Comparison) -> list[str]:
+    return [
+        policy_style(policy).label, _look(policy, variant).title, _cell(c.reliability, 3),
+        "reference" if (policy, variant) == REFERENCE else _cell(c.gain, 3, sign="+"),
+        _cell(c.loss_ratio), _cell(c.ceiling_share),
+        _cell(_delay(policy, c)), _cell(c.transmissions), _cell(c.transmission_ratio),
+        _cell(c.memory), str(c.loops),
+    ]  # fmt: skip
+
+
+def _delay(policy: str, c: Comparison) -> Estimate | None:
+    # Stigmergy knows no base: its delays would be those of copies that happen to come there.
+    return None if policy == "stigmergy" else c.delay
+
+
+def _cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> str:
+    if value is None:
+        return "n/a"
+    if not isinstance(value, Estimate):
+        return f"{value:.{digits}f}"
+    return (sign if value.mean >= 0 else "") + value.text(digits)
+
+
+def _title(world: str, topology: str, here: dict[tuple[str, str], list[Result]]) -> str:
+    title = PLACES[topology].title
+    if world != FAILING:
+        return title
+    summary = next(iter(here.values()))[0].summary
+    died = summary.get("failures", {}).get("died", 0)
+    return f"{title}, {died} of {summary['nodes'] - summary['bases']} drones die"
+
+
+def _count(results: Sequence[Result]) -> str:
+    runs = len({result.seed for result in results})
+    return f"{runs} run{'s' if runs > 1 else ''}" + (", with 95 % confidence intervals" if runs > 1 else "")
+
+
+# -- figures -----------------------------------------------------------------------------------------------------------
+
+
+def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -> Path:
+    """Reliability against what is sent for it: a panel a world."""
+    here = {world: runs for (world, where), runs in compared.items() if where == topology}
+    points = {world: {what: _point(what, c) for what, c in runs.items()} for world, runs in here.items()}
+    # Stigmergy keeps a fiftieth of the data: it would squeeze all others into a corner.
+    framing = [p for found in points.values() for (policy, _), p in found.items() if policy != "stigmergy"]
+    framing = framing or [p for found in points.values() for p in found.values()]
+    widest = max(point.x + point.x_half for point in framing)
+    lowest = min(point.y - point.y_half for point in framing)
+    panels = []
+    for world, runs in here.items():
+        ceiling = next(iter(runs.values())).ceiling
+        panels.append(
+            Scatter(
+                f"What safety costs: {_title(world, topology, groups[world, topology])}",
+                "data and copies sent per datum created", "reliability (1 - lost / created)",
+                list(points[world].values()), (0.0, 1.08 * widest or 1.0),
+                (max(0.0, math.floor(10 * lowest) / 10), 1.01), None if ceiling is None else ceiling.mean,
+            )
+        )  # fmt: skip
+    used = dict.fromkeys(what for runs in here.values() for what in runs)
+    looks = dict.fromkeys(_look(policy, variant) for policy, variant in used)
+    keys = [replace(policy_style(policy), marker="-") for policy in dict.fromkeys(policy for policy, _ in used)]
+    keys += [Style(look.title, LEVEL.color, look.marker) for look in looks]
+    keys.append(replace(LEVEL, label="ceiling: an oracle with one copy,\none hop a step"))
+    some = next(iter(groups.values()))
+    note = (
+        f"mean of {_count(next(iter(some.values())))}; in brackets: points outside of the axes\n"
+        "the ceiling bounds one copy with one hop a step; spare copies and immediate forwarding can be above it"
+    )
+    return draw_scatter(path, panels, keys, note=note)
+
+
+def _point(what: tuple[str, str], c: Comparison) -> Point:
+    return Point(
+        replace(policy_style(what[0]), marker=_look(*what).marker),
+        c.transmissions.mean, c.reliability.mean, c.transmissions.half_width or 0.0, c.reliability.half_width or 0.0,
+    )  # fmt: skip
+
+
+def _look(policy: str, variant: str) -> Look:
+    return EVERYWHERE if policy == "stigmergy" else VARIANTS[variant].look
+
+
+def _delays(title: str, here: dict[tuple[str, str], list[Result]]) -> list[Panel]:
+    """Delay by distance: a panel a variant, a line a policy."""
+    panels = []
+    for name, variant in VARIANTS.items():
+        lines = [
+            (policy_style(policy), found)
+            for (policy, used), found in here.items()
+            if used == name and policy != "stigmergy"
+        ]
+        if lines:
+            panels.append(distances.panel(f"{title}: {variant.look.title}", lines))
+    return panels

@@ -1,0 +1,66 @@
+"""Survival routing: data take the way on which they are most likely to arrive."""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+
+from rass_mav.core.cost_routing import COST_ONE, NO_COST, CostRules
+from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
+from rass_mav.core.policy import POTENTIAL_BASE, Transfer, View
+from rass_mav.core.routing import Neighbour
+
+from .fitness import policy_tag
+
+#: No risk is certain death: readings are not that good, and its logarithm would be infinite.
+MAX_RISK = 0.999
+
+
+class SurvivalPolicy:
+    """c_i = min_j c_j + a - log(1 - r_i), 0 at a base; all data go to the neighbour with the lowest cost.
+
+    A datum that is exposed once to each risk on its way survives with probability exp(-sum of -log(1 - r)), so with
+    a = 0 the cheapest way is the safest one; `hop_cost` a is what a hop is worth in that currency. Every node that has
+    a way has a neighbour that is cheaper than itself, so there are no local maxima of fitness where data rot. How costs
+    spread without loops, and where data stay when no base is reachable: `rass_mav.core.cost_routing`.
+    """
+
+    name = "survival"
+    replicates = False
+
+    def __init__(self, *, hop_cost: float = 0.05, hold: float = 100.0, hysteresis: float = 0.8) -> None:
+        """`hop_cost` a > 0; `hold` >= 1: staying where no base is reachable costs as much as so many hops;
+        `hysteresis` in (0, 1]: another place is taken only if it costs less than this share of staying."""
+        if hop_cost <= 0 or hold < 1 or not 0 < hysteresis <= 1:
+            raise ValueError("hop_cost must be > 0, hold >= 1, hysteresis in (0, 1]")
+        self.hop_cost = hop_cost
+        self.tag = policy_tag("survival", hop_cost, hold, hysteresis)
+        # A base that is cheaper by three hops is worth changing over to.
+        self.costs = CostRules(self.tag, hold, hysteresis, int(3 * hop_cost * COST_ONE))
+
+    def potential(self, hops: int, risk: float, free: int) -> int:
+        """What a hop from a node at this risk costs, a - log(1 - r), in wire units, at least 1."""
+        cost = self.hop_cost - math.log1p(-min(risk, MAX_RISK))
+        return min(max(1, int(cost * COST_ONE + 0.5)), NO_COST - 1)
+
+    def plan(self, view: View) -> list[Transfer]:
+        """Everything to the next hop, within the budget and its room."""
+        target = view.way or self._stranger(view)
+        if target is None:
+            return []
+        free = target.beacon.free
+        count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
+        id = target.id
+        return [Transfer(datum_id, id, True) for datum_id in islice(view.data(id), count)]
+
+    def _stranger(self, view: View) -> Neighbour | None:
+        """Without a way of its own kind: a neighbour of another policy that knows one, judged by its hops.
+
+        This node announces no way then, so data that a stranger has taken do not come back to it.
+        """
+        strangers = [
+            n for n in view.neighbours
+            if n.beacon.policy != self.tag and n.beacon.hops != NO_ROUTE and n.beacon.free
+            and n.beacon.potential not in (0, POTENTIAL_BASE)
+        ]  # fmt: skip
+        return min(strangers, key=lambda n: (n.beacon.hops, n.id), default=None)

@@ -1,0 +1,112 @@
+"""A net of `Receipts` that hear each other's digests and frames: the gossip alone, without data."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+
+from rass_mav.core.archive import Archive
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import Receipt
+from rass_mav.core.receipts import MAX_ORIGINS, Receipts
+from rass_mav.core.routing import Neighbour
+from rass_mav.wire import decode, encode
+
+from .build import beacon
+
+#: (hearer, speaker)
+Link = tuple[int, int]
+
+
+def line(nodes: int) -> set[Link]:
+    return {(i, i + d) for i in range(nodes) for d in (-1, 1) if 0 <= i + d < nodes}
+
+
+def grid(side: int) -> set[Link]:
+    """Eight neighbours each."""
+    at = [divmod(i, side) for i in range(side * side)]
+    return {
+        (i, j)
+        for i, (x, y) in enumerate(at)
+        for j, (u, v) in enumerate(at)
+        if i != j and abs(x - u) <= 1 and abs(y - v) <= 1
+    }
+
+
+class Net:
+    """Nodes 0 .. bases - 1 are bases. In each step all hear the others' digests, then those whose turn it is speak."""
+
+    def __init__(
+        self,
+        links: Iterable[Link],
+        *,
+        bases: int = 1,
+        period: int = 4,
+        bounds: Iterable[int] = (),
+        loss: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.links = set(links)
+        self.bases = bases
+        self.loss = loss
+        self.rng = random.Random(seed)
+        self.nodes = 1 + max(max(link) for link in self.links)
+        self.archives = [Archive() for _ in range(bases)]
+        limits = [*bounds, *[MAX_ORIGINS] * self.nodes]
+        self.period = period
+        self.receipts = [self.start(i, limits[i]) for i in range(self.nodes)]
+        self.t = 0
+        self.frames: list[int] = []
+        """Frames in each step."""
+
+    def start(self, i: int, bound: int = MAX_ORIGINS) -> Receipts:
+        archive = self.archives[i] if i < self.bases else None
+        source = (i, 1000 + i) if archive is not None else (0, 0)
+        phase = self.rng.randrange(self.period)
+        return Receipts(source, archive=archive, period=self.period, phase=phase, max_origins=bound)
+
+    def arrive(self, *ids: DatumId, base: int = 0) -> None:
+        for id in ids:
+            if self.archives[base].add(id):
+                self.receipts[base].arrived(id)
+
+    def lose(self, *ids: DatumId, base: int = 0) -> None:
+        for id in ids:
+            if self.archives[base].lose(id):
+                self.receipts[base].lost(id)
+
+    def step(self) -> None:
+        heard = [
+            [
+                Neighbour(beacon(j, self.t, epoch=j)._replace(digest=self.receipts[j].digest), 0.0)
+                for j in sorted(j for i, j in self.links if i == hearer)
+            ]
+            for hearer in range(self.nodes)
+        ]
+        said: list[tuple[int, Receipt]] = []
+        for i, receipts in enumerate(self.receipts):
+            if receipts.due(self.t):
+                receipt = receipts.turn(heard[i])
+                if receipt is not None:
+                    [frame] = encode(receipt, 0.0)
+                    assert len(frame) <= 128
+                    parsed = decode(frame, 0.0)
+                    assert isinstance(parsed, Receipt)
+                    said.append((i, parsed))
+        for speaker, receipt in said:
+            for hearer, other in sorted(self.links):
+                if other == speaker and not (self.loss and self.rng.random() < self.loss):
+                    self.receipts[hearer].learn(receipt)
+        self.frames.append(len(said))
+        self.t += 1
+
+    def run(self, steps: int) -> int:
+        """Frames sent meanwhile."""
+        before = sum(self.frames)
+        for _ in range(steps):
+            self.step()
+        return sum(self.frames) - before
+
+    def agree(self) -> bool:
+        known = [receipts.known() for receipts in self.receipts]
+        return all(k == known[0] for k in known) and len({receipts.digest for receipts in self.receipts}) == 1

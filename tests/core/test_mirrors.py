@@ -1,0 +1,752 @@
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    UNBOUNDED_FREE,
+    Beacon,
+    Committed,
+    Corrupt,
+    CorruptEntry,
+    Data,
+    Handover,
+    Message,
+    PassedOn,
+    Route,
+    Word,
+)
+from rass_mav.core.mirrors import ASK_STEPS, MAX_PASSED
+from rass_mav.core.node import Node
+from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Transfer, View
+
+from .build import beacon, data, datum, make_node, of
+from .mirror_net import Net
+
+#: A chain down the risk: 1 gives to 2, 2 to 3; data rest at 3.
+RISKS = {1: 0.9, 2: 0.5, 3: 0.1}
+CHAIN = [(1, 2), (2, 3)]
+
+
+def handed_over(net: Net) -> DatumId:
+    """A datum that 1 has handed to 2."""
+    net.step()
+    id = net.put(1)
+    net.step()
+    assert net.custody(id) == [2]
+    return id
+
+
+def at_rest(net: Net) -> DatumId:
+    """A datum that has come from 1 over 2 to 3."""
+    id = handed_over(net)
+    net.step()
+    assert net.custody(id) == [3]
+    return id
+
+
+# -- hand-overs --------------------------------------------------------------------------------------------------------
+
+
+def test_the_giver_keeps_a_spare_that_counts_as_free() -> None:
+    net = Net(RISKS, CHAIN, capacity_items=3)
+    id = handed_over(net)
+    giver = net.nodes[1]
+    assert net.active(id) == [1]
+    assert net.backer(2, id) == 1
+    assert giver.inventory.free() == 3
+    assert len(giver.inventory) == 0
+    assert list(giver.inventory) == []
+    assert giver.store.get(id) is not None
+    assert net.book.copies[id] == 2
+
+
+def test_the_spare_goes_when_the_datum_is_passed_on_once_more() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    assert net.of(PassedOn) == [PassedOn(2, 1, (id,))]
+    assert net.spares(id) == [2]
+    assert net.backer(3, id) == 2
+    assert net.stores[1].get(id) is None
+    assert net.book.fates == [(id, Fate.PASSED_ON)]
+
+
+def test_until_a_receipt_the_spare_stays_but_nobody_counts_on_it() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    assert net.spares(id) == [1, 2]
+    assert net.active(id) == [2]
+
+
+def test_a_base_needs_no_backer() -> None:
+    net = Net({0: 0.0, 1: 0.5, 2: 0.5}, [(0, 1), (1, 2)], base=0)
+    net.step(12)
+    id = net.put(2)
+    net.step(2)
+    assert id in net.nodes[0].archive
+    assert net.spares(id) == []
+    assert net.nodes[2].mirrors is not None
+    assert not net.nodes[2].mirrors.partners
+
+
+def test_without_mirrors_nothing_is_kept_and_nothing_more_is_said() -> None:
+    net = Net(RISKS, CHAIN, mirror=False)
+    id = at_rest(net)
+    assert net.spares(id) == []
+    assert net.of(PassedOn) == net.of(Corrupt) == []
+
+
+# -- repair ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_corrupt_copy_is_repaired_from_the_backer() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.step()
+    # 3 found it, asked 2, and 2 has it in custody again.
+    assert Corrupt(3, 2, (CorruptEntry(id, Word.AGAIN),)) in net.of(Corrupt)
+    assert Corrupt(2, 3, (CorruptEntry(id, Word.TAKEN),)) in net.of(Corrupt)
+    assert net.custody(id) == [2]
+    net.step()
+    assert net.custody(id) == [3]
+    assert net.spares(id) == [2]
+    taken = net.stores[3].get(id)
+    assert taken is not None
+    assert taken.intact
+    # It was never lost.
+    assert list(net.stores[3].losses()) == []
+    assert "corrupted" not in net.stores[3].counters()
+    assert net.nodes[3].mirrors is not None
+    assert not net.nodes[3].mirrors.missing
+
+
+def test_what_is_taken_back_gets_a_spare_at_once() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.step()
+    assert net.custody(id) == [2]
+    assert len(net.active(id)) == 1
+
+
+def test_with_both_copies_corrupt_the_datum_is_lost() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.strike(2, id)
+    net.step()
+    assert net.custody(id) == net.spares(id) == []
+    assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
+    assert net.stores[3].counters()["corrupted"] == 1
+    assert list(net.stores[2].losses()) == []
+    net.step(3)
+    assert net.of(Corrupt) == []
+
+
+def test_what_a_backer_answers() -> None:
+    net = Net(RISKS, CHAIN)
+    id = handed_over(net)
+    node, ask = net.nodes[1], Corrupt(2, 1, (CorruptEntry(id, Word.AGAIN),))
+    # It finds only now that its spare is no better.
+    net.strike(1, id)
+    assert node.receive(ask, net.now) == [Corrupt(1, 2, (CorruptEntry(id, Word.NONE),))]
+    assert not node.inventory.holds(id)
+    # Of what it never had it has no copy either.
+    other = DatumId(7, 7, 7)
+    assert node.receive(Corrupt(2, 1, (CorruptEntry(other, Word.AGAIN),)), net.now) == [
+        Corrupt(1, 2, (CorruptEntry(other, Word.NONE),))
+    ]
+    # What it has handed to somebody else is there.
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    assert net.nodes[2].receive(Corrupt(1, 2, (CorruptEntry(id, Word.AGAIN),)), net.now) == [
+        Corrupt(2, 1, (CorruptEntry(id, Word.TAKEN),))
+    ]
+    assert net.custody(id) == [3]
+    # 1 has no copy any more. It gave the datum to 2: so 3 need not worry, but 2 may.
+    for asker, word in ((3, Word.TAKEN), (2, Word.NONE)):
+        assert net.nodes[1].receive(Corrupt(asker, 1, (CorruptEntry(id, Word.AGAIN),)), net.now) == [
+            Corrupt(1, asker, (CorruptEntry(id, word),))
+        ]
+
+
+def test_a_lost_request_is_repeated() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.loses = lambda message: type(message) is Corrupt
+    net.step(3)
+    assert net.custody(id) == []
+    net.loses = lambda message: False
+    net.step()
+    assert net.custody(id) == [2]
+
+
+def test_a_lost_answer_does_no_harm() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.loses = lambda message: type(message) is Corrupt and message.sender == 2  # type: ignore[attr-defined]
+    net.step()
+    assert net.custody(id) == [2]
+    net.loses = lambda message: False
+    net.step(3)
+    assert net.custody(id) == [3]
+    assert list(net.stores[3].losses()) == []
+
+
+def test_a_request_that_nobody_answers_ends() -> None:
+    net = Net(RISKS, CHAIN, max_tries=3)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.loses = lambda message: type(message) is Corrupt
+    asked = 0
+    for _ in range(6):
+        net.step()
+        asked += len([m for m in net.of(Corrupt) if m.sender == 3])
+    assert asked == 3
+    assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
+    # 2 still has its spare, and asks after it in the end.
+    net.loses = lambda message: False
+    net.step(ASK_STEPS)
+    assert net.custody(id) == [3]
+    assert list(net.stores[3].losses()) == []
+
+
+def test_a_corrupt_spare_is_told_and_replaced() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.strike(2, id)
+    net.step()
+    assert Corrupt(2, 3, (CorruptEntry(id, Word.NONE),)) in net.of(Corrupt)
+    assert net.custody(id) == [3]
+    # 2 is the only neighbour that 3 has.
+    assert net.active(id) == [2]
+    assert net.backer(3, id) == 2
+    copy = net.stores[2].get(id)
+    assert copy is not None
+    assert copy.intact
+
+
+# -- data that rest ----------------------------------------------------------------------------------------------------
+
+
+def resting(net: Net, i: int) -> DatumId:
+    """A new datum of a node that has no way to go."""
+    net.step()
+    return net.put(i)
+
+
+def test_a_datum_at_rest_is_mirrored_on_the_safest_neighbour() -> None:
+    net = Net({1: 0.0, 2: 0.5, 3: 0.2, 4: 0.3}, [(1, 2), (1, 3), (1, 4), (2, 3)])
+    id = resting(net, 1)
+    sent = net.nodes[1].sent_data
+    net.step()
+    [spare] = net.of(Data)
+    assert (spare.target, spare.spare) == (3, True)
+    assert net.custody(id) == [1]
+    assert net.active(id) == [3]
+    assert net.backer(1, id) == 3
+    assert net.nodes[1].sent_data == sent + 1
+    assert net.book.copies[id] == 2
+    net.step(5)
+    assert net.of(Data) == []
+
+
+def test_mirrors_take_what_moves_leave_of_the_bandwidth() -> None:
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)], bandwidth_items=3)
+    net.step()
+    ids = [net.put(1) for _ in range(5)]
+    net.step()
+    assert sum(len(d.handovers) for d in net.of(Data)) == 3
+    net.step()
+    assert all(net.active(id) == [2] for id in ids)
+
+
+def test_a_full_neighbour_is_offered_none_and_a_refusal_leads_to_another() -> None:
+    net = Net({1: 0.0, 2: 0.0, 3: 0.2}, [(1, 2), (1, 3)])
+    net.start(2, capacity_items=1)
+    resting(net, 2)
+    # 2 was empty when it was last heard.
+    net.loses = lambda message: type(message) is Beacon
+    id = net.put(1)
+    net.step()
+    assert [m.sender for m in net.of(Committed) if m.refused] == [2]
+    assert net.active(id) == [3]
+    assert net.nodes[1].sent_data == 2
+
+
+def test_a_neighbour_without_mirrors_refuses() -> None:
+    node = make_node(2)
+    d = datum()
+    [answer] = node.receive(Data(1, 2, (Handover(5, d),), True), 0.0)
+    assert answer == Committed(2, 1, (), (5,))
+    assert node.store.get(d.id) is None
+
+
+def test_a_neighbour_that_has_the_datum_takes_no_second_copy() -> None:
+    node = make_node(2, mirror=True)
+    d = datum()
+    node.receive(data(1, 2, (4, d)), 0.0)
+    [answer] = node.receive(Data(3, 2, (Handover(5, d),), True), 0.0)
+    assert answer == Committed(2, 3, ((5, d.crc),), ())
+    assert d.id in node.inventory
+    assert node.inventory.spares == 0
+
+
+def test_another_datum_under_the_same_id_is_refused() -> None:
+    node = make_node(2, mirror=True)
+    d = datum()
+    other = datum(payload=b"other")
+    assert other.id == d.id
+    node.receive(Data(1, 2, (Handover(4, d),), True), 0.0)
+    for spare in (True, False):
+        [answer] = node.receive(Data(3, 2, (Handover(5, other),), spare), 0.0)
+        assert answer == Committed(2, 3, (), (5,))
+    kept = node.store.get(d.id)
+    assert kept is not None
+    assert kept.payload == b"reading"
+
+
+def test_a_spare_sent_to_a_base_has_arrived() -> None:
+    node = make_node(0, base=True)
+    d = datum()
+    [answer] = node.receive(Data(1, 0, (Handover(4, d),), True), 0.0)
+    assert answer == Committed(0, 1, ((4, d.crc),), ())
+    assert d.id in node.archive
+
+
+def test_the_word_for_a_spare_never_ends_custody() -> None:
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
+    id = resting(net, 1)
+    net.step()
+    [said] = net.of(Committed)
+    for _ in range(3):
+        net.nodes[1].receive(said, net.now)
+    assert net.custody(id) == [1]
+
+
+def test_an_offer_that_is_not_answered_is_repeated_after_two_steps() -> None:
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
+    net.loses = lambda message: type(message) is Committed
+    id = resting(net, 1)
+    offers = []
+    for _ in range(3):
+        net.step()
+        offers.append(len(net.of(Data)))
+    assert offers == [1, 0, 1]
+    assert net.active(id) == [2]
+    assert net.backer(1, id) is None
+    net.loses = lambda message: False
+    net.step(2)
+    assert net.backer(1, id) == 2
+
+
+def test_only_who_was_offered_a_spare_becomes_the_backer() -> None:
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
+    id = resting(net, 1)
+    net.loses = lambda message: type(message) is Committed
+    net.step()
+    [offered] = net.of(Data)
+    [handover] = offered.handovers
+    for sender, crc in ((3, handover.datum.crc), (2, handover.datum.crc ^ 1)):
+        net.nodes[1].receive(Committed(sender, 1, ((handover.number, crc),), ()), net.now)
+        assert net.backer(1, id) is None
+    net.nodes[1].receive(Committed(2, 1, ((handover.number, handover.datum.crc),), ()), net.now)
+    assert net.backer(1, id) == 2
+
+
+class Stay:
+    """Nothing ever moves."""
+
+    name = "stay"
+    tag = 9
+    replicates = False
+    costs = None
+
+    def potential(self, hops: int, risk: float, free: int) -> int:
+        return 1
+
+    def plan(self, view: View) -> list[Transfer]:
+        return []
+
+
+def test_a_base_is_asked_to_keep_no_spare() -> None:
+    node = make_node(1, mirror=True, policy=Stay())
+    node.receive(beacon(0, 0, flags=BEACON_BASE, free=UNBOUNDED_FREE), 0.0)
+    node.put(b"x", 0.0)
+    assert of(Data, node.step(0.5)) == []
+    node.receive(beacon(2, 0), 0.6)
+    [spare] = of(Data, node.step(1.0))
+    assert spare.target == 2
+
+
+def test_large_data_rest_without_a_mirror_but_their_giver_keeps_a_copy() -> None:
+    net = Net(RISKS, CHAIN)
+    net.step()
+    id = net.put(1, bytes(500))
+    net.step()
+    assert net.custody(id) == [2]
+    assert net.active(id) == [1]
+    net.step()
+    assert net.custody(id) == [3]
+    assert net.active(id) == [2]
+    net.strike(3, id)
+    net.step(2)
+    assert net.custody(id) == [3]
+    net.strike(2, id)
+    net.step(3)
+    assert net.spares(id) == []
+
+
+# -- partners that go --------------------------------------------------------------------------------------------------
+
+
+def test_when_the_custodian_is_gone_its_data_are_taken_back() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.off.add(3)
+    net.step(10)
+    # Some lost beacons are no reason.
+    assert 2 not in net.custody(id)
+    net.step(6)
+    assert 2 in net.custody(id)
+    assert net.active(id) == [1]
+
+
+def test_a_wiped_custodian_has_nothing_any_more() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.stores[3] = type(net.stores[3])(epoch=77)
+    net.start(3)
+    net.step()
+    net.step()
+    assert net.custody(id) != []
+    assert list(net.stores[3].losses()) == []
+
+
+def test_when_the_backer_is_gone_another_one_is_found() -> None:
+    net = Net({**RISKS, 4: 0.4}, [*CHAIN, (3, 4)])
+    id = at_rest(net)
+    assert net.backer(3, id) == 2
+    net.off.add(2)
+    net.step(17)
+    assert net.backer(3, id) == 4
+    assert net.active(id) == [2, 4]
+
+
+def test_a_restarted_node_counts_all_it_has_as_custody() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    for store in net.stores.values():
+        store.commit()
+        store.close()
+    net.stores[2] = net.stores[2].crashed()
+    net.start(2)
+    assert net.custody(id) == [2, 3]
+    # It moves on like any other, and 3 has it already.
+    net.step(15)
+    assert net.custody(id) == [3]
+    assert net.active(id) == [2]
+
+
+# -- words that are lost or late ---------------------------------------------------------------------------------------
+
+
+def test_a_lost_passed_on_is_asked_for() -> None:
+    net = Net(RISKS, CHAIN)
+    id = handed_over(net)
+    net.loses = lambda message: type(message) is PassedOn
+    net.step()
+    net.loses = lambda message: False
+    assert net.custody(id) == [3]
+    assert net.active(id) == [1, 2]
+    asked: list[Message] = []
+    for _ in range(ASK_STEPS):
+        net.step()
+        asked += [m for m in net.of(Corrupt) if m.sender == 1]
+    assert asked == [Corrupt(1, 2, (CorruptEntry(id, Word.STILL),))]
+    assert net.active(id) == [2]
+
+
+def test_a_backer_asks_once_in_so_many_steps() -> None:
+    net = Net(RISKS, CHAIN)
+    at_rest(net)
+    asked = 0
+    for _ in range(3 * ASK_STEPS):
+        net.step()
+        asked += len(net.of(Corrupt))
+    assert asked == 3
+
+
+def test_a_backer_that_the_custodian_forgot_is_found_again() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    net.stores[3].commit()
+    net.stores[3] = net.stores[3].crashed()
+    net.start(3)
+    net.step(ASK_STEPS + 1)
+    assert net.custody(id) == [3]
+    assert net.backer(3, id) == 2
+    assert net.active(id) == [2]
+
+
+def test_a_datum_that_the_custodian_lost_unseen_is_sent_again() -> None:
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    # A crash just after a corrupt copy was removed, before anybody could be asked.
+    net.nodes[3].store.remove(id, Fate.CORRUPTED)
+    net.stores[3].commit()
+    net.stores[3] = net.stores[3].crashed()
+    net.start(3)
+    net.step(ASK_STEPS + 2)
+    assert net.custody(id) == [3]
+
+
+def test_a_late_passed_on_does_not_touch_custody() -> None:
+    net = Net(RISKS, CHAIN)
+    id = handed_over(net)
+    # 1 gets the datum back while 2 still names it as its backer.
+    node = net.nodes[1]
+    copy = net.stores[2].get(id)
+    assert copy is not None
+    [answer] = of(Committed, node.receive(data(2, 1, (9, copy)), net.now))
+    assert answer == Committed(1, 2, ((9, copy.crc),), ())
+    assert id in node.inventory
+    assert node.inventory.spares == 0
+    node.receive(PassedOn(2, 1, (id,)), net.now)
+    assert id in node.inventory
+    assert node.store.get(id) is not None
+
+
+def test_nobody_but_the_custodian_ends_a_spare() -> None:
+    net = Net(RISKS, CHAIN)
+    id = handed_over(net)
+    net.nodes[1].receive(PassedOn(3, 1, (id,)), net.now)
+    assert net.active(id) == [1]
+
+
+def test_custody_of_a_datum_kept_as_a_spare_is_taken_only_with_a_good_copy() -> None:
+    net = Net(RISKS, CHAIN)
+    id = handed_over(net)
+    copy = net.stores[2].get(id)
+    assert copy is not None
+    net.strike(1, id)
+    said = net.nodes[1].receive(data(2, 1, (9, copy)), net.now)
+    assert of(Committed, said) == [Committed(1, 2, ((9, copy.crc),), ())]
+    kept = net.stores[1].get(id)
+    assert kept is not None
+    assert kept.intact
+    assert id in net.nodes[1].inventory
+
+
+def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words() -> None:
+    net = Net(RISKS, CHAIN)
+    net.step()
+    id = net.put(1)
+    net.loses = lambda message: type(message) is Committed and message.target == 1
+    net.step(2)
+    assert net.custody(id) == [1, 3]
+    net.loses = lambda message: False
+    net.step()
+    assert net.custody(id) == [3]
+    assert net.active(id) == [2]
+
+
+# -- room --------------------------------------------------------------------------------------------------------------
+
+
+def full_of_spares(capacity: int, **more: object) -> tuple[Node, list[DatumId]]:
+    """A node whose every place holds an active spare, kept for node 1."""
+    node = make_node(2, mirror=True, capacity_items=capacity, **more)
+    spares = [datum(sequence=s) for s in range(capacity)]
+    for s, d in enumerate(spares):
+        node.receive(Data(1, 2, (Handover(s + 1, d),), True), 0.0)
+    assert node.inventory.spares == capacity
+    return node, [d.id for d in spares]
+
+
+def test_spares_yield_to_custody_the_oldest_first_and_who_counts_on_them_is_told() -> None:
+    node, ids = full_of_spares(3)
+    assert node.inventory.free() == 3
+    new = datum(sequence=9)
+    said = node.receive(data(3, 2, (7, new)), 0.0)
+    assert said == [Committed(2, 3, ((7, new.crc),), ()), Corrupt(2, 1, (CorruptEntry(ids[0], Word.NONE),))]
+    assert set(node.inventory.everything()) == {new.id, *ids[1:]}
+    own = node.put(b"own", 0.0)
+    assert set(node.inventory.everything()) == {new.id, own, ids[2]}
+
+
+def test_spares_that_nobody_counts_on_go_first() -> None:
+    node, ids = full_of_spares(3, mirror_until_receipt=True)
+    node.receive(PassedOn(1, 2, (ids[2],)), 0.0)
+    new = datum(sequence=9)
+    said = node.receive(data(3, 2, (7, new)), 0.0)
+    assert of(Corrupt, said) == []
+    assert set(node.inventory.everything()) == {new.id, *ids[:2]}
+
+
+def test_a_spare_never_takes_the_place_of_custody_or_of_a_spare_that_counts() -> None:
+    node, ids = full_of_spares(2, mirror_until_receipt=True)
+    late = datum(sequence=9)
+    assert node.receive(Data(3, 2, (Handover(7, late),), True), 0.0) == [Committed(2, 3, (), (7,))]
+    node.receive(PassedOn(1, 2, (ids[1],)), 0.0)
+    assert node.receive(Data(3, 2, (Handover(8, late),), True), 0.0) == [Committed(2, 3, ((8, late.crc),), ())]
+    assert set(node.inventory.everything()) == {ids[0], late.id}
+
+
+def test_spares_yield_bytes_too() -> None:
+    node = make_node(2, mirror=True, capacity_bytes=10)
+    node.receive(Data(1, 2, (Handover(1, datum(payload=b"1234567")),), True), 0.0)
+    assert node.inventory.room_for(10)
+    id = node.put(b"12345", 0.0)
+    assert list(node.inventory.everything()) == [id]
+    node.receive(Data(1, 2, (Handover(2, datum(payload=b"12345")),), True), 0.0)
+    assert node.inventory.spare_bytes == 5
+    assert node.receive(Data(1, 2, (Handover(3, datum(sequence=1)),), True), 0.0) == [Committed(2, 1, (), (3,))]
+
+
+def test_spares_yield_the_quota_and_the_beacon_counts_it_as_free() -> None:
+    net = Net({2: 0.0}, [], capacity_items=None, inline_bytes=7)
+    net.stores[2] = type(net.stores[2])(5, quota_bytes=14)
+    node = net.start(2)
+    for s in range(2):
+        node.receive(Data(1, 2, (Handover(s + 1, datum(sequence=s)),), True), 0.0)
+    assert node.inventory.spares == 2
+    assert not node.store.room_for(7)
+    [said] = node.step(1.0)
+    assert said.free == UNBOUNDED_FREE  # type: ignore[union-attr]
+    for _ in range(2):
+        node.put(b"1234567", 1.0)
+    assert node.inventory.spares == 0
+    [said, *_] = node.step(2.0)
+    assert said.free == 0  # type: ignore[union-attr]
+
+
+def test_the_memory_of_what_was_passed_on_is_bounded() -> None:
+    net = Net({1: 0.9, 2: 0.0}, [(1, 2)], bandwidth_items=1000, capacity_items=1000)
+    net.step()
+    for _ in range(MAX_PASSED + 5):
+        net.put(1)
+    net.step()
+    mirrors = net.nodes[1].mirrors
+    assert mirrors is not None
+    assert len(mirrors.custodian) == MAX_PASSED + 5
+    assert len(mirrors._passed) == MAX_PASSED
+
+
+# -- immediate forwarding ----------------------------------------------------------------------------------------------
+
+
+def test_data_move_on_when_they_come_in() -> None:
+    net = Net(RISKS, CHAIN, immediate=True)
+    net.step()
+    id = net.put(1)
+    assert net.custody(id) == [3]
+    assert net.active(id) == [2]
+
+
+def test_without_it_they_wait_for_the_next_step() -> None:
+    net = Net(RISKS, CHAIN)
+    net.step()
+    id = net.put(1)
+    assert net.custody(id) == [1]
+
+
+def test_the_bandwidth_of_the_step_bounds_what_moves_on() -> None:
+    net = Net(RISKS, CHAIN, immediate=True, bandwidth_items=2)
+    net.step()
+    ids = [net.put(1) for _ in range(5)]
+    assert [net.custody(id) for id in ids] == [[3], [3], [1], [1], [1]]
+    net.step()
+    assert [net.custody(id) for id in ids] == [[3]] * 4 + [[1]]
+
+
+def test_a_new_datum_that_has_no_way_to_go_is_mirrored_at_once() -> None:
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)], immediate=True)
+    net.step()
+    id = net.put(1)
+    assert net.custody(id) == [1]
+    assert net.active(id) == [2]
+
+
+def test_nothing_moves_on_when_nothing_came_in() -> None:
+    node = make_node(1, immediate=True)
+    node.step(0.0)
+    node.put(b"x", 0.0)
+    # There is no way to go; and when there is one, nothing has come in.
+    assert node.forward(0.0) == []
+    node.receive(beacon(2, policy=node.policy.tag, potential=POTENTIAL_ONE), 0.5)
+    assert node.forward(0.5) == []
+    node.put(b"y", 0.5)
+    assert [type(m) for m in node.forward(0.5)] == [Data]
+    assert node.forward(0.5) == []
+
+
+def test_large_data_move_on_when_they_are_complete() -> None:
+    net = Net(RISKS, CHAIN, immediate=True)
+    net.step()
+    id = net.put(1, bytes(2000))
+    assert net.custody(id) == [3]
+
+
+# -- all together ------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 1 << 32), loss=st.sampled_from([0.0, 0.1, 0.3]), immediate=st.booleans())
+def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float, immediate: bool) -> None:
+    """While one copy of two is struck, then repaired, then the other, and frames get lost: nothing is ever lost."""
+    rng = random.Random(seed)
+    risks = {i: rng.random() for i in range(1, 6)}
+    links = [(i, j) for i in risks for j in risks if i < j and (j == i + 1 or rng.random() < 0.4)]
+    net = Net(risks, links, immediate=immediate)
+    net.loses = lambda message: rng.random() < loss
+    net.step(3)
+    ids = [net.put(rng.choice(list(risks))) for _ in range(6)]
+    for _ in range(8):
+        net.step(25)
+        id = rng.choice(ids)
+        holders = [i for i, store in net.stores.items() if store.get(id) is not None]
+        assert net.custody(id), "nobody has custody"
+        if len(holders) > 1:
+            net.strike(rng.choice(holders), id)
+    net.step(25)
+    for id in ids:
+        copies = [copy for store in net.stores.values() if (copy := store.get(id)) is not None]
+        assert net.custody(id)
+        assert all(copy.intact for copy in copies)
+
+
+@pytest.mark.parametrize("until_receipt", [False, True])
+def test_a_mirrored_swarm_delivers_and_forgets(until_receipt: bool) -> None:
+    risks = {i: 0.1 * i for i in range(5)}
+    net = Net(risks, [(i, i + 1) for i in range(4)], base=0, mirror_until_receipt=until_receipt, receipts=True)
+    net.step(15)
+    ids = [net.put(4) for _ in range(5)]
+    net.step(10)
+    assert all(id in net.nodes[0].archive for id in ids)
+    assert all(net.custody(id) == [] for id in ids)
+    left = [i for id in ids for i in net.active(id)]
+    assert left == []
+
+
+def test_the_route_of_a_base_is_what_it_was() -> None:
+    """A node whose neighbour is a base known from its beacon gives to it and keeps nothing."""
+    node = make_node(1, mirror=True)
+    route = Route(0, 9, 1, 0)
+    node.receive(
+        beacon(0, 0, route, flags=BEACON_BASE, free=UNBOUNDED_FREE, policy=node.policy.tag, potential=POTENTIAL_BASE),
+        0.0,
+    )
+    id = node.put(b"x", 0.0)
+    [sent] = of(Data, node.step(0.5))
+    [handover] = sent.handovers
+    node.receive(Committed(0, 1, ((handover.number, handover.datum.crc),), ()), 0.5)
+    assert not node.inventory.holds(id)

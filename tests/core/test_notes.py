@@ -1,0 +1,456 @@
+"""Loss notes: how they travel, and that none of them costs a datum."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+
+import pytest
+
+from rass_mav.core.datum import DatumId, Fate, make_datum
+from rass_mav.core.errors import StoreFullError
+from rass_mav.core.messages import BROADCAST, Committed, Data, LossNote, LossNoteEntry, Message, Receipt, ReceiptSpan
+from rass_mav.core.node import Node
+from rass_mav.core.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, fate_of
+from rass_mav.core.observer import Observer
+from rass_mav.wire import decode, encode
+from rass_mav.wire.codec import MAX_TUNNEL
+
+from .build import beacon, data, datum, make_node, of, talk
+from .durable import DurableStore
+from .mirror_net import Net as MirrorNet
+from .test_node import ROUTE, with_base
+
+ID = DatumId(9, 77, 0)
+
+
+def note(sender: int, target: int, *entries: tuple[int, DatumId, int]) -> LossNote:
+    return LossNote(sender, target, tuple(LossNoteEntry(*entry) for entry in entries))
+
+
+def told_lost(*sequences: int) -> Receipt:
+    """A base's word that data of origin 9 are lost, the first ones if none has arrived."""
+    return Receipt(0, 9, (), (ReceiptSpan(9, 77, 0, 0, sum(1 << s for s in sequences), 0),))
+
+
+def corrupt(node: Node, id: DatumId) -> None:
+    node.store.flip_bit(id)  # type: ignore[attr-defined]
+
+
+# -- the notes of one node ---------------------------------------------------------------------------------------------
+
+
+def test_a_frame_holds_as_many_notes_as_are_sent_at_a_time() -> None:
+    full = note(1, 2, *[(n, ID, 1) for n in range(NOTES_IN_FRAME)])
+    assert [len(frame) <= MAX_TUNNEL for frame in encode(full, 0.0)] == [True]
+
+
+def test_a_corrupt_datum_is_told_to_the_next_hop_until_it_answers() -> None:
+    node = make_node(1, receipt_steps=1)
+    id = node.put(b"x", 0.0)
+    corrupt(node, id)
+    assert of(LossNote, node.step(0.0)) == []  # nobody is around
+    with_base(node)
+    [first] = of(LossNote, node.step(1.0))
+    [again] = of(LossNote, node.step(2.0))
+    assert first == again
+    assert (first.target, first.entries[0].id, first.entries[0].reason) == (0, id, 1)
+    number = first.entries[0].number
+    # Other numbers and other neighbours mean nothing.
+    node.receive(Committed(0, 1, ((number + 1, 0),), ()), 2.0)
+    node.receive(Committed(5, 1, ((number, 0),), ()), 2.0)
+    assert list(node.store.losses()) == [(id, Fate.CORRUPTED)]
+    node.receive(Committed(0, 1, ((number, 0),), ()), 2.0)
+    assert list(node.store.losses()) == []
+    assert of(LossNote, node.step(3.0)) == []
+    assert node.store.counters()["corrupted"] == 1
+
+
+def test_an_expired_datum_is_told_too() -> None:
+    node = with_base(make_node(1, lifetime_s=5.0, receipt_steps=1, bandwidth_items=1))
+    ids = [node.put(b"x", 0.0) for _ in range(3)]
+    [said] = of(LossNote, with_base(node, 6.0, number=1).step(6.0))
+    assert {(entry.id, entry.reason) for entry in said.entries} == {(id, 2) for id in ids}
+
+
+def test_notes_are_said_in_turn_only() -> None:
+    node = with_base(make_node(1, receipt_steps=4))
+    id = node.put(b"x", 0.0)
+    corrupt(node, id)
+    said = []
+    for t in range(12):
+        with_base(node, float(t), number=t + 1)
+        said.append(len(of(LossNote, node.step(float(t)))))
+    assert sum(said) == 3
+    assert said[:4] == said[4:8] == said[8:]
+
+
+def test_another_next_hop_gets_other_numbers() -> None:
+    notes = LossNotes(DurableStore(1))
+    numbers = itertools.count(1)
+    notes.make(ID, Fate.CORRUPTED)
+    first, second = notes.turn(1, 5, numbers.__next__), notes.turn(1, 6, numbers.__next__)
+    assert first is not None
+    assert second is not None
+    assert (first.target, second.target) == (5, 6)
+    notes.committed(first.entries[0].number, 5)
+    assert ID in notes.waiting
+    notes.committed(second.entries[0].number, 6)
+    assert ID not in notes.waiting
+
+
+def test_a_note_that_comes_round_is_not_deleted_by_a_late_answer() -> None:
+    notes = LossNotes(DurableStore(1))
+    notes.make(ID, Fate.CORRUPTED)
+    said = notes.turn(1, 5, itertools.count(1).__next__)
+    assert said is not None
+    assert notes.take(ID, Fate.CORRUPTED)
+    notes.committed(said.entries[0].number, 5)
+    assert ID in notes.waiting
+
+
+def test_notes_are_bounded_own_ones_push_out_the_oldest_and_neighbours_are_refused() -> None:
+    store = DurableStore(1)
+    notes = LossNotes(store)
+    for sequence in range(MAX_NOTES + 3):
+        notes.make(DatumId(9, 77, sequence), Fate.CORRUPTED)
+    assert list(notes.waiting) == [DatumId(9, 77, s) for s in range(3, MAX_NOTES + 3)]
+    assert dict(store.losses()) == notes.waiting
+    assert store.counters() == {"notes_dropped": 3}
+    assert not notes.take(DatumId(8, 77, 0), Fate.EXPIRED)
+    assert notes.take(DatumId(9, 77, 5), Fate.EXPIRED)  # known already
+    assert len(notes.waiting) == MAX_NOTES
+    # A table of an earlier version may be longer.
+    store.lose(DatumId(9, 77, 999), Fate.CORRUPTED)
+    assert len(LossNotes(store).waiting) == MAX_NOTES
+    assert len(dict(store.losses())) == MAX_NOTES
+
+
+def test_a_refused_note_is_offered_again() -> None:
+    notes = LossNotes(DurableStore(1))
+    numbers = itertools.count(1)
+    notes.make(ID, Fate.CORRUPTED)
+    notes.turn(1, 5, numbers.__next__)
+    notes.refused(1, 5)
+    again = notes.turn(1, 5, numbers.__next__)
+    assert again is not None
+    assert again.entries[0].number == 2
+
+
+def test_notes_outlive_a_restart() -> None:
+    store = DurableStore(1)
+    node = with_base(make_node(1, store=store, receipt_steps=1))
+    id = node.put(b"x", 0.0)
+    corrupt(node, id)
+    node.step(0.0)
+    store.commit()
+    again = make_node(1, store=store.crashed(), receipt_steps=1, newborn=True)
+    [said] = of(LossNote, with_base(again).step(1.0))
+    assert said.entries[0].id == id
+
+
+@pytest.mark.parametrize("settings", [{"receipts": False}, {"acknowledged": False}])
+def test_without_receipts_or_without_custody_there_are_no_notes(settings: dict[str, bool]) -> None:
+    node = with_base(make_node(1, receipt_steps=1, **settings))
+    id = node.put(b"x", 0.0)
+    corrupt(node, id)
+    assert of(LossNote, node.step(1.0)) == []
+    assert list(node.store.losses()) == [(id, Fate.CORRUPTED)]
+    assert node.receive(note(7, 1, (5, ID, 1)), 1.0) == []
+
+
+# -- who takes a note, and who swallows it -----------------------------------------------------------------------------
+
+
+def test_a_note_goes_from_hand_to_hand_to_the_base_which_says_so() -> None:
+    nodes = {i: make_node(i, base=i == 0, receipt_steps=1) for i in range(3)}
+    id = nodes[2].put(b"x", 0.0)
+    corrupt(nodes[2], id)
+    near = {0: [1], 1: [0, 2], 2: [1]}
+    for t in range(1, 14):
+        for i, node in nodes.items():
+            out = node.step(float(t))
+            talk({j: nodes[j] for j in (i, *near[i])}, out, float(t))
+    assert dict(nodes[0].store.losses()) == {id: Fate.CORRUPTED}
+    assert nodes[0].index is not None
+    assert nodes[0].index.told_lost == 1
+    for i in (1, 2):
+        assert list(nodes[i].store.losses()) == []
+        assert nodes[i].receipts is not None
+        assert nodes[i].receipts.told_lost(id)
+        assert id not in nodes[i].archive
+
+
+def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() -> None:
+    store = DurableStore(1)
+    base = make_node(0, base=True, store=store, receipt_steps=1)
+    reasons = [1, 2, 3, 4, 5, 77]
+    [answer] = base.receive(note(7, 0, *[(n + 1, DatumId(9, 77, n), r) for n, r in enumerate(reasons)]), 0.0)
+    assert answer == Committed(0, 7, tuple((n + 1, 0) for n in range(6)), ())
+    assert [fate for _, fate in sorted(store.losses())] == [fate_of(r) for r in reasons]
+    assert fate_of(77) is Fate.VANISHED
+    d = datum(9, 0)
+    [answer] = base.receive(data(7, 0, (5, d)), 0.0)
+    assert answer == Committed(0, 7, ((5, d.crc),), ())
+    assert d.id in base.archive
+    assert d.id not in dict(store.losses())
+    store.commit()
+    again = make_node(0, base=True, store=store.crashed())
+    assert again.index is not None
+    assert (again.index.told_lost, d.id in again.archive) == (5, True)
+    # A note about what has arrived is of no use any more.
+    [answer] = base.receive(note(7, 0, (9, d.id, 1)), 0.0)
+    assert answer == Committed(0, 7, ((9, 0),), ())
+    assert d.id not in dict(base.store.losses())
+
+
+def test_who_holds_a_good_copy_swallows_the_note() -> None:
+    node = make_node(1)
+    d = datum()
+    node.receive(data(7, 1, (5, d)), 0.0)
+    [answer] = node.receive(note(7, 1, (6, d.id, 1)), 0.0)
+    assert answer == Committed(1, 7, ((6, 0),), ())
+    assert list(node.inventory) == [d.id]
+    assert list(node.store.losses()) == []
+
+
+def test_a_note_about_a_copy_that_is_corrupt_here_too_goes_on() -> None:
+    node = make_node(1)
+    d = datum()
+    node.receive(data(7, 1, (5, d)), 0.0)
+    corrupt(node, d.id)
+    node.receive(note(7, 1, (6, d.id, 1)), 0.0)
+    assert list(node.inventory) == []
+    assert list(node.store.losses()) == [(d.id, Fate.CORRUPTED)]
+
+
+def test_who_gets_the_datum_has_no_note_of_it_any_more() -> None:
+    node = make_node(1)
+    d = datum()
+    node.receive(note(7, 1, (6, d.id, 1)), 0.0)
+    assert dict(node.store.losses()) == {d.id: Fate.CORRUPTED}
+    node.receive(data(7, 1, (5, d)), 0.0)
+    assert list(node.store.losses()) == []
+
+
+def test_what_the_base_knows_need_not_be_told() -> None:
+    node = make_node(1)
+    for sequence in range(3):
+        node.receive(note(7, 1, (6, DatumId(9, 77, sequence), 1)), 0.0)
+    node.receive(told_lost(0), 0.0)
+    node.receive(Receipt(0, 9, (), (ReceiptSpan(9, 77, 0, 1, 1, 0),)), 0.0)
+    assert [id.sequence for id, _ in node.store.losses()] == [2]
+    [answer] = node.receive(note(7, 1, (9, ID, 1)), 0.0)
+    assert answer == Committed(1, 7, ((9, 0),), ())
+    assert [id.sequence for id, _ in node.store.losses()] == [2]
+
+
+def test_a_good_copy_is_kept_and_handed_on_though_a_base_was_told_that_it_is_lost() -> None:
+    node = make_node(1)
+    d = datum()
+    node.receive(data(7, 1, (5, d)), 0.0)
+    node.receive(told_lost(0), 0.0)
+    assert list(node.inventory) == [d.id]
+    # It is not answered as if it had arrived, either.
+    [answer] = node.receive(data(7, 1, (8, datum(sequence=1))), 0.0)
+    assert answer.committed == ((8, datum(sequence=1).crc),)  # type: ignore[union-attr]
+    [sent] = of(Data, with_base(node, 1.0).step(1.0))
+    assert d.id in [h.datum.id for h in sent.handovers]
+
+
+def test_a_spare_is_taken_into_custody_when_the_datum_is_told_lost() -> None:
+    net = MirrorNet({1: 0.4, 2: 0.2, 3: 0.1}, [(1, 2), (2, 3)], mirror_until_receipt=True, receipts=True)
+    id = net.put(1)
+    net.step(4)
+    assert net.custody(id) == [3]
+    assert 1 in net.spares(id)
+    said = Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, 0, 0, 1 << id.sequence, 0),))
+    net.nodes[1].receive(said, net.now)
+    assert id in net.nodes[1].inventory
+    net.nodes[1].receive(Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, id.sequence + 1, 0, 0, 0),)), net.now)
+    assert not net.nodes[1].inventory.holds(id)
+
+
+# -- storms: loss, doubling, delay, restarts, corruption ---------------------------------------------------------------
+
+
+class GivenUp(Observer):
+    """Notes which copies are let go of because the datum has arrived."""
+
+    def __init__(self, given_up: list[DatumId]) -> None:
+        self.given_up = given_up
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        if fate is Fate.DELIVERED:
+            self.given_up.append(id)
+
+
+class Storm:
+    """A base and three drones in a line over real bytes; the driver commits, then sends; a kill takes the rest."""
+
+    NODES = 4
+
+    def __init__(self, seed: int, *, mirror: bool) -> None:
+        self.rng = random.Random(seed)
+        self.mirror = mirror
+        self.now = 0.0
+        self.lives = 0
+        self.stores = {i: DurableStore(1000 + i) for i in range(self.NODES)}
+        self.nodes: dict[int, Node] = {}
+        self.outbox: dict[int, list[bytes]] = {i: [] for i in range(self.NODES)}
+        self.air: list[tuple[int, bytes]] = []
+        self.created: set[DatumId] = set()
+        self.newborn: dict[int, set[DatumId]] = {i: set() for i in range(self.NODES)}
+        self.given_up: list[DatumId] = []
+        self.told: set[DatumId] = set()
+        """All that the base was ever told lost."""
+        for i in range(self.NODES):
+            self.start(i)
+
+    def start(self, i: int) -> None:
+        self.lives += 1
+        self.nodes[i] = make_node(
+            i, store=self.stores[i], risk=0.1 * i, now=self.now, seed=self.lives, base=i == 0, capacity_items=6,
+            receipt_steps=2, max_tries=3, mirror=self.mirror, neighbour_steps=2, observer=GivenUp(self.given_up),
+        )  # fmt: skip
+
+    def kill(self, i: int) -> None:
+        self.stores[i] = self.stores[i].crashed()
+        self.outbox[i] = []
+        self.newborn[i] = set()
+        self.start(i)
+
+    def say(self, i: int, messages: list[Message]) -> None:
+        for message in messages:
+            self.outbox[i] += encode(message, self.now)
+
+    def commit(self, i: int) -> None:
+        self.stores[i].commit()
+        self.created |= self.newborn[i]
+        self.newborn[i] = set()
+        for payload in self.outbox[i]:
+            self.air += [(j, payload) for j in (i - 1, i + 1) if 0 <= j < self.NODES]
+        self.outbox[i] = []
+        del self.air[:-300]
+
+    def hear(self, i: int, payload: bytes) -> None:
+        message = decode(payload, self.now, i)
+        if message is not None:
+            self.say(i, self.nodes[i].receive(message, self.now))
+
+    def put(self, i: int) -> None:
+        if len(self.created) < 10:
+            try:
+                self.newborn[i].add(self.nodes[i].put(self.rng.randbytes(8), self.now))
+            except StoreFullError:
+                return
+
+    def strike(self, i: int) -> None:
+        """A stored bit of one datum flips: at once, on the disk and in what is not written yet."""
+        ids = [id for id in self.stores[i].ids() if i]
+        if ids:
+            id = self.rng.choice(ids)
+            self.commit(i)
+            self.stores[i].flip_bit(id)
+            self.stores[i].disk = self.stores[i]._live.snapshot()
+
+    def check(self) -> None:
+        at_base = self.stores[0].disk.data
+        while self.given_up:
+            # Copies are let go of as delivered only when the base has the datum on its disk.
+            assert at_base[self.given_up.pop()].intact
+        self.told |= self.stores[0].disk.losses.keys()
+        for i, node in self.nodes.items():
+            if node.notes is not None:
+                assert dict(self.stores[i].losses()) == {**node.notes.waiting, **node.notes.suspected}
+                assert node.mirrors is None or node.notes.suspected.keys() <= node.mirrors.missing.keys()
+            if i:
+                assert all(id in at_base for id in self.created if id in node.archive)
+
+    def turn(self, loss: float) -> None:
+        """A step of everybody; what is said arrives or is lost, and is answered."""
+        self.now += 1.0
+        for i, node in self.nodes.items():
+            self.say(i, node.step(self.now))
+        for _ in range(12):
+            for i in self.nodes:
+                self.commit(i)
+            frames, self.air = self.air, []
+            for to, payload in frames:
+                if self.rng.random() >= loss:
+                    self.hear(to, payload)
+            if not any(self.outbox.values()):
+                break
+        self.check()
+
+    def rage(self, events: int) -> None:
+        rng = self.rng
+        for _ in range(events):
+            i = rng.randrange(self.NODES)
+            event = rng.random()
+            if event < 0.25:
+                self.now += 0.3
+                self.say(i, self.nodes[i].step(self.now))
+            elif event < 0.5:
+                self.commit(i)
+            elif event < 0.52:
+                self.kill(i)
+            elif event < 0.55:
+                self.put(rng.randrange(1, self.NODES))
+            elif event < 0.57:
+                self.strike(i)
+            elif self.air:
+                to, payload = self.air[k := rng.randrange(len(self.air))]
+                fortune = rng.random()
+                if fortune < 0.8:
+                    del self.air[k]
+                if fortune > 0.2:
+                    self.hear(to, payload)
+            self.check()
+
+    def settle(self) -> None:
+        """Once the network is good, the base comes to know what has become of each datum."""
+        self.air.clear()
+        for _ in range(250):
+            self.turn(0.0)
+            if self.settled():
+                return
+        raise AssertionError("the base does not know what has become of all data")
+
+    def settled(self) -> bool:
+        index = self.nodes[0].index
+        assert index is not None
+        losses = dict(self.stores[0].losses())
+        # What is removed, but not yet from the disk, does not count.
+        intact = {id for node in self.nodes.values() for id in node.inventory.everything() if node.load(id) is not None}
+        return all(id in index or (index.is_lost(id) and id in losses and id not in intact) for id in self.created)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_notes_reach_the_base_and_never_cost_a_datum(mirror: bool) -> None:
+    """RASS_NOTE_STORMS: how many."""
+    told = rescued = 0
+    for seed in range(int(os.environ.get("RASS_NOTE_STORMS", "60"))):
+        storm = Storm(seed, mirror=mirror)
+        storm.turn(0.0)
+        storm.turn(0.0)
+        for _ in range(4):
+            storm.rage(80)
+            storm.turn(0.3)
+        storm.settle()
+        index = storm.nodes[0].index
+        assert index is not None
+        told += index.told_lost
+        rescued += len(storm.told - {id for id in storm.created if index.is_lost(id)})
+    assert rescued > 0
+    assert told > 0
+
+
+def test_make_datum_is_what_the_storm_flips() -> None:
+    d = make_datum(ID, 0, 0.0, b"x")
+    assert d.intact
+    assert not d._replace(payload=b"y").intact
+    assert BROADCAST not in range(Storm.NODES)
+    assert ROUTE.base == 0
+    assert beacon(1).digest == 0

@@ -1,0 +1,127 @@
+"""Receipts and loss notes in whole swarms, with the invariants checked in full after every step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rass_mav.agent.loading import convert
+from rass_mav.core.messages import Receipt, ReceiptEntry
+from rass_mav.core.receipts import MAX_ROUNDS, PAUSE, Receipts
+from rass_mav.swarm.invariants import InvariantError, check
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.swarm.world import World
+
+
+def world_of(**keys: Any) -> World:
+    return World(convert(keys, Scenario, "test"))
+
+
+def receipts_of(world: World) -> list[Receipts]:
+    found = [agent.node.receipts for agent in world.agents]
+    assert all(receipts is not None for receipts in found)
+    return [receipts for receipts in found if receipts is not None]
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("topology", ["grid", "random-walk"])
+def test_all_know_what_has_arrived_and_the_base_what_is_lost(topology: str, mirror: bool) -> None:
+    world = world_of(
+        nodes=25,
+        steps=500,
+        seed=4,
+        topology=topology,
+        radio={"loss": 0.2, "duplicate": 0.1, "reorder": 0.1},
+        radiation={"random_sources": 2},
+        custody={"mirror": mirror, "receipt_steps": 2},
+        data={"until_step": 120},
+        policy={"name": "hop-count"},
+    )
+    world.run(500, after=check)
+    ledger = world.ledger
+    lost = {id for id in ledger.lost if id not in ledger.arrived}
+    assert ledger.held == 0
+    assert lost or mirror
+    base = world.agents[0].node
+    assert base.index is not None
+    assert {id for id in ledger.born if base.index.is_lost(id)} == lost == dict(base.store.losses()).keys()
+    first, *others = receipts_of(world)
+    assert all(receipts.known() == first.known() for receipts in others)
+    assert {receipts.digest for receipts in receipts_of(world)} == {first.digest}
+    # Nobody holds anything any more, and nobody has anything to tell.
+    assert not ledger.copies
+    sent = world.radio.sent
+    world.run(50)
+    assert world.radio.sent - sent == 50 * 25
+
+
+def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:
+    world = world_of(
+        nodes=25,
+        steps=330,
+        topology="islands",
+        mobility={"split_step": 60, "rejoin_step": 200, "gap_m": 20.0},
+        radiation={"sources": []},
+        custody={"mirror": True, "receipt_steps": 4},
+        data={"interval_steps": 20, "until_step": 150},
+        store={"capacity_items": 200},
+    )
+    world.run(200, after=check)
+    base, *drones = receipts_of(world)
+    behind = [receipts for receipts in drones if receipts.digest != base.digest]
+    assert len(behind) >= 10
+    world.run(130, after=check)
+    assert {receipts.digest for receipts in receipts_of(world)} == {base.digest}
+    assert not world.ledger.copies
+    assert len(world.ledger.arrived) == world.ledger.created
+
+
+def test_with_two_bases_what_reached_one_of_them_has_arrived() -> None:
+    world = world_of(
+        nodes=12, bases=2, steps=200, topology="line", radiation={"sources": []}, data={"until_step": 60},
+        custody={"mirror": True, "receipt_steps": 2},
+    )  # fmt: skip
+    world.run(200, after=check)
+    assert not world.ledger.copies
+    assert len({receipts.digest for receipts in receipts_of(world)}) == 1
+    assert len(world.ledger.arrived) == world.ledger.created
+
+
+def test_receipts_stay_within_their_share_of_the_air() -> None:
+    frames = {}
+    for receipts in (False, True):
+        world = world_of(
+            nodes=36,
+            steps=200,
+            seed=2,
+            custody={"receipts": receipts, "mirror": False},
+            radiation={"corruption": False},
+        )
+        world.run(200)
+        frames[receipts] = world.radio.sent
+        period = world.agents[0].settings.custody.receipt_steps
+    assert 0 < frames[True] - frames[False] <= 36 * (200 // period + 1)
+
+
+def test_differing_digests_do_not_keep_a_quiet_swarm_talking() -> None:
+    world = world_of(
+        nodes=9, steps=100, radiation={"sources": []}, data={"until_step": 30}, custody={"receipt_steps": 1}
+    )
+    world.run(100)
+    # One of them is full of what others said long ago, and had to forget.
+    receipts_of(world)[4].forgetful = True
+    world.run(PAUSE << (MAX_ROUNDS + 1))
+    sent = world.radio.sent
+    world.run(20)
+    assert world.radio.sent - sent == 20 * 9
+
+
+def test_a_swarm_that_believes_in_an_arrival_that_never_was_is_found_out() -> None:
+    world = world_of(nodes=4, steps=10, radiation={"sources": []})
+    world.run(10, after=check)
+    forged = Receipt(0, 1, (ReceiptEntry(1, 1, 5, 0),))
+    for receipts in receipts_of(world):
+        receipts.learn(forged)
+    with pytest.raises(InvariantError, match="has arrived"):
+        check(world)
