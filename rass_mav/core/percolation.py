@@ -30,7 +30,7 @@ class Percolation:
 
     def begin_step(self) -> None:
         """The bandwidth of a new step."""
-        self._budget = self._node.settings.bandwidth_items
+        self._budget = self._node.bandwidth_items
 
     def spend(self) -> None:
         """An item is being sent."""
@@ -55,9 +55,8 @@ class Percolation:
         settings = node.settings
         neighbours = node.routing.neighbours
         # A neighbour whose last beacon is missing may have moved away: only if nobody else is fit is it tried.
-        recent = now - 1.5 * settings.step_s
         view = View(
-            [n for n in neighbours.values() if n.heard >= recent],
+            [n for n in neighbours.values() if n.heard >= now - 1.5 * n.turn_s],
             node.routing.distance,
             node.potential,
             node.risk.risk(now),
@@ -109,13 +108,13 @@ class Percolation:
         """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent."""
         node = self._node
         settings = node.settings
-        due = now - (settings.retry_steps - 0.5) * settings.step_s
+        due = now - (settings.retry_steps - 0.5) * node.turn_s
         # Two beacons missed: it has probably moved away, so another is tried before the routing table gives it up.
-        silent = now - 2.5 * settings.step_s
         neighbours = node.routing.neighbours
         for pending in list(node.custody.pending.values()):
             neighbour = neighbours.get(pending.neighbour)
-            if neighbour is None or neighbour.heard < silent or pending.tries >= settings.max_tries:
+            silent = neighbour is None or neighbour.heard < now - 2.5 * neighbour.turn_s
+            if silent or pending.tries >= settings.max_tries:
                 node.custody.cancel(pending.id)
                 node.transfers.cancel(pending.id)
                 continue
