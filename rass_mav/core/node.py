@@ -60,6 +60,7 @@ class Node(Keeper):
         "rng",
         "routing",
         "sent_data",
+        "turn_s",
     )
 
     def __init__(
@@ -113,6 +114,8 @@ class Node(Keeper):
         """Data that came in with a checksum that does not fit."""
         self.sent_data = 0
         """Data, copies and chunks sent, retransmissions included."""
+        self.turn_s = settings.step_s
+        """Seconds between two calls of `step`, and so between two beacons: the step length, or more (`pace`)."""
         self.bandwidth_items = settings.bandwidth_items
         """Items sent in a turn at most, retransmissions included."""
         self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
@@ -121,18 +124,16 @@ class Node(Keeper):
         if self.base:
             store.set_meta("announcement", self.routing.number)
 
-    @property
-    def turn_s(self) -> float:
-        """Seconds between two calls of `step`, and so between two beacons: the step length, or more (`pace`)."""
-        return self.routing.turn_s
-
-    def pace(self, turn_s: float, items: int, now: float) -> None:
+    def pace(self, turn_s: float, items: int, now: float, told_s: float | None = None) -> None:
         """From now on `step` is called every `turn_s` seconds, for the link bears no more; in each at most `items` data
         (and no more than the settings say) are sent. Neighbours hear of it in the beacon, and wait accordingly.
+
+        `told_s`: what they hear, where not every beacon leaves on every link; None: `turn_s`.
         """
         step_s = self.settings.step_s
         routing = self.routing
-        routing.turn_s = max(step_s, turn_s)
+        self.turn_s = max(step_s, turn_s)
+        routing.turn_s = max(step_s, turn_s if told_s is None else told_s)
         self.bandwidth_items = min(self.settings.bandwidth_items, items)
         self.transfers.lifetime_s = routing.lifetime_s * (routing.turn_s / step_s)
         # After a restart this node has to wait until nobody counts on its old routes; so how long they may is kept.

@@ -68,6 +68,7 @@ class VehicleLink(VehiclePort):
         self._reader: Reader | None = None
         self._listens = url.mode == "udpin"
         self._heard: Address | None = None
+        self._speakers = 0
         self._unheard = 0
         address = resolve(url.address, self.name)
         if self._listens:
@@ -93,12 +94,19 @@ class VehicleLink(VehiclePort):
         """Whether something has arrived."""
         return bool(self._inbox)
 
+    @property
+    def generation(self) -> int:
+        """How many have spoken first: each of them has heard nothing of us yet."""
+        return 1 + self._speakers if self._listens else 1
+
     def receive(self) -> list[bytes]:
         """What has arrived, at most `MAX_INBOX` datagrams."""
         if not self._inbox:
             return []
         arrived = [datagram.data for datagram in self._inbox]
-        self._heard = self._inbox[-1].source
+        if self._inbox[-1].source != self._heard:
+            self._heard = self._inbox[-1].source
+            self._speakers += 1
         self._inbox.clear()
         self._received += len(arrived)
         if len(arrived) >= MAX_INBOX and self._reader is not None:
