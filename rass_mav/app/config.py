@@ -138,6 +138,11 @@ class RunConfig(Section, frozen=True):
         through = [index for index, link in enumerate(self.links) if link.type == "autopilot"]
         if through and self.autopilot.url is None:
             raise ConfigError(f"links[{through[0]}].type: autopilot needs autopilot.url")
+        if through and not self.mavlink.autopilot_id:
+            # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
+            raise ConfigError(
+                f"links[{through[0]}].type: autopilot needs mavlink.autopilot_id, the autopilot's system id"
+            )
         if len(through) > 1:
             raise ConfigError(f"links[{through[1]}].type: only one link can go through the autopilot")
         if self.autopilot.url is not None:
