@@ -89,6 +89,7 @@ class AutopilotLink(SharedLink):
         super().__init__("autopilot")
         self._vehicle = vehicle
         self._sent = 0
+        self._dropped = 0
 
     def start(self, wake: Callable[[], None]) -> None:
         """Nothing: the port's owner starts it."""
@@ -103,7 +104,10 @@ class AutopilotLink(SharedLink):
 
     def send(self, frame: bytes, target: int) -> None:
         """To everybody, by way of the autopilot."""
-        self._sent += 1
+        if self._vehicle.trouble:
+            self._dropped += 1
+        else:
+            self._sent += 1
         self._vehicle.send(frame)
 
     @property
@@ -112,8 +116,8 @@ class AutopilotLink(SharedLink):
         return self._vehicle.trouble
 
     def counters(self) -> LinkCounters:
-        """What has been done so far. What the port dropped is counted there."""
-        return LinkCounters(self._sent, self._received, 0, 0, 0)
+        """What has been done so far. What the open port dropped for want of room is counted there only."""
+        return LinkCounters(self._sent, self._received, 0, self._dropped, 0)
 
     def close(self) -> None:
         """Nothing: the port's owner closes it."""

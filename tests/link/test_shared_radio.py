@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -28,7 +27,6 @@ class Flight(NamedTuple):
     """How long each telemetry frame waited for the channel, seconds."""
 
 
-@cache
 def fly(nodes: int, swarm: bool) -> Flight:
     """The same telemetry with a swarm and without."""
     simulation = Simulation()
@@ -59,41 +57,28 @@ def fly(nodes: int, swarm: bool) -> Flight:
 
 
 @pytest.mark.parametrize("nodes", [20, 100])
-def test_beacons_take_at_most_a_third_and_telemetry_is_in_time(nodes: int) -> None:
+def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
+    """One flight, looked at from all sides: it takes some seconds to fly."""
     flight = fly(nodes, True)
-    assert 0 < flight.beacons <= 0.30
     alone = fly(nodes, False).waits
-    assert len(alone) == pytest.approx(TELEMETRY_BYTES_S * WATCHED_S / 40, rel=0.4)
-    # Frame by frame: how much later it leaves because there is a swarm.
-    delays = [max(0.0, a - b) for a, b in zip(flight.waits, alone, strict=False)]
+    assert 0 < flight.beacons <= 0.30
+    # Telemetry, frame by frame: how much later it leaves because there is a swarm.
+    delays = [max(0.0, a - b) for a, b in zip(flight.waits, alone, strict=True)]
     assert max(delays) <= 0.100
     assert max(flight.waits) <= 0.100
-
-
-@pytest.mark.parametrize("nodes", [20, 100])
-def test_data_percolate(nodes: int) -> None:
-    flight = fly(nodes, True)
+    # Data percolate. What was made last is still on its way: a turn for the datum, one for the answer.
     assert flight.created > 2 * nodes
-    # What was made last is still on its way: a turn for the datum and one for what was lost.
     assert flight.arrived >= 0.6 * flight.created
-
-
-@pytest.mark.parametrize("nodes", [20, 100])
-def test_everybody_knows_everybody_although_beacons_are_rare(nodes: int) -> None:
-    flight = fly(nodes, True)
-    turns = {node.agent.node.turn_s for node in flight.nodes}
-    assert min(turns) > 1.0
-    for node in flight.nodes:
-        assert len(node.agent.node.routing.neighbours) == nodes - 1
-        assert node.agent.node.routing.hops == (0 if node.id == 0 else 1)
-
-
-def test_the_more_neighbours_the_rarer_the_beacons() -> None:
-    few, many = (max(node.agent.node.turn_s for node in fly(nodes, True).nodes) for nodes in (20, 100))
-    assert few < many
+    # Everybody knows everybody, although beacons are rare; and the more they are, the rarer.
     budget = AirtimeSection().budget(shared=True)
-    assert all(node.lane.pacer is not None and node.lane.pacer.budget == budget for node in fly(20, True).nodes)
     assert budget.bytes_s == BYTES_S
+    for node in flight.nodes:
+        core, pacer = node.agent.node, node.lane.pacer
+        assert pacer is not None
+        assert pacer.budget == budget
+        assert core.turn_s >= nodes * 0.1
+        assert len(core.routing.neighbours) == nodes - 1
+        assert core.routing.hops == (0 if node.id == 0 else 1)
 
 
 def test_the_emulated_radio_is_half_duplex_and_as_fast_as_it_says() -> None:
