@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import random
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, Kind
@@ -15,10 +15,12 @@ from rass_mav.core.messages import (
     Accept,
     Beacon,
     Chunk,
+    Committed,
     Corrupt,
     Data,
     Message,
     Offer,
+    PassedOn,
     Put,
     Query,
     Receipt,
@@ -27,6 +29,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
+from rass_mav.link.airtime import Urgency
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
@@ -50,6 +53,14 @@ FULL_REPORT_S = 30.0
 POSITION_STALE_S = 10.0
 _CRITICAL = 2
 _WARNING = 4
+_URGENCIES: dict[type, Urgency] = {
+    Beacon: Urgency.BEACON,
+    Committed: Urgency.ANSWER,
+    Accept: Urgency.ANSWER,
+    Sack: Urgency.ANSWER,
+    PassedOn: Urgency.ANSWER,
+    Corrupt: Urgency.ANSWER,
+}
 _PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack, Corrupt))
 _FOR_EVERYBODY = frozenset((Beacon, Receipt, Put))
 # Always the same bytes, so they are packed once.
@@ -64,6 +75,21 @@ class Outgoing(NamedTuple):
     """Node id of the neighbour it is for, or BROADCAST. Everybody in range may hear it all the same."""
     promises: bool
     """True: it rests on what is not on disk yet, and must not leave before the store has committed."""
+    urgency: Urgency = Urgency.DATA
+    """What goes first where airtime is short."""
+
+
+class VehicleService(Protocol):
+    """Does something with the autopilot or the ground station, over the autopilot's port.
+
+    What it has to say it appends to the agent's `to_vehicle`.
+    """
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """A frame from the autopilot's port, before telemetry takes it."""
+
+    def step(self, now: float) -> None:
+        """Called once a step."""
 
 
 class Agent:
@@ -77,6 +103,7 @@ class Agent:
         "_next_full_report",
         "_next_heartbeat",
         "_next_rival_report",
+        "_next_turn",
         "_node_id",
         "_payload_type",
         "_phase",
@@ -84,6 +111,7 @@ class Agent:
         "_refused",
         "_rng",
         "_text_id",
+        "_turn_s",
         "beacon_from",
         "foreign",
         "frames_received",
@@ -91,6 +119,7 @@ class Agent:
         "node",
         "peer_reader",
         "peer_writer",
+        "services",
         "settings",
         "steps",
         "store",
@@ -153,6 +182,10 @@ class Agent:
         self._refused = 0
         self._next_full_report = now
         self._reading_at: float | None = None
+        self._next_turn = now
+        self._turn_s = settings.step_s
+        self.services: list[VehicleService] = []
+        """Who else listens to the autopilot's port."""
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -160,13 +193,16 @@ class Agent:
         """A datagram from the autopilot's port: whole frames, one or several."""
         reader = self.vehicle_reader
         for frame in reader.feed(data):
-            self._vehicle_frame(frame, now)
+            self.vehicle_frame(frame, now)
         if reader.pending:
             for frame in reader.flush():
-                self._vehicle_frame(frame, now)
+                self.vehicle_frame(frame, now)
 
-    def _vehicle_frame(self, frame: Frame, now: float) -> None:
+    def vehicle_frame(self, frame: Frame, now: float) -> None:
+        """A frame from the autopilot's port, whoever said it."""
         telemetry = self.telemetry
+        for service in self.services:
+            service.hear(frame, now)
         latched = telemetry.system_id
         if not telemetry.handle(frame, now):
             return
@@ -187,17 +223,32 @@ class Agent:
         # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
         for frame in [*self.peer_reader.feed(data), *self.peer_reader.flush()]:
             if frame.message_id == TUNNEL:
-                try:
-                    tunnel = decode_tunnel(frame.payload)
-                except MalformedError as error:
-                    self._count_malformed(error)
-                    continue
-                out += self._tunnel(
-                    tunnel.target_system, tunnel.target_component, tunnel.payload_type, tunnel.payload, now
-                )
+                out += self.peer_frame(frame, now)
         return out
 
-    def _tunnel(self, system: int, component: int, payload_type: int, payload: bytes, now: float) -> Sequence[Outgoing]:
+    def peer_frame(self, frame: Frame, now: float, only: frozenset[int] | None = None) -> Sequence[Outgoing]:
+        """A frame with a TUNNEL message from the neighbours' radio. Returns the answers.
+
+        `only`: node ids that may be neighbours; beacons of others go unheard. None: all.
+        """
+        try:
+            tunnel = decode_tunnel(frame.payload)
+        except MalformedError as error:
+            self._count_malformed(error)
+            return ()
+        return self._tunnel(
+            tunnel.target_system, tunnel.target_component, tunnel.payload_type, tunnel.payload, now, only
+        )
+
+    def _tunnel(
+        self,
+        system: int,
+        component: int,
+        payload_type: int,
+        payload: bytes,
+        now: float,
+        only: frozenset[int] | None = None,
+    ) -> Sequence[Outgoing]:
         if payload_type != self._payload_type:
             self.foreign += 1
             return ()
@@ -215,6 +266,8 @@ class Agent:
             return ()
         if type(message) is Beacon:
             self.beacon_from = message.sender
+            if only is not None and message.sender not in only and message.sender != self._node_id:
+                return ()
         answers = self.node.receive(message, now)
         if self._immediate:
             answers += self.node.forward(now)
@@ -230,12 +283,21 @@ class Agent:
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> Sequence[Outgoing]:
-        """One turn of Alg. 1: what the node sends; then a measurement, if one is due."""
+        """What is due every `step_s` seconds: a turn of Alg. 1, unless the link bears fewer; then a measurement.
+
+        Returns what the node sends.
+        """
         if now >= self._next_heartbeat:
             # Sent by the loop that does the work, so that it stops when the work stops.
-            self.to_vehicle.append(self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
-            self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
-        out = self._encoded(self.node.step(now), now)
+            self.greet_vehicle(now)
+        for service in self.services:
+            service.step(now)
+        out: list[Outgoing] = []
+        node = self.node
+        step_s = self.settings.step_s
+        if node.turn_s <= step_s or now >= self._next_turn - 0.5 * step_s:
+            self._next_turn = now + self._until_next_turn(node.turn_s, step_s)
+            out = self._encoded(node.step(now), now)
         if self.node.rivals and now >= self._next_rival_report:
             self._report_rivals(now)
         data = self.settings.data
@@ -254,6 +316,20 @@ class Agent:
         """With `node.forward: immediate`: what came in or was put since the last turn moves on; else nothing."""
         return self._encoded(self.node.forward(now), now) if self._immediate else ()
 
+    def greet_vehicle(self, now: float) -> None:
+        """Say the heartbeat, and the next one a second later. On a port that has just been opened it must be the first
+        frame: an autopilot sends nothing to where it has heard nobody."""
+        self.to_vehicle.insert(0, self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
+        self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
+
+    def _until_next_turn(self, turn_s: float, step_s: float) -> float:
+        """Whole steps, seconds. A new length begins at a random place: nodes that were switched on together, or have
+        met, must not all speak in the same second."""
+        changed, self._turn_s = turn_s != self._turn_s, turn_s
+        if turn_s > step_s and changed:
+            return step_s * self._rng.randint(1, round(turn_s / step_s))
+        return turn_s
+
     def _encoded(self, messages: Sequence[Message], now: float) -> list[Outgoing]:
         tunnel = self.peer_writer.tunnel
         payload_type = self._payload_type
@@ -261,8 +337,9 @@ class Agent:
         for message in messages:
             target = BROADCAST if type(message) in _FOR_EVERYBODY else message.target  # type: ignore[union-attr]
             promises = self._promises(message)
+            urgency = _URGENCIES.get(type(message), Urgency.DATA)
             for payload in encode(message, now):
-                out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises))
+                out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
         return out
 
     def _promises(self, message: Message) -> bool:

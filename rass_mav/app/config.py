@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ipaddress
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,12 +25,14 @@ from rass_mav.agent.settings import (
     StoreSettings,
 )
 from rass_mav.core.errors import ConfigError
-from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
+from rass_mav.link.address import parse_vehicle_url
 
+from .links import LinkSection, NodeId, under
+
+#: What telemetry uses and an autopilot does not always send by itself, seconds between two.
+DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0}
 #: Longest path of a unix socket, bytes (Linux: 108 with the closing zero).
 MAX_SOCKET_PATH = 107
-
-NodeId = Annotated[int, Meta(ge=0, le=65534)]
 
 
 class NodeSection(Section, frozen=True):
@@ -53,53 +53,11 @@ class AutopilotSection(Section, frozen=True):
     """Where the autopilot is."""
 
     url: str | None = None
-    """`udpin:host:port` or `udpout:host:port`; null: there is none."""
-
-
-class PeerSection(Section, frozen=True):
-    """A neighbour with a known address."""
-
-    address: str
-    """host:port"""
-    id: NodeId | None = None
-    """Its node id; null: learned from its beacons."""
-
-
-class LinkSection(Section, frozen=True):
-    """A UDP link to the neighbours."""
-
-    type: Literal["udp"] = "udp"
-    listen: str = "0.0.0.0:14600"
-    """Own address and port; port 0: any."""
-    peers: tuple[PeerSection, ...] = ()
-    """Neighbours that are sent to one by one."""
-    broadcast: str | None = None
-    """Broadcast address and port, as 192.168.4.255:14600 or 255.255.255.255:14600; null: none."""
-    multicast: str | None = None
-    """Multicast group and port, as 239.255.82.83:14601; null: none."""
-    interface: str | None = None
-    """Own IPv4 address on the network for multicast; null: the system chooses."""
-    ttl: Annotated[int, Meta(ge=0, le=255)] = 1
-    """Multicast frames pass so many routers less one."""
-
-    def check(self, key: str) -> None:
-        """Raise `ConfigError` for what cannot be. `key`: of this link."""
-        with _under(f"{key}.listen"):
-            parse_address(self.listen, any_port=True)
-        for index, peer in enumerate(self.peers):
-            with _under(f"{key}.peers[{index}].address"):
-                parse_address(peer.address)
-        if self.broadcast is not None:
-            with _under(f"{key}.broadcast"):
-                parse_address(self.broadcast)
-        if self.multicast is not None:
-            with _under(f"{key}.multicast"):
-                parse_multicast(self.multicast)
-        if self.interface is not None:
-            with _under(f"{key}.interface"):
-                _check_interface(self.interface)
-        if not self.peers and self.broadcast is None and self.multicast is None:
-            raise ConfigError(f"{key}: expected at least one of peers, broadcast and multicast")
+    """`serial:device:baud`, `udpin:host:port`, `udpout:host:port` or `tcp:host:port`; null: there is none."""
+    messages: dict[str, Annotated[float, Meta(ge=0.02, le=60)]] = msgspec.field(
+        default_factory=lambda: dict(DEFAULT_MESSAGES)
+    )
+    """Messages that the autopilot is asked for, by name, each with the seconds between two; {}: it is not asked."""
 
 
 class ControlSection(Section, frozen=True):
@@ -176,9 +134,24 @@ class RunConfig(Section, frozen=True):
             raise ConfigError("links: a drone needs at least one")
         for index, link in enumerate(self.links):
             link.check(f"links[{index}]")
+        through = [index for index, link in enumerate(self.links) if link.type == "autopilot"]
+        if through and self.autopilot.url is None:
+            raise ConfigError(f"links[{through[0]}].type: autopilot needs autopilot.url")
+        if through and not self.mavlink.autopilot_id:
+            # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
+            raise ConfigError(
+                f"links[{through[0]}].type: autopilot needs mavlink.autopilot_id, the autopilot's system id"
+            )
+        if len(through) > 1:
+            raise ConfigError(f"links[{through[1]}].type: only one link can go through the autopilot")
         if self.autopilot.url is not None:
-            with _under("autopilot.url"):
+            with under("autopilot.url"):
                 parse_vehicle_url(self.autopilot.url)
+        if not self.autopilot.messages.keys() <= DEFAULT_MESSAGES.keys():
+            from rass_mav.agent.rates import message_ids  # with all message definitions, which a client does not need
+
+            with under("autopilot.messages"):
+                message_ids(self.autopilot.messages)
         if not self.mavlink.reading_name.isascii():
             raise ConfigError(f"mavlink.reading_name: expected ASCII characters, got {self.mavlink.reading_name!r}")
         if self.store.path is not None and not self.store.path:
@@ -187,22 +160,6 @@ class RunConfig(Section, frozen=True):
             raise ConfigError(
                 f"control.socket: expected a path of at most {MAX_SOCKET_PATH} bytes, got {str(self.socket_path)!r}"
             )
-
-
-@contextmanager
-def _under(key: str) -> Iterator[None]:
-    """Put a key in front of the `ConfigError`s of a block."""
-    try:
-        yield
-    except ConfigError as error:
-        raise ConfigError(f"{key}: {error}") from None
-
-
-def _check_interface(text: str) -> None:
-    try:
-        ipaddress.IPv4Address(text)
-    except ValueError:
-        raise ConfigError(f"expected an own IPv4 address, got {text!r}") from None
 
 
 def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
@@ -214,7 +171,7 @@ def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
     for assignment in assignments:
         set_key(raw, assignment)
     config = convert(raw, RunConfig, str(path))
-    with _under(str(path)):
+    with under(str(path)):
         config.check()
     return config
 

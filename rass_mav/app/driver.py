@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import random
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from functools import partial
 
 from rass_mav.agent.agent import Agent, Outgoing
+from rass_mav.agent.duplicates import Duplicates
+from rass_mav.agent.lane import Lane, common_pace, slowest_turn
 from rass_mav.core.datum import DatumId
 from rass_mav.core.errors import RassError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.link.base import Link
-from rass_mav.link.vehicle import VehicleLink
+from rass_mav.link.base import Address, Link
+from rass_mav.link.radio import AutopilotLink
+from rass_mav.link.vehicle import VehiclePort
+from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL
 
 log = logging.getLogger(__name__)
 
@@ -36,11 +42,15 @@ class Driver:
         self,
         agent: Agent,
         links: Sequence[Link],
-        vehicle: VehicleLink | None,
+        vehicle: VehiclePort | None,
         now: Callable[[], float],
         executor: Executor,
+        rng: random.Random | None = None,
     ) -> None:
-        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything."""
+        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
+
+        `rng`: decides how long a node listens before it speaks on a shared radio.
+        """
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
@@ -53,6 +63,28 @@ class Driver:
         self.failed_commits = 0
         """Commits that failed and were tried again."""
         self.now = now
+        self.duplicates = Duplicates()
+        rng = rng or random.Random()
+        self.lanes = [
+            Lane(
+                agent, self.duplicates, budget=link.budget, stream=link.stream, only=link.only, rng=rng, now=now()
+            )
+            for link in self.links
+        ]  # fmt: skip
+        """The node's side of each link."""
+        self._alarms: dict[Lane, asyncio.TimerHandle] = {}
+        self._through = next(
+            (
+                (link, lane)
+                for link, lane in zip(self.links, self.lanes, strict=True)
+                if isinstance(link, AutopilotLink)
+            ),
+            None,
+        )
+        if self._through is not None:
+            # Both go through one port: who listens there expects one sequence.
+            agent.vehicle_writer = agent.peer_writer
+        self._vehicle_generation = 0
         self._store = agent.store
         self._executor = executor
         self._wake = asyncio.Event()
@@ -119,6 +151,7 @@ class Driver:
                 self._take_in()
                 behind = loop.time() - (start + due * step_s)
                 if behind >= 0:
+                    self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
                     # On an absolute schedule: no drift. What was missed is skipped, for a burst would help nobody.
                     missed = int(behind / step_s)
@@ -129,6 +162,8 @@ class Driver:
                 await self._sleep(start + due * step_s)
             await self._finish()
         finally:
+            for alarm in self._alarms.values():
+                alarm.cancel()
             self._abort_puts(StoreError("the node is stopping"))
 
     async def _sleep(self, until: float) -> None:
@@ -142,24 +177,49 @@ class Driver:
             raise self._bug
 
     def _take_in(self) -> None:
-        agent = self.agent
         now = self.now()
         if self.vehicle is not None:
-            for data in self.vehicle.receive():
-                agent.vehicle_bytes(data, now)
-        own = agent.node.id
-        for link in self.links:
+            self._take_in_vehicle(self.vehicle, now)
+        for link, lane in zip(self.links, self.lanes, strict=True):
             # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
             # disk that has failed this would not end, and beacons must be heard: then answers are dropped instead.
             if self.waiting >= MAX_WAITING // 2 and self._retry_at is None:
                 break
+            lane.opened(link.generation)
             for data, source in link.receive():
-                agent.beacon_from = None
-                out = agent.peer_bytes(data, now)
-                if agent.beacon_from is not None and agent.beacon_from != own:
-                    link.learn(agent.beacon_from, source)
+                out = lane.take(data, now, partial(_learn, link, source))
                 if out:
                     self._hand_out(out)
+
+    def _take_in_vehicle(self, vehicle: VehiclePort, now: float) -> None:
+        agent = self.agent
+        reader = agent.vehicle_reader
+        arrived = vehicle.receive()
+        if vehicle.generation != self._vehicle_generation:
+            self._vehicle_generation = vehicle.generation
+            reader.flush()
+            agent.greet_vehicle(now)
+        for data in arrived:
+            frames = reader.feed(data)
+            if not vehicle.stream and reader.pending:
+                frames += reader.flush()
+            for frame in frames:
+                if self._through is not None and frame.message_id in (TUNNEL, RADIO_STATUS):
+                    link, lane = self._through
+                    link.took()
+                    self._hand_out(lane.frame(frame, now, partial(_learn, link, (link.name, 0))))
+                else:
+                    agent.vehicle_frame(frame, now)
+
+    def _set_pace(self) -> None:
+        """So many beacons and data as the links bear, with the neighbours that there are."""
+        node = self.agent.node
+        for link, lane in zip(self.links, self.lanes, strict=True):
+            if lane.pacer is not None:
+                lane.pacer.neighbours = sum(map(link.reaches, node.routing.neighbours))
+        step_s = self.agent.settings.step_s
+        turn_s, items = common_pace(self.lanes, step_s, node.settings.bandwidth_items)
+        node.pace(turn_s, items, self.now(), slowest_turn(self.lanes, step_s))
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
         for outgoing in frames:
@@ -171,10 +231,32 @@ class Driver:
                 self.held_dropped += 1
 
     def _send(self, outgoing: Outgoing) -> None:
-        frame, target, _ = outgoing
-        reaching = [link for link in self.links if link.reaches(target)]
-        for link in reaching or self.links:
-            link.send(frame, target)
+        now = self.now()
+        target = outgoing.target
+        self.duplicates.said(outgoing.frame, now)
+        ways = list(zip(self.links, self.lanes, strict=True))
+        reaching = [way for way in ways if way[0].reaches(target)]
+        for link, lane in reaching or ways:
+            if lane.pacer is None:
+                link.send(outgoing.frame, target)
+            else:
+                lane.push(outgoing, now)
+                self._pump(link, lane)
+
+    def _pump(self, link: Link, lane: Lane) -> None:
+        """Send what may leave now, and come back when more may."""
+        pacer = lane.pacer
+        assert pacer is not None
+        now = self.now()
+        while (queued := pacer.pop(now)) is not None:
+            link.send(queued.frame, queued.target)
+        alarm = self._alarms.pop(lane, None)
+        if alarm is not None:
+            alarm.cancel()
+        due = pacer.next_at(now)
+        if due is not None:
+            loop = asyncio.get_running_loop()
+            self._alarms[lane] = loop.call_later(due - now, self._pump, link, lane)
 
     def _to_vehicle(self) -> None:
         frames = self.agent.to_vehicle
@@ -263,3 +345,7 @@ class Driver:
             if self.failed_commits != failed:
                 raise StoreError("stopped, but the last data could not be written to disk")
         self._to_vehicle()
+
+
+def _learn(link: Link, source: Address, node_id: int) -> None:
+    link.learn(node_id, source)

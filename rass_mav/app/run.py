@@ -14,14 +14,15 @@ from contextlib import AsyncExitStack
 from typing import Any
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.core.errors import StoreDamagedError
-from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
-from rass_mav.link.udp import Peer, UdpLink
-from rass_mav.link.vehicle import VehicleLink
+from rass_mav.link.address import parse_vehicle_url
+from rass_mav.link.base import Link
+from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.store.sqlite import SqliteStore
 
 from .clock import Clock
-from .config import LinkSection, RunConfig
+from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
 
@@ -88,11 +89,11 @@ class Runtime:
             stack.callback(store.abandon)  # does nothing after `close`
             vehicle = None
             if config.autopilot.url is not None:
-                vehicle = VehicleLink(parse_vehicle_url(config.autopilot.url))
+                vehicle = open_vehicle(parse_vehicle_url(config.autopilot.url))
                 stack.callback(vehicle.close)
-            links = []
+            links: list[Link] = []
             for section in config.links:
-                links.append(open_link(section))
+                links.append(section.open(vehicle))
                 stack.callback(links[-1].close)
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
@@ -102,7 +103,9 @@ class Runtime:
                 aside = store.report.set_aside
                 log.error("damaged store set aside as %s: %s", aside, store.report.reason)
                 agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
-            driver = Driver(agent, links, vehicle, self._clock.now, executor)
+            if vehicle is not None and config.autopilot.messages:
+                agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
+            driver = Driver(agent, links, vehicle, self._clock.now, executor, rng)
             control = ControlServer(driver, config.socket_path)
             await control.start()
             self._driver = driver
@@ -130,15 +133,3 @@ class Runtime:
                 store.close()
                 raise
             store.close()
-
-
-def open_link(section: LinkSection) -> UdpLink:
-    """The link that a section of the configuration describes. Raises `LinkError`."""
-    return UdpLink(
-        parse_address(section.listen, any_port=True),
-        peers=[Peer(parse_address(peer.address), peer.id) for peer in section.peers],
-        broadcast=None if section.broadcast is None else parse_address(section.broadcast),
-        multicast=None if section.multicast is None else parse_multicast(section.multicast),
-        interface=section.interface,
-        ttl=section.ttl,
-    )

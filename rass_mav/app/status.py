@@ -77,11 +77,25 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "frames_waiting": driver.waiting,
             "frames_dropped": driver.held_dropped,
         },
-        "links": [{"name": link.name, **link.counters()._asdict()} for link in driver.links],
+        "links": [
+            {
+                "name": link.name,
+                "trouble": link.trouble or None,
+                "one_hop": link.one_hop,
+                **link.counters()._asdict(),
+                **lane.report(),
+            }
+            for link, lane in zip(driver.links, driver.lanes, strict=True)
+        ],
+        "copies": {"heard_twice": driver.duplicates.heard_twice, "echoes": driver.duplicates.echoes},
         "vehicle": None
         if driver.vehicle is None
-        else {"name": driver.vehicle.name, **driver.vehicle.counters()._asdict()},
-        "malformed": agent.malformed + agent.peer_reader.malformed,
+        else {
+            "name": driver.vehicle.name,
+            "trouble": driver.vehicle.trouble or None,
+            **driver.vehicle.counters()._asdict(),
+        },
+        "malformed": agent.malformed + sum(lane.reader.malformed for lane in driver.lanes),
         "foreign": agent.foreign,
         "vehicle_malformed": agent.vehicle_reader.malformed,
         "rivals": [{"epoch": f"{epoch:08x}", "age_s": round(now - at, 3)} for epoch, at in sorted(node.rivals.items())],

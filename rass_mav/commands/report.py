@@ -33,6 +33,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
             f"dropped {link['dropped_in']} in, {link['dropped_out']} out"
         )
+        if link["trouble"]:
+            yield f"WARNING: link {link['name']}: {link['trouble']}"
     yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
     yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
     if s["commits"]["failed"]:

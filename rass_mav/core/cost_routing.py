@@ -22,6 +22,8 @@ from .serial import following
 
 #: Costs are 32-bit fixed point on the wire: this many units are a cost of 1.
 COST_ONE = 1 << 20
+#: A neighbour silent for more than so many of its turns may have moved away.
+RECENT_TURNS = 1.5
 #: No way, and no shelter. One below the value that only bases announce.
 NO_COST = 0xFFFFFFFE
 
@@ -46,49 +48,50 @@ class CostTable(RoutingTable):
     __slots__ = (
         "_low",
         "_low_before",
+        "_low_hold",
         "_low_since",
+        "_low_window",
         "_shelter_from",
-        "recent_s",
         "rules",
     )
 
     def __init__(
         self,
         rules: CostRules,
-        recent_s: float,
         node_id: int,
         epoch: int,
         *,
         base: bool = False,
         lifetime_s: float,
+        step_s: float = 1.0,
+        turn_s: float | None = None,
         max_neighbours: int = 128,
         max_hops: int = 250,
         restarted: float | None = None,
         number: int = 0,
     ) -> None:
-        """`recent_s`: a neighbour silent for longer is chosen only if nobody else is feasible.
+        """As in `RoutingTable`. A neighbour whose last beacon is missing is chosen only if nobody else is feasible.
 
-        The rest as in `RoutingTable`; `metric` is the cost from here, wire units, NO_COST: no way and no shelter.
+        `metric` is the cost from here, wire units, NO_COST: no way and no shelter.
         """
         super().__init__(
-            node_id, epoch, base=base, lifetime_s=lifetime_s, max_neighbours=max_neighbours, max_hops=max_hops,
-            restarted=restarted, number=number,
+            node_id, epoch, base=base, lifetime_s=lifetime_s, step_s=step_s, turn_s=turn_s,
+            max_neighbours=max_neighbours, max_hops=max_hops, restarted=restarted, number=number,
         )  # fmt: skip
         self.rules = rules
-        self.recent_s = recent_s
         if not base:
             self.metric = NO_COST
-        self._shelter_from = -inf if restarted is None else restarted + HOLD_LIFETIMES * lifetime_s
+        self._shelter_from = -inf if restarted is None else restarted + HOLD_LIFETIMES * self.longest_s
         self._low = self._low_before = NO_COST
         self._low_since = -inf
+        self._low_window = self._low_hold = 0.0
 
     def update(self, now: float) -> None:
         """Forget silent neighbours and choose the cheapest feasible way, else the cheapest shelter."""
         if now >= self._bound_until:
             self._bound = None
         bound = self._bound
-        oldest = now - self.lifetime_s
-        recent = now - self.recent_s
+        longest = self.lifetime_s * (self.turn_s / self.step_s)
         gone = None
         nearest = NO_ROUTE
         other = NO_COST
@@ -98,9 +101,12 @@ class CostTable(RoutingTable):
         node_id, tag, feasible = self.node_id, self.rules.tag, self._feasible
         for neighbour in self.neighbours.values():
             heard = neighbour.heard
-            if heard < oldest:
+            lifetime = neighbour.lifetime_s
+            if heard < now - lifetime:
                 gone = [neighbour.id] if gone is None else [*gone, neighbour.id]
                 continue
+            if lifetime > longest:
+                longest = lifetime
             b = neighbour.beacon
             hops = b.hops
             if hops >= self.max_hops or b.base == node_id:
@@ -124,25 +130,26 @@ class CostTable(RoutingTable):
                 other = min(other, cost)
                 continue
             # A full neighbour may still be the way, but data wait there.
-            rank = (heard < recent, not b.free, cost)
+            rank = (heard < now - RECENT_TURNS * neighbour.turn_s, not b.free, cost)
             if best is None or rank < best_rank or (rank == best_rank and self._preferred(b, best)):
                 best, best_rank = b, rank
         if gone is not None:
             for id in gone:
                 del self.neighbours[id]
+        self.longest_s = longest
         if self.base:
             return
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
         if best is None or other + self.rules.change_over <= best_rank[2]:
             self.route = None
             self.wanted = blocked
-            self._shelter(now, recent)
+            self._shelter(now)
             return
-        self._shelter_from = now + HOLD_LIFETIMES * self.lifetime_s
+        self._shelter_from = max(self._shelter_from, now + HOLD_LIFETIMES * longest)
         self.next_hop = best.sender
         self._take(best, min(best_rank[2] + self.toll, NO_COST - 1), now)
 
-    def _shelter(self, now: float, recent: float) -> None:
+    def _shelter(self, now: float) -> None:
         """No base is reachable: where data are safest."""
         held_to = self.next_hop
         self.next_hop = None
@@ -156,7 +163,9 @@ class CostTable(RoutingTable):
         best_cost = stay
         for neighbour in self.neighbours.values():
             b = neighbour.beacon
-            if b.hops != NO_ROUTE or b.policy != self.rules.tag or not b.free or neighbour.heard < recent:
+            if b.hops != NO_ROUTE or b.policy != self.rules.tag or not b.free:
+                continue
+            if neighbour.heard < now - RECENT_TURNS * neighbour.turn_s:
                 continue
             cost = b.potential + self.toll
             limit = stay if b.sender == held_to else self.rules.hysteresis * stay
@@ -171,8 +180,13 @@ class CostTable(RoutingTable):
         if self.route is not None:
             super().announced(now)
             return
-        # The lowest of the present window and of the one before: between one and two windows back.
-        if now - self._low_since >= HOLD_LIFETIMES * self.lifetime_s:
+        # The lowest of the present window and of the one before: between one and two windows back. A window lasts as
+        # long as anybody may remember what was announced in the one before, also if turns have become shorter since.
+        hold = HOLD_LIFETIMES * self.longest_s
+        if now - self._low_since >= self._low_window:
             self._low_before, self._low = self._low, NO_COST
             self._low_since = now
+            self._low_window, self._low_hold = max(self._low_hold, hold), hold
+        elif hold > self._low_hold:
+            self._low_hold = hold
         self._low = min(self._low, self.metric)

@@ -59,6 +59,9 @@ class Beacon(NamedTuple):
     """The policy's potential (fitness phi) in fixed point, 32 bits; see `rass_mav.policy`."""
     digest: int
     """Digest of what the sender knows from receipts, 32 bits; equal digests: nothing to tell. 0: not to be compared."""
+    turn: int = 0
+    """The sender says a beacon every so many tenths of a second, 16 bits, because its link bears no more; 0: every
+    step, as usual."""
 
 
 BEACON_BASE = 1

@@ -28,7 +28,7 @@ from .spares import SpareOffers
 if TYPE_CHECKING:
     from .node import Node
 
-#: A backer that has heard nothing of a datum for so many steps asks its custodian.
+#: A backer that has heard nothing of a datum for so many steps (turns, where they are longer) asks its custodian.
 ASK_STEPS = 10
 #: A custodian or backer is given up after so many lifetimes of a neighbour without a beacon. The routing table forgets
 #: it after one; but a copy is made anew for each one given up, so it should be dead, and not just have missed three
@@ -47,13 +47,15 @@ MAX_MISSING = 1024
 class Partner:
     """Another node that this one keeps spares for, or that keeps spares for this one."""
 
-    __slots__ = ("backed", "epoch", "heard", "spares")
+    __slots__ = ("backed", "epoch", "heard", "lifetime_s", "spares")
 
-    def __init__(self, epoch: int | None, heard: float) -> None:
+    def __init__(self, epoch: int | None, heard: float, lifetime_s: float) -> None:
         self.epoch = epoch
         """Epoch of its store, from its beacon; None: not known yet."""
         self.heard = heard
         """When it was last known to be there, seconds."""
+        self.lifetime_s = lifetime_s
+        """A neighbour like this is gone when it is silent for longer: it grows with the turn that its beacons tell."""
         self.spares: dict[DatumId, None] = {}
         """Data in its custody that this node has a spare of."""
         self.backed: dict[DatumId, None] = {}
@@ -64,6 +66,7 @@ class Mirrors:
     """A node's share of mirrored custody: its active spares, the backers of what is in its custody."""
 
     __slots__ = (
+        "_again_at",
         "_asked",
         "_node",
         "_now",
@@ -91,6 +94,8 @@ class Mirrors:
         """Data found corrupt that a backer was asked to take back: the backer, and how often it was asked."""
         self.offers = SpareOffers(node)
         """What is in custody without a backer."""
+        self._again_at = now
+        """When those that have not answered are asked again, seconds."""
         self._asked: OrderedDict[DatumId, float] = OrderedDict()
         """When each active spare was last told of or asked for, the longest ago first."""
         self._passed: OrderedDict[DatumId, int] = OrderedDict()
@@ -278,8 +283,11 @@ class Mirrors:
         partner = self.partners.get(id)
         if partner is None:
             neighbour = self._node.routing.neighbours.get(id)
-            epoch = None if neighbour is None else neighbour.beacon.epoch
-            partner = self.partners[id] = Partner(epoch, self._now)
+            if neighbour is None:
+                partner = Partner(None, self._now, self._node.routing.longest_s)
+            else:
+                partner = Partner(neighbour.beacon.epoch, self._now, neighbour.lifetime_s)
+            self.partners[id] = partner
         return partner
 
     def _forget_idle(self, id: int) -> None:
@@ -295,37 +303,47 @@ class Mirrors:
         if self.partners:
             self._look_after_partners(now)
         asked, missing = self._asked, self.missing
-        due = now - (ASK_STEPS - 0.5) * settings.step_s
+        turn_s = node.routing.longest_turn_s
+        due = now - (ASK_STEPS - 0.5) * turn_s
         for id, at in list(islice(asked.items(), WORDS_A_STEP)):
             if at > due:
                 break
             asked[id] = now
             asked.move_to_end(id)
             self._say(self.custodian[id], id, Word.STILL)
+        if missing and now >= self._again_at:
+            self._again_at = now + turn_s - 0.5 * settings.step_s
+            self._ask_again()
+        self.offers.step(now)
+
+    def _ask_again(self) -> None:
+        """For the data that were found corrupt, of which no backer has answered yet."""
+        missing = self.missing
         for id, (backer, tries) in list(islice(missing.items(), WORDS_A_STEP)):
-            if tries >= settings.max_tries:
+            if tries >= self._node.settings.max_tries:
                 self._given_up(id)
             else:
                 # To the end, so that the others have their turn.
                 del missing[id]
                 missing[id] = (backer, tries + 1)
                 self._say(backer, id, Word.AGAIN)
-        self.offers.step(now)
 
     def _look_after_partners(self, now: float) -> None:
         node = self._node
         neighbours = node.routing.neighbours
-        silent = now - GONE_LIFETIMES * node.routing.lifetime_s
+        # Who speaks seldom is told to wait, and waits too: its own words to a partner take as long.
+        own = node.routing.lifetime_s * (node.routing.turn_s / node.routing.step_s)
         for id, partner in list(self.partners.items()):
             neighbour = neighbours.get(id)
             if neighbour is not None:
                 partner.heard = neighbour.heard
+                partner.lifetime_s = neighbour.lifetime_s
                 epoch = neighbour.beacon.epoch
                 if partner.epoch is None:
                     partner.epoch = epoch
                 if partner.epoch == epoch:
                     continue
-            elif partner.heard >= silent:
+            elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
             # Gone, or its store was wiped: it has nothing of ours any more, or nothing that can be counted on.
             for datum in list(partner.spares):

@@ -39,7 +39,7 @@ from .percolation import Percolation
 from .policy import POTENTIAL_BASE, Policy
 from .replication import Replica
 from .risk import RiskEstimator
-from .routing import RoutingTable
+from .routing import HOLD_LIFETIMES, RoutingTable
 from .serial import following, newer
 from .settings import NodeSettings
 from .store import Store
@@ -55,7 +55,9 @@ class Node(Keeper):
     __slots__ = (
         "_beacon_number",
         "_claimed",
+        "_slow_until",
         "_steps",
+        "bandwidth_items",
         "base",
         "corrupt_received",
         "echoes",
@@ -69,6 +71,7 @@ class Node(Keeper):
         "rng",
         "routing",
         "sent_data",
+        "turn_s",
     )
 
     def __init__(
@@ -102,12 +105,15 @@ class Node(Keeper):
         self.risk = risk
         self.rng = rng
         lifetime = (settings.neighbour_steps + 0.5) * settings.step_s
-        make_table = RoutingTable if policy.costs is None else partial(CostTable, policy.costs, 1.5 * settings.step_s)
+        slow = store.get_meta("turn") or 0
+        make_table = RoutingTable if policy.costs is None else partial(CostTable, policy.costs)
         self.routing: RoutingTable = make_table(
             self.id,
             store.epoch,
             base=self.base,
             lifetime_s=lifetime,
+            step_s=settings.step_s,
+            turn_s=slow / 10,
             max_neighbours=settings.max_neighbours,
             max_hops=settings.max_hops,
             restarted=None if newborn else now,
@@ -129,11 +135,42 @@ class Node(Keeper):
         """Data that came in with a checksum that does not fit."""
         self.sent_data = 0
         """Data, copies and chunks sent, retransmissions included."""
+        self.turn_s = settings.step_s
+        """Seconds between two calls of `step`, and so between two beacons: the step length, or more (`pace`)."""
+        self.bandwidth_items = settings.bandwidth_items
+        """Items sent in a turn at most, retransmissions included."""
+        self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
         self._beacon_number = rng.getrandbits(16)
         self._steps = 0
         self._claimed = self.routing.number
         if self.base:
             self._claim_announcement()
+
+    def pace(self, turn_s: float, items: int, now: float, told_s: float | None = None) -> None:
+        """From now on `step` is called every `turn_s` seconds, for the link bears no more; in each at most `items` data
+        (and no more than the settings say) are sent. Neighbours hear of it in the beacon, and wait accordingly.
+
+        `told_s`: what they hear, where not every beacon leaves on every link; None: `turn_s`.
+        """
+        step_s = self.settings.step_s
+        routing = self.routing
+        self.turn_s = max(step_s, turn_s)
+        routing.turn_s = max(step_s, turn_s if told_s is None else told_s)
+        self.bandwidth_items = min(self.settings.bandwidth_items, items)
+        self.transfers.lifetime_s = routing.lifetime_s * (routing.turn_s / step_s)
+        # After a restart this node has to wait until nobody counts on its old routes; so how long they may is kept.
+        kept = self.store.get_meta("turn") or 0
+        turn = self._turn
+        if turn >= kept:
+            self._slow_until = now + HOLD_LIFETIMES * routing.longest_s
+        if turn > kept or (turn < kept and now >= self._slow_until):
+            self.store.set_meta("turn", turn)
+
+    @property
+    def _turn(self) -> int:
+        """The turn as the beacon says it."""
+        turn_s = self.routing.turn_s
+        return min(0xFFFF, int(turn_s * 10 + 0.5)) if turn_s > self.settings.step_s else 0
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -368,6 +405,7 @@ class Node(Keeper):
             self.policy.tag,
             self.potential,
             0 if self.receipts is None else self.receipts.digest,
+            self._turn,
         )
 
 

@@ -30,7 +30,7 @@ class Percolation:
 
     def begin_step(self) -> None:
         """The bandwidth of a new step."""
-        self._budget = self._node.settings.bandwidth_items
+        self._budget = self._node.bandwidth_items
 
     def spend(self) -> None:
         """An item is being sent."""
@@ -61,9 +61,8 @@ class Percolation:
         settings = node.settings
         neighbours = node.routing.neighbours
         # A neighbour whose last beacon is missing may have moved away: only if nobody else is fit is it tried.
-        recent = now - 1.5 * settings.step_s
         view = View(
-            [n for n in neighbours.values() if n.heard >= recent],
+            [n for n in neighbours.values() if n.heard >= now - 1.5 * n.turn_s],
             neighbours.get(node.routing.next_hop) if node.routing.next_hop is not None else None,
             node.routing.distance,
             node.potential,
@@ -116,17 +115,15 @@ class Percolation:
         """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent."""
         node = self._node
         settings = node.settings
-        due = now - (settings.retry_steps - 0.5) * settings.step_s
+        due = now - (settings.retry_steps - 0.5) * node.turn_s
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another one would make a second copy.
-        silent = now - 2.5 * settings.step_s
-        silent_clean = now - 1.5 * settings.step_s
         neighbours = node.routing.neighbours
         for pending in list(node.custody.pending.values()):
             neighbour = neighbours.get(pending.neighbour)
             if (
                 neighbour is None
-                or neighbour.heard < (silent_clean if neighbour.clean else silent)
+                or neighbour.heard < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
                 or pending.tries >= settings.max_tries
             ):
                 node.custody.cancel(pending.id)

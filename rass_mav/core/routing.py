@@ -33,13 +33,17 @@ MAX_BASES = 16
 class Neighbour:
     """A neighbour as its last beacon described it."""
 
-    __slots__ = ("beacon", "heard", "id", "missed")
+    __slots__ = ("beacon", "heard", "id", "lifetime_s", "missed", "turn_s")
 
-    def __init__(self, beacon: Beacon, heard: float) -> None:
+    def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
         self.id = beacon.sender
         self.beacon = beacon
         self.heard = heard
         """When the beacon was heard, seconds."""
+        self.turn_s = turn_s
+        """It says a beacon every so many seconds."""
+        self.lifetime_s = lifetime_s
+        """If it is silent for longer, it is gone."""
         self.missed = 1.0
         """Beacons missed of late: each one counts a fifth less with each that is heard."""
 
@@ -61,6 +65,7 @@ class RoutingTable:
         "distance",
         "epoch",
         "lifetime_s",
+        "longest_s",
         "max_hops",
         "max_neighbours",
         "metric",
@@ -69,7 +74,9 @@ class RoutingTable:
         "node_id",
         "number",
         "route",
+        "step_s",
         "toll",
+        "turn_s",
         "wanted",
     )
 
@@ -80,12 +87,16 @@ class RoutingTable:
         *,
         base: bool = False,
         lifetime_s: float,
+        step_s: float = 1.0,
+        turn_s: float | None = None,
         max_neighbours: int = 128,
         max_hops: int = 250,
         restarted: float | None = None,
         number: int = 0,
     ) -> None:
         """`lifetime_s`: a neighbour silent for longer is gone; no frame travels for longer. `max_hops` 1..254.
+        `step_s`: beacons are usually that far apart; who says that its own are farther apart lives longer accordingly.
+        `turn_s`: how far apart the own ones are; None: `step_s`.
 
         `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:
         it takes no route until all neighbours have forgotten those. `number`: a base's first announcement number.
@@ -96,6 +107,10 @@ class RoutingTable:
         self.epoch = epoch
         self.base = base
         self.lifetime_s = lifetime_s
+        self.step_s = step_s
+        self.turn_s = step_s if turn_s is None else max(step_s, turn_s)
+        self.longest_s = lifetime_s * (self.turn_s / step_s)
+        """The longest that this node or a neighbour is remembered by what it said last, seconds."""
         self.max_neighbours = max_neighbours
         self.max_hops = max_hops
         self.number = number
@@ -114,17 +129,19 @@ class RoutingTable:
         """(base id, number) this node asks for, for itself or for a neighbour."""
         self._bound: tuple[int, int] | None = None if restarted is None else (-1, -1)
         """The base that this node announced a route to last: no other may be taken before `_bound_until`."""
-        self._bound_until = -inf if restarted is None else restarted + HOLD_LIFETIMES * lifetime_s
+        self._bound_until = -inf if restarted is None else restarted + HOLD_LIFETIMES * self.longest_s
         self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
         self._asked: tuple[int, int, float] | None = None
 
     def hear(self, beacon: Beacon, now: float) -> bool:
         """Take in a neighbour's beacon. False: a duplicate, a late one, or there is no room for a new neighbour."""
         known = self.neighbours.get(beacon.sender)
+        turn_s = max(self.step_s, beacon.turn / 10) if beacon.turn else self.step_s
+        lifetime_s = self.lifetime_s * (turn_s / self.step_s) if beacon.turn else self.lifetime_s
         if known is None:
             if len(self.neighbours) >= self.max_neighbours and not self._make_room(beacon):
                 return False
-            self.neighbours[beacon.sender] = Neighbour(beacon, now)
+            self.neighbours[beacon.sender] = Neighbour(beacon, now, turn_s, lifetime_s)
         else:
             last = known.beacon
             if (last.number - beacon.number) & 0xFFFF < _LATE_WINDOW and last.epoch == beacon.epoch:
@@ -132,6 +149,8 @@ class RoutingTable:
             known.missed = 0.8 * known.missed + min((beacon.number - last.number - 1) & 0xFFFF, _MOST_MISSED)
             known.beacon = beacon
             known.heard = now
+            known.turn_s = turn_s
+            known.lifetime_s = lifetime_s
         if beacon.flags & BEACON_WANTED:
             self._hear_request(beacon.wanted_base, beacon.wanted_number, now)
         return True
@@ -149,7 +168,7 @@ class RoutingTable:
                 self.raise_number()
         elif self.route is not None and self.route.base == base and newer(number, self.route.number):
             # Only who has a route passes a request on, so requests die out where no base is reachable.
-            self._asked = (base, number, now + self.lifetime_s)
+            self._asked = (base, number, now + self.longest_s)
 
     def raise_number(self) -> None:
         """As a base: announce anew (every `routing.seq_period` steps, or on request)."""
@@ -168,7 +187,7 @@ class RoutingTable:
         if now >= self._bound_until:
             self._bound = None
         bound_base, bound_epoch = self._bound or (None, None)
-        oldest = now - self.lifetime_s
+        longest = self.lifetime_s * (self.turn_s / self.step_s)
         neighbours = self.neighbours
         gone = None
         nearest = other = NO_ROUTE
@@ -177,9 +196,12 @@ class RoutingTable:
         node_id = self.node_id
         feasible = self._feasible
         for neighbour in neighbours.values():
-            if neighbour.heard < oldest:
+            lifetime = neighbour.lifetime_s
+            if neighbour.heard < now - lifetime:
                 gone = [neighbour.id] if gone is None else [*gone, neighbour.id]
                 continue
+            if lifetime > longest:
+                longest = lifetime
             b = neighbour.beacon
             hops = b.hops
             if hops >= self.max_hops or (best is not None and hops > best.hops) or b.base == node_id:
@@ -204,6 +226,7 @@ class RoutingTable:
         if gone is not None:
             for id in gone:
                 del neighbours[id]
+        self.longest_s = longest
         if self.base:
             return
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
@@ -249,7 +272,7 @@ class RoutingTable:
             return
         key = (route.base, route.base_epoch)
         self._bound = key
-        self._bound_until = now + HOLD_LIFETIMES * self.lifetime_s
+        self._bound_until = max(self._bound_until, now + HOLD_LIFETIMES * self.longest_s)
         feasible = self._feasible
         own = feasible.get(key)
         best = (route.number, self.metric)
@@ -262,6 +285,11 @@ class RoutingTable:
         elif len(feasible) >= MAX_BASES:
             del feasible[next(iter(feasible))]
         feasible[key] = best
+
+    @property
+    def longest_turn_s(self) -> float:
+        """The longest turn, seconds, among this node's and its neighbours': an answer may take so long."""
+        return self.step_s * (self.longest_s / self.lifetime_s)
 
     @property
     def hops(self) -> int:

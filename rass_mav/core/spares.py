@@ -16,9 +16,9 @@ from .routing import Neighbour
 if TYPE_CHECKING:
     from .node import Node
 
-#: An offer that was not answered is made again after so many steps.
+#: An offer that was not answered is made again after so many steps (turns, where they are longer).
 OFFER_STEPS = 2
-#: A neighbour that refused a spare is offered none for so many steps.
+#: A neighbour that refused a spare is offered none for so many steps, or turns.
 REFUSED_STEPS = 5
 
 
@@ -82,7 +82,7 @@ class SpareOffers:
             number = custody.draw()
             self._offered[number] = (id, target.id)
             self._number[id] = number
-            self.bare[id] = now + (OFFER_STEPS - 0.5) * node.settings.step_s
+            self.bare[id] = now + (OFFER_STEPS - 0.5) * max(node.turn_s, target.turn_s)
             percolation.spend()
             handovers.append(Handover(number, datum))
         if handovers:
@@ -91,12 +91,11 @@ class SpareOffers:
     def _safest(self, now: float) -> Neighbour | None:
         """The neighbour with the lowest risk that may have room for a spare; among equals chance decides."""
         node = self._node
-        recent = now - 1.5 * node.settings.step_s
         safest: list[Neighbour] = []
         for neighbour in node.routing.neighbours.values():
             beacon = neighbour.beacon
             if (
-                neighbour.heard < recent
+                neighbour.heard < now - 1.5 * neighbour.turn_s
                 or not beacon.free
                 or beacon.flags & BEACON_BASE
                 or self._refused.get(neighbour.id, now) > now
@@ -126,7 +125,7 @@ class SpareOffers:
             if id is not None and neighbour == sender:
                 self._cancel(id)
                 self.bare[id] = -inf
-                self._refused[sender] = now + REFUSED_STEPS * node.settings.step_s
+                self._refused[sender] = now + REFUSED_STEPS * node.routing.longest_turn_s
                 again.append(id)
         if again:
             self.spread(now, out, again)

@@ -24,7 +24,7 @@ class Transfers:
     def __init__(self, node: Node, lifetime_s: float) -> None:
         """`lifetime_s`: an incoming transfer silent for longer is given up, and its bytes forgotten."""
         self._node = node
-        self._lifetime_s = lifetime_s
+        self.lifetime_s = lifetime_s
         self._out: dict[int, Outgoing] = {}
         """By neighbour."""
         self._in: dict[int, Incoming] = {}
@@ -67,7 +67,7 @@ class Transfers:
     def age(self, now: float) -> None:
         """Give up silent incoming transfers."""
         if self._in:
-            for handle in [h for h, t in self._in.items() if now - t.heard > self._lifetime_s]:
+            for handle in [h for h, t in self._in.items() if now - t.heard > self.lifetime_s]:
                 del self._in[handle]
 
     def on_accept(self, accept: Accept, now: float) -> list[Message]:

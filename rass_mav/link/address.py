@@ -12,6 +12,7 @@ from .base import Address
 
 #: Where a ground station's and a simulator's MAVLink usually is.
 _EXAMPLE = "udpin:0.0.0.0:14550"
+_SERIAL_EXAMPLE = "serial:/dev/ttyAMA0:921600"
 _WILDCARDS = ("", "0.0.0.0")
 
 
@@ -42,34 +43,62 @@ def parse_multicast(text: str) -> Address:
 
 
 class VehicleUrl(NamedTuple):
-    """Where the autopilot is."""
+    """Where the autopilot is, whichever way it was written."""
 
-    mode: Literal["udpin", "udpout"]
-    """udpin: we listen, and answer to whoever speaks; udpout: we speak first."""
+    mode: Literal["udpin", "udpout", "tcp", "serial"]
+    """udpin: we listen, and answer to whoever speaks; udpout: we speak first; tcp: we call; serial: a device."""
     address: Address
+    """(host, port); of a serial device (path, bit/s)."""
 
     def __str__(self) -> str:
         return f"{self.mode}:{self.address[0]}:{self.address[1]}"
 
 
 def parse_vehicle_url(url: str) -> VehicleUrl:
-    """Connection strings of pymavlink and MAVSDK: `udpin:host:port`, `udpin://host:port`, `udpout:...`, `udpout://...`.
+    """Connection strings as pymavlink and as MAVSDK write them.
 
-    `udp://:port` and `udp://0.0.0.0:port` listen, `udp://host:port` with another host speaks first, as with MAVSDK.
+    `udpin:host:port`, `udpout:host:port`, `tcp:host:port`, with or without `//` before the host. `udp://:port` and
+    `udp://0.0.0.0:port` listen, `udp://host:port` with another host speaks first, `tcpout` is `tcp`, as with MAVSDK.
+    `serial:device:baud` with or without `//`, `device,baud` and `device:baud` for a serial port.
     Raises `ConfigError` for other schemes, saying which exist.
     """
+    if url.startswith("/"):
+        return VehicleUrl("serial", parse_serial(url))
     scheme, colon, rest = url.partition(":")
-    if not colon or scheme not in ("udp", "udpin", "udpout"):
-        raise ConfigError(f"expected udpin:host:port or udpout:host:port (for example {_EXAMPLE}), got {url!r}")
+    if scheme == "serial" and colon:
+        return VehicleUrl("serial", parse_serial(url))
+    if not colon or scheme not in ("udp", "udpin", "udpout", "tcp", "tcpout"):
+        raise ConfigError(
+            f"expected udpin:host:port, udpout:host:port, tcp:host:port or serial:device:baud (for example"
+            f" {_EXAMPLE} or {_SERIAL_EXAMPLE}), got {url!r}"
+        )
     rest = rest.removeprefix("//")
     if rest.startswith(":"):
         rest = "0.0.0.0" + rest
-    address = parse_address(rest, any_port=scheme != "udpout")
-    if scheme == "udpin" or (scheme == "udp" and address[0] in _WILDCARDS):
+    listens = scheme in ("udp", "udpin")
+    address = parse_address(rest, any_port=listens)
+    if scheme == "udpin" or (listens and address[0] in _WILDCARDS):
         return VehicleUrl("udpin", address)
     if address[0] in _WILDCARDS or not address[1]:
         raise ConfigError(f"expected the autopilot's host and port, got {url!r}")
-    return VehicleUrl("udpout", address)
+    return VehicleUrl("tcp" if scheme.startswith("tcp") else "udpout", address)
+
+
+def parse_serial(text: str) -> Address:
+    """A serial port as (device, bit/s): `/dev/ttyAMA0,921600`, `/dev/ttyAMA0:921600`, with `serial:` or `serial://`.
+
+    Raises `ConfigError`. The speed is not guessed: a wrong one looks like a broken cable.
+    """
+    plain = text.removeprefix("serial:")
+    if plain.startswith("//"):
+        plain = plain[2:]
+    cut = max(plain.rfind(","), plain.rfind(":"))
+    device, baud = plain[:cut], plain[cut + 1 :]
+    if cut < 0 or not device.startswith("/") or not (baud.isascii() and baud.isdecimal() and len(baud) <= 8):
+        raise ConfigError(f"expected a device and its speed in bit/s (for example {_SERIAL_EXAMPLE}), got {text!r}")
+    if int(baud) < 300:
+        raise ConfigError(f"expected a speed of at least 300 bit/s, got {text!r}")
+    return device, int(baud)
 
 
 def resolve(address: Address, name: str) -> Address:

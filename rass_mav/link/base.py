@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
+from .airtime import Budget
+
 #: Where a datagram came from: (IPv4 address, port), or the name of a loopback endpoint and 0.
 Address: TypeAlias = tuple[str, int]
 
@@ -40,6 +42,15 @@ class LinkCounters(NamedTuple):
 
 class Link(ABC):
     """Datagrams in and out. Used on one event loop; never raises for what the network does."""
+
+    stream = False
+    """True: what `receive` returns are pieces of a stream, which may end in the middle of a frame."""
+    budget: Budget | None = None
+    """What may be sent; None: as much as one likes."""
+    one_hop = True
+    """Who is heard is one hop away. False: somebody on the way forwards frames."""
+    only: frozenset[int] | None = None
+    """Node ids that are taken for neighbours on this link; None: all."""
 
     def __init__(self, name: str) -> None:
         """`name`: how status and log call it."""
@@ -75,6 +86,16 @@ class Link(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release the sockets. What waits to be sent is lost, as frames may be."""
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened: what was half read before has no end any more."""
+        return 1
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return ""
 
     @property
     def waiting(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
@@ -12,8 +13,52 @@ from .base import MAX_INBOX, Address, Datagram, LinkCounters
 from .sockets import Reader, Sender, bound_socket, kernel_drops, udp_socket
 
 
-class VehicleLink:
-    """Bytes from and to the autopilot. Opens its socket when made."""
+class VehiclePort(ABC):
+    """Bytes from and to the autopilot, whatever the port is. Never raises for what happens to it after it was made."""
+
+    name: str
+    """How status and log call it."""
+    stream = False
+    """True: what `receive` returns may end in the middle of a frame. False: each piece holds whole frames."""
+
+    @abstractmethod
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
+
+    @property
+    @abstractmethod
+    def waiting(self) -> bool:
+        """Whether something has arrived."""
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened: what was half read before has no end any more."""
+        return 1
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return ""
+
+    @abstractmethod
+    def receive(self) -> list[bytes]:
+        """What has arrived."""
+
+    @abstractmethod
+    def send(self, frame: bytes) -> None:
+        """Send a frame, whole or not at all."""
+
+    @abstractmethod
+    def counters(self) -> LinkCounters:
+        """What has been done so far."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the port."""
+
+
+class VehicleLink(VehiclePort):
+    """Datagrams from and to the autopilot. Opens its socket when made."""
 
     def __init__(self, url: VehicleUrl) -> None:
         """Raises `LinkError`, for example `udpin:0.0.0.0:14550: address already in use`."""
@@ -23,6 +68,7 @@ class VehicleLink:
         self._reader: Reader | None = None
         self._listens = url.mode == "udpin"
         self._heard: Address | None = None
+        self._speakers = 0
         self._unheard = 0
         address = resolve(url.address, self.name)
         if self._listens:
@@ -48,12 +94,19 @@ class VehicleLink:
         """Whether something has arrived."""
         return bool(self._inbox)
 
+    @property
+    def generation(self) -> int:
+        """How many have spoken first: each of them has heard nothing of us yet."""
+        return 1 + self._speakers if self._listens else 1
+
     def receive(self) -> list[bytes]:
         """What has arrived, at most `MAX_INBOX` datagrams."""
         if not self._inbox:
             return []
         arrived = [datagram.data for datagram in self._inbox]
-        self._heard = self._inbox[-1].source
+        if self._inbox[-1].source != self._heard:
+            self._heard = self._inbox[-1].source
+            self._speakers += 1
         self._inbox.clear()
         self._received += len(arrived)
         if len(arrived) >= MAX_INBOX and self._reader is not None:

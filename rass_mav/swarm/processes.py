@@ -22,12 +22,11 @@ from rass_mav.app.clock import Clock
 from rass_mav.app.config import (
     AutopilotSection,
     ControlSection,
-    LinkSection,
     NodeSection,
-    PeerSection,
     RunConfig,
     RunStoreSettings,
 )
+from rass_mav.app.links import LinkSection, PeerSection
 from rass_mav.app.payloads import parse_id
 from rass_mav.core.datum import DatumId
 from rass_mav.core.errors import ConfigError, ControlError, SwarmError

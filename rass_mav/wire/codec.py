@@ -44,6 +44,8 @@ VERSION = 1
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, CORRUPT = range(1, 14)
 
 _BEACON = struct.Struct("<HIHBHIHBHHHHHII")
+# Behind it only if it is not 0: most nodes say a beacon in every step.
+_TURN = struct.Struct("<H")
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _OFFER = struct.Struct("<BHHIHIIIBBIIB")
@@ -99,7 +101,8 @@ _BEACON_HEAD = bytes([_head(BEACON)])
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    return [_BEACON_HEAD + _BEACON.pack(*m)]
+    head = _BEACON_HEAD + _BEACON.pack(*m[:-1])
+    return [head + _TURN.pack(m.turn)] if m.turn else [head]
 
 
 def _encode_data(m: Data, now: float) -> list[bytes]:
@@ -271,7 +274,8 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, fields)
+    turn = _TURN.unpack_from(p, 1 + _BEACON.size) if len(p) > 1 + _BEACON.size else (0,)
+    return tuple.__new__(Beacon, fields + turn)
 
 
 def _decode_data(p: bytes, now: float) -> Data:

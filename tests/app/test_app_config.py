@@ -81,7 +81,7 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         ("node: {id: 1}\nlinks: [{}]",
          "node.yaml: links[0]: expected at least one of peers, broadcast and multicast"),
         (DRONE + "autopilot: {url: 'serial:///dev/ttyAMA0'}",
-         "node.yaml: autopilot.url: expected udpin:host:port or udpout:host:port (for example udpin:0.0.0.0:14550), "
+         "node.yaml: autopilot.url: expected a device and its speed in bit/s (for example serial:/dev/ttyAMA0:921600), "
          "got 'serial:///dev/ttyAMA0'"),
         (DRONE + f"control: {{socket: {'x' * 200}}}",
          f"node.yaml: control.socket: expected a path of at most 107 bytes, got '{'x' * 200}'"),

@@ -1,4 +1,4 @@
-"""The autopilot's port: how it is written, and UDP both ways."""
+"""The autopilot's port: how it is written, and UDP both ways. Streams are in test_link_stream.py."""
 
 from __future__ import annotations
 
@@ -25,6 +25,14 @@ ANY = ("127.0.0.1", 0)
         ("udpout:192.168.1.2:14550", "udpout:192.168.1.2:14550"),
         ("udpout://autopilot.local:14550", "udpout:autopilot.local:14550"),
         ("udp://192.168.1.2:14550", "udpout:192.168.1.2:14550"),
+        ("tcp:127.0.0.1:5777", "tcp:127.0.0.1:5777"),
+        ("tcp://autopilot.local:5760", "tcp:autopilot.local:5760"),
+        ("tcpout://127.0.0.1:5760", "tcp:127.0.0.1:5760"),
+        ("serial:/dev/ttyAMA0:921600", "serial:/dev/ttyAMA0:921600"),
+        ("serial:///dev/ttyAMA0:921600", "serial:/dev/ttyAMA0:921600"),
+        ("/dev/ttyAMA0,921600", "serial:/dev/ttyAMA0:921600"),
+        ("/dev/ttyAMA0:921600", "serial:/dev/ttyAMA0:921600"),
+        ("/dev/serial/by-path/pci-0:1,2,57600", "serial:/dev/serial/by-path/pci-0:1,2:57600"),
     ],
 )
 def test_spellings_of_pymavlink_and_mavsdk(url: str, expected: str) -> None:
@@ -33,10 +41,12 @@ def test_spellings_of_pymavlink_and_mavsdk(url: str, expected: str) -> None:
 
 @pytest.mark.parametrize(
     "url",
-    ["", "udpin", "udpin:14550", "udpin:host", "udpin:a:b", "udpin:a:70000", "udpin:a:-1", "udpin:a:٣", "tcp:a:1",
-     "/dev/ttyAMA0,921600", "udpout:0.0.0.0:14550", "udpout::14550", "udpout:a:0", "udpin:a b:1", "udpin:[::1]:14550"],
+    ["", "udpin", "udpin:14550", "udpin:host", "udpin:a:b", "udpin:a:70000", "udpin:a:-1", "udpin:a:٣", "tcp:a",
+     "tcpin:0.0.0.0:5760", "tcp::5760", "tcp:0.0.0.0:5760", "/dev/ttyAMA0", "/dev/ttyAMA0,", "/dev/ttyAMA0,fast",
+     "serial:", "serial:ttyAMA0:57600", "serial:/dev/ttyAMA0", "/dev/ttyAMA0,9", ",57600",
+     "udpout:0.0.0.0:14550", "udpout::14550", "udpout:a:0", "udpin:a b:1", "udpin:[::1]:14550"],
 )  # fmt: skip
-def test_what_is_no_udp_url_says_what_is(url: str) -> None:
+def test_what_is_no_connection_string_says_what_is(url: str) -> None:
     with pytest.raises(ConfigError, match=r"^expected "):
         parse_vehicle_url(url)
 

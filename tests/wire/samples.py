@@ -40,6 +40,7 @@ SAMPLES: dict[str, Message] = {
     "beacon-drone": Beacon(3, 0xCAFEBABE, 513, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0),
     "beacon-base": Beacon(1, 0x0BADF00D, 9, 1, 1, 0x0BADF00D, 42, 0, 0, 0, 0, 65535, 0xBEEF, 0xFFFFFFFF, 0),
     "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
+    "beacon-slow": Beacon(3, 0xCAFEBABE, 514, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0, 90),
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
     "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
     "offer": Offer(3, 2, 0x01020305, DatumId(3, 0xCAFEBABE, 8), 2, NOW - 2.0, 0, 0xDEADBEEF, 100000, 123),
@@ -77,7 +78,7 @@ spans = st.builds(ReceiptSpan, u16, u32, u32, u16, u16, u32).map(
 )
 handovers = st.builds(Handover, u32, data(INLINE_BYTES))
 by_type: dict[type, st.SearchStrategy[Message]] = {
-    Beacon: st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32),
+    Beacon: st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32, u16),
     Data: st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans()),
     Offer: st.builds(
         Offer, u16, u16, u32, ids, u8, moments, u8, u32, st.integers(1, 0xFFFFFFFF), st.integers(1, CHUNK_BYTES)

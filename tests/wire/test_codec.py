@@ -95,6 +95,8 @@ def test_the_beacon_is_small() -> None:
 def test_appended_fields_are_ignored(message: Message, extra: bytes) -> None:
     if isinstance(message, Chunk):
         return  # A chunk's data reach to the end of the frame; see the document.
+    if isinstance(message, Beacon) and not message.turn:
+        message = message._replace(turn=1)  # it is left out where it is 0, and what follows would be taken for it
     for frame in encode(message, NOW):
         assert decode(frame + extra, NOW) == decode(frame, NOW)
 
@@ -135,7 +137,8 @@ def test_flipped_bits(message: Message, draw: st.DataObject) -> None:
 def test_truncated_messages_are_malformed(name: str) -> None:
     frame = encode(SAMPLES[name], NOW)[0]
     # A chunk may be cut anywhere behind its head and only gets shorter: its receiver knows how long it must be.
-    end = 5 if isinstance(SAMPLES[name], Chunk) else len(frame)
+    # A beacon without a turn is whole.
+    end = 5 if isinstance(SAMPLES[name], Chunk) else 37 if isinstance(SAMPLES[name], Beacon) else len(frame)
     for size in range(end):
         with pytest.raises(MalformedError):
             decode(frame[:size], NOW)

@@ -1,0 +1,134 @@
+"""One link as the node sees it: bytes to frames, copies left out, what leaves is paced. No input and output."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rass_mav.link.airtime import Budget, Pacer
+from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
+from rass_mav.mavlink.reader import FrameReader
+
+from .agent import Agent, Outgoing
+from .duplicates import Duplicates
+
+
+class Lane:
+    """The node's side of one link to the neighbours. The driver brings bytes, takes frames, and keeps the time."""
+
+    def __init__(
+        self,
+        agent: Agent,
+        duplicates: Duplicates,
+        *,
+        budget: Budget | None = None,
+        stream: bool = False,
+        only: frozenset[int] | None = None,
+        rng: random.Random,
+        now: float,
+    ) -> None:
+        """`budget`: None: what is sent leaves at once. `stream`: bytes come in pieces that end anywhere; otherwise in
+        datagrams of whole frames. `only`: node ids that are taken for neighbours on this link; None: all."""
+        self.agent = agent
+        self.duplicates = duplicates
+        self.reader = FrameReader()
+        self.pacer = None if budget is None else Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
+        self.not_neighbours = 0
+        """Beacons of nodes that are not on the list `only`."""
+        self.copies = 0
+        """Frames that had been heard or said before."""
+        self._stream = stream
+        self._only = only
+        self._generation = 0
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def take(self, data: bytes, now: float, on_beacon: Callable[[int], None]) -> Sequence[Outgoing]:
+        """Bytes from the link. Returns the answers. `on_beacon` is called with the node id of each neighbour heard."""
+        frames = self.reader.feed(data)
+        if not self._stream and self.reader.pending:
+            # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
+            frames += self.reader.flush()
+        out: list[Outgoing] = []
+        for frame in frames:
+            out += self.frame(frame, now, on_beacon)
+        return out
+
+    def opened(self, generation: int) -> None:
+        """The port has been opened so often. Half a frame from before it was lost has no end any more."""
+        if generation != self._generation:
+            self._generation = generation
+            self.reader.flush()
+
+    def frame(self, frame: Frame, now: float, on_beacon: Callable[[int], None]) -> Sequence[Outgoing]:
+        """A frame from the link, of whatever kind."""
+        pacer = self.pacer
+        if frame.message_id == RADIO_STATUS:
+            txbuf = radio_txbuf(frame)
+            if pacer is not None and txbuf is not None:
+                pacer.radio_status(txbuf, now)
+            return ()
+        if pacer is not None:
+            pacer.heard(now)
+        if frame.message_id != TUNNEL:
+            return ()
+        if not self.duplicates.is_new(frame, now):
+            self.copies += 1
+            return ()
+        agent = self.agent
+        agent.beacon_from = None
+        answers = agent.peer_frame(frame, now, self._only)
+        sender = agent.beacon_from
+        if sender is not None and sender != agent.node.id:
+            if self._only is not None and sender not in self._only:
+                self.not_neighbours += 1
+            else:
+                on_beacon(sender)
+        return answers
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def push(self, outgoing: Outgoing, now: float) -> None:
+        """A frame wants to leave. Only for a lane with a budget."""
+        assert self.pacer is not None
+        self.pacer.push(outgoing.frame, outgoing.target, outgoing.urgency, now)
+
+    def report(self) -> dict[str, Any]:
+        """For `status`."""
+        told: dict[str, Any] = {"copies": self.copies}
+        if self._only is not None:
+            told["not_neighbours"] = self.not_neighbours
+        pacer = self.pacer
+        if pacer is not None:
+            turn_s, items = pacer.pace()
+            told["airtime"] = {
+                "bytes_s": round(pacer.rate, 1),
+                "own_data_bytes_s": round(pacer.data_rate, 1),
+                "turn_s": turn_s,
+                "items": items,
+                "throttle": round(pacer.throttle, 3),
+                "waiting": pacer.waiting,
+                "sent": dict(zip(("beacons", "answers", "data"), pacer.sent, strict=True)),
+                "dropped": dict(zip(("beacons", "answers", "data"), pacer.dropped, strict=True)),
+            }
+        return told
+
+
+def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> tuple[float, int]:
+    """Turn (seconds) and data a turn for a node with these links: those of the fastest.
+
+    A slower one sends fewer beacons by itself, and drops what it cannot carry. The turn that the neighbours are told is
+    another matter: `slowest_turn`.
+    """
+    paces = [lane.pacer.pace() for lane in lanes if lane.pacer is not None]
+    if len(paces) < len(lanes) or not paces:
+        return step_s, bandwidth_items
+    fastest = min(paces, key=lambda pace: pace.turn_s)
+    return fastest.turn_s, max(pace.items for pace in paces)
+
+
+def slowest_turn(lanes: Sequence[Lane], step_s: float) -> float:
+    """How far apart the beacons are on the slowest link, seconds: they are told to wait that long."""
+    return max([step_s, *(lane.pacer.pace().turn_s for lane in lanes if lane.pacer is not None)])

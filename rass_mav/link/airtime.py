@@ -1,0 +1,244 @@
+"""Airtime: what a node may send on a link, when, and what goes first. Pure: time is an argument.
+
+A slow radio is shared by all who hear each other. The swarm takes a stated share of it (`duty`), whatever the number
+of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data. Frames leave
+one by one, so that whoever passes them on (an autopilot with room for two messages, a radio's small buffer) keeps up.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+from enum import IntEnum
+from typing import NamedTuple
+
+#: Frames that may wait, by urgency. A beacon that waits is replaced by the next one: only the newest is of use.
+MAX_WAITING = (1, 32, 64)
+#: The longest frame of ours on the air, bytes: a full TUNNEL with a signature.
+FRAME_BYTES = 158
+#: A beacon on the air with a signature, bytes.
+BEACON_BYTES = 69
+#: Parts of the swarm's airtime that are left for data when beacons have theirs; the rest is for answers, which are
+#: as many as the data of all neighbours, but small.
+DATA_PART = 0.7
+#: Beacons are never farther apart, seconds: a neighbourhood that slow is none.
+MAX_TURN_S = 120.0
+#: An answer or datum that has waited so many turns is dropped: it is being sent again by now.
+STALE_TURNS = 2.0
+#: RADIO_STATUS.txbuf, percent of the radio's buffer that is free: below the first slow down a lot, below the second a
+#: little, above the third speed up (as the firmware of SiK radios recommends).
+TXBUF_LOW, TXBUF_MIDDLE, TXBUF_HIGH = 20, 50, 90
+#: The least that a full radio leaves of the rate, and for how long its word counts, seconds.
+LEAST_THROTTLE = 0.05
+RADIO_STATUS_S = 30.0
+
+
+class Urgency(IntEnum):
+    """What goes first."""
+
+    BEACON = 0
+    ANSWER = 1
+    """What a neighbour waits for: it keeps its datum, and sends it again, until the answer is there."""
+    DATA = 2
+
+
+class Budget(NamedTuple):
+    """What may be sent on a link."""
+
+    bytes_s: float
+    """What the link carries in all, bytes/s: 5760 for 57,600 bit/s with start and stop bit."""
+    duty: float = 0.4
+    """Part of it that this swarm takes, all nodes in range together, 0..1."""
+    beacons: float = 0.3
+    """Part of what the swarm takes that is for beacons, 0..1."""
+    burst_bytes: int = 512
+    """Never more at once, however long the link was idle; at least one frame."""
+    burst_frames: int = 2
+    """Likewise in frames."""
+    frames_s: float = 100.0
+    """Never more frames a second."""
+    listen_s: float = 0.0
+    """After a frame of somebody else: wait for a random part of this before sending, seconds. 0: do not wait."""
+
+
+class Pace(NamedTuple):
+    """What a link can bear."""
+
+    turn_s: float
+    """A beacon every so many seconds."""
+    items: int
+    """Data frames in that time, 1 or more."""
+
+
+class Queued(NamedTuple):
+    """A frame that waits."""
+
+    frame: bytes
+    target: int
+    since: float
+
+
+class _Bucket:
+    """Tokens that come at a rate and are kept up to a limit."""
+
+    __slots__ = ("_at", "_size", "level")
+
+    def __init__(self, size: float, level: float, now: float) -> None:
+        self._size = size
+        self.level = level
+        self._at = now
+
+    def fill(self, rate: float, now: float) -> None:
+        if now > self._at:
+            self.level = min(self._size, self.level + (now - self._at) * rate)
+            self._at = now
+
+    def wait(self, amount: float, rate: float) -> float:
+        """Seconds until so much is there."""
+        return max(0.0, min(amount, self._size) - self.level) / rate
+
+
+class Pacer:
+    """The queue of one link. Push frames when they are there, pop them when `next_at` says so."""
+
+    def __init__(self, budget: Budget, rng: random.Random, *, now: float, step_s: float) -> None:
+        """`step_s`: beacons are made that often, if the link can bear it."""
+        self.budget = budget
+        self.neighbours = 0
+        """How many nodes are heard on this link."""
+        self.dropped = [0, 0, 0]
+        """Frames dropped, by urgency: no room, too old, or (beacons) replaced by a newer one."""
+        self.sent = [0, 0, 0]
+        """Frames handed out, by urgency."""
+        self.throttle = 1.0
+        """What the radio's buffer leaves of the rate."""
+        self._rng = rng
+        self._step_s = step_s
+        self._queues: tuple[deque[Queued], ...] = (deque(), deque(), deque())
+        size = max(budget.burst_bytes, FRAME_BYTES)
+        self._bytes = _Bucket(size, size, now)
+        # Two to begin with, the next ones at intervals: a bucket of n lets n + 1 through in a moment.
+        self._frames = _Bucket(max(1, budget.burst_frames), max(1, budget.burst_frames), now)
+        # Empty at first, so that a swarm that is switched on does not fill the air.
+        self._data = _Bucket(2 * FRAME_BYTES, 0.0, now)
+        self._beacon_at = now
+        self._clear_at = now
+        self._status_at: float | None = None
+
+    # -- what the link can bear ----------------------------------------------------------------------------------------
+
+    @property
+    def rate(self) -> float:
+        """Bytes a second that the swarm takes in all."""
+        return self.budget.bytes_s * self.budget.duty * self.throttle
+
+    @property
+    def data_rate(self) -> float:
+        """This node's part for data, bytes/s."""
+        return self.rate * (1.0 - self.budget.beacons) * DATA_PART / (self.neighbours + 1)
+
+    def pace(self) -> Pace:
+        """What the link can bear, with the neighbours that there are now."""
+        wanted = (self.neighbours + 1) * BEACON_BYTES / (self.rate * self.budget.beacons)
+        # Whole steps: that is when beacons are made.
+        turn_s = self._step_s * max(1, math.ceil(min(wanted, MAX_TURN_S) / self._step_s - 1e-9))
+        return Pace(turn_s, max(1, int(self.data_rate * turn_s / FRAME_BYTES)))
+
+    # -- the queue -----------------------------------------------------------------------------------------------------
+
+    @property
+    def waiting(self) -> int:
+        """Frames that wait."""
+        return sum(map(len, self._queues))
+
+    def push(self, frame: bytes, target: int, urgency: Urgency, now: float) -> None:
+        """A frame wants to leave. `target`: node id, or BROADCAST."""
+        queue = self._queues[urgency]
+        if len(queue) >= MAX_WAITING[urgency]:
+            # The oldest has the least use: what was not answered in time is sent again.
+            queue.popleft()
+            self.dropped[urgency] += 1
+        queue.append(Queued(frame, target, now))
+
+    def pop(self, now: float) -> Queued | None:
+        """The frame that leaves now, or None. Ask again until None."""
+        self._settle(now)
+        urgency = self._next(now)
+        if urgency is None or self._wait(urgency, now) > 1e-9:
+            return None
+        queued = self._queues[urgency].popleft()
+        size = len(queued.frame)
+        if self.budget.listen_s:
+            self.heard(now + size / self.budget.bytes_s)
+        self._bytes.level -= size
+        self._frames.level -= 1
+        if urgency == Urgency.DATA:
+            self._data.level -= size
+        elif urgency == Urgency.BEACON:
+            # A little less than a turn: a node that turns a moment early must not miss one.
+            self._beacon_at = now + 0.9 * self.pace().turn_s
+        self.sent[urgency] += 1
+        return queued
+
+    def next_at(self, now: float) -> float | None:
+        """When to `pop` next; None: nothing waits."""
+        self._settle(now)
+        urgency = self._next(now)
+        return None if urgency is None else now + self._wait(urgency, now)
+
+    def _settle(self, now: float) -> None:
+        if self._status_at is not None and now - self._status_at > RADIO_STATUS_S:
+            self._status_at = None
+            self.throttle = 1.0
+        rate = self.rate
+        self._bytes.fill(rate, now)
+        self._frames.fill(self.budget.frames_s, now)
+        self._data.fill(self.data_rate, now)
+        oldest = now - STALE_TURNS * self.pace().turn_s
+        for urgency in (Urgency.ANSWER, Urgency.DATA):
+            queue = self._queues[urgency]
+            while queue and queue[0].since < oldest:
+                queue.popleft()
+                self.dropped[urgency] += 1
+
+    def _next(self, now: float) -> Urgency | None:
+        """Whose turn it is: the most urgent, unless a less urgent one may leave before it."""
+        best: Urgency | None = None
+        least = math.inf
+        for urgency in Urgency:
+            if self._queues[urgency]:
+                wait = self._wait(urgency, now)
+                if wait < least - 1e-9:
+                    best, least = urgency, wait
+        return best
+
+    def _wait(self, urgency: Urgency, now: float) -> float:
+        size = len(self._queues[urgency][0].frame)
+        wait = max(
+            self._bytes.wait(size, self.rate), self._frames.wait(1.0, self.budget.frames_s), self._clear_at - now
+        )
+        if urgency == Urgency.DATA:
+            wait = max(wait, self._data.wait(size, self.data_rate))
+        elif urgency == Urgency.BEACON:
+            wait = max(wait, self._beacon_at - now)
+        return wait
+
+    # -- what the link says --------------------------------------------------------------------------------------------
+
+    def heard(self, now: float) -> None:
+        """A frame has ended, or will at `now`. All who wait heard it too, so each waits for a time of its own."""
+        if self.budget.listen_s:
+            self._clear_at = now + self._rng.random() * self.budget.listen_s
+
+    def radio_status(self, txbuf: int, now: float) -> None:
+        """The radio says how much of its buffer is free, percent (RADIO_STATUS.txbuf)."""
+        self._settle(now)
+        self._status_at = now
+        if txbuf < TXBUF_LOW:
+            self.throttle *= 0.5
+        elif txbuf < TXBUF_MIDDLE:
+            self.throttle *= 0.8
+        elif txbuf > TXBUF_HIGH:
+            self.throttle *= 1.25
+        self.throttle = min(1.0, max(LEAST_THROTTLE, self.throttle))

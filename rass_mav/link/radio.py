@@ -1,0 +1,123 @@
+"""Links on which everybody hears everything: a serial radio, and the way through the autopilot's port."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+from .base import Address, Datagram, Link, LinkCounters
+from .stream import Opener, StreamPort
+from .vehicle import VehiclePort
+
+#: Node ids heard that a link remembers; beyond it the longest silent one is forgotten.
+MAX_HEARD = 512
+
+
+class SharedLink(Link):
+    """Nobody has an address: each frame goes to everybody. The link remembers who has been heard on it."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._heard: OrderedDict[int, None] = OrderedDict()
+
+    def reaches(self, target: int) -> bool:
+        """Whether the node has been heard here."""
+        return target in self._heard
+
+    def learn(self, node_id: int, source: Address) -> None:
+        """The node has been heard here."""
+        heard = self._heard
+        heard[node_id] = None
+        heard.move_to_end(node_id)
+        if len(heard) > MAX_HEARD:
+            heard.popitem(last=False)
+
+
+class SerialLink(SharedLink):
+    """A telemetry radio (SiK, RFD) on a serial port. The port is opened on `start`, and again when it is lost."""
+
+    stream = True
+
+    def __init__(self, opener: Opener) -> None:
+        self.port = StreamPort(opener)
+        super().__init__(self.port.name)
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to open and read the port."""
+        self.port.start(wake)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something has arrived."""
+        return bool(self.port.inbox)
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened."""
+        return self.port.generation
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return self.port.trouble
+
+    def receive(self) -> list[Datagram]:
+        """What has arrived, in pieces that end anywhere."""
+        return self.port.receive()
+
+    def send(self, frame: bytes, target: int) -> None:
+        """To everybody."""
+        self.port.send(frame)
+
+    def counters(self) -> LinkCounters:
+        """What has been done so far. Received are pieces of the stream."""
+        port = self.port
+        return LinkCounters(port.sent, port.received, 0, port.dropped, 0)
+
+    def close(self) -> None:
+        """Close the port."""
+        self.port.close()
+
+
+class AutopilotLink(SharedLink):
+    """Through the autopilot, which passes frames on to its radio. It shares the port with the way to the vehicle.
+
+    The port's owner reads it, and says with `took` what was for the neighbours.
+    """
+
+    def __init__(self, vehicle: VehiclePort) -> None:
+        super().__init__("autopilot")
+        self._vehicle = vehicle
+        self._sent = 0
+        self._dropped = 0
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Nothing: the port's owner starts it."""
+
+    def receive(self) -> list[Datagram]:
+        """Nothing: the port's owner reads it."""
+        return []
+
+    def took(self) -> None:
+        """The port's owner has taken in a frame from the neighbours."""
+        self._received += 1
+
+    def send(self, frame: bytes, target: int) -> None:
+        """To everybody, by way of the autopilot."""
+        if self._vehicle.trouble:
+            self._dropped += 1
+        else:
+            self._sent += 1
+        self._vehicle.send(frame)
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return self._vehicle.trouble
+
+    def counters(self) -> LinkCounters:
+        """What has been done so far. What the open port dropped for want of room is counted there only."""
+        return LinkCounters(self._sent, self._received, 0, self._dropped, 0)
+
+    def close(self) -> None:
+        """Nothing: the port's owner closes it."""

@@ -1,0 +1,102 @@
+"""Serial ports, by pyserial: it sets the line's speed and mode, reading and writing are on the descriptor."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import termios
+from typing import TYPE_CHECKING
+
+from rass_mav.core.errors import LinkError
+
+from .base import Address
+from .stream import READ_BYTES, Channel, Opener
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+
+#: Where the control characters stand in what `termios.tcgetattr` returns.
+_CC = 6
+
+
+class SerialOpener(Opener):
+    """Opens a device by its name each time, so a USB port that comes back under the same name is taken up."""
+
+    def __init__(self, device: str, baud: int, *, flow_control: bool = False) -> None:
+        """`baud`: bit/s, 8N1. `flow_control`: RTS/CTS, for five wires."""
+        self._device = device
+        self._baud = baud
+        self._flow_control = flow_control
+        self.name = f"serial:{device}:{baud}"
+        self.source: Address = (device, 0)
+
+    async def open(self) -> Channel:
+        """On a thread: a USB device in trouble answers after seconds only."""
+        opening = asyncio.get_running_loop().run_in_executor(None, self._open)
+        try:
+            return await asyncio.shield(opening)
+        except asyncio.CancelledError:
+            # Given up; if the thread opens it all the same, nobody would ever close it.
+            opening.add_done_callback(_close_unwanted)
+            raise
+
+    def _open(self) -> SerialChannel:
+        try:
+            import serial
+        except ImportError:
+            raise LinkError("serial ports need pyserial: pip install 'rass-mav[drone]'") from None
+        try:
+            # Locked, so that two programs that read the same port do not each get half of it.
+            port = serial.Serial(
+                self._device, self._baud, timeout=0, write_timeout=0, rtscts=self._flow_control, exclusive=True
+            )
+        except serial.SerialException as error:
+            reason = os.strerror(error.errno) if error.errno else str(error)
+            raise LinkError(reason.lower()) from None
+        except ValueError as error:
+            raise LinkError(str(error).lower()) from None
+        try:
+            return SerialChannel(port)
+        except termios.error as error:
+            port.close()
+            raise LinkError(f"no serial port: {error}") from None
+
+
+class SerialChannel(Channel):
+    """An open serial port."""
+
+    def __init__(self, port: Serial) -> None:
+        self._port = port
+        self._fd: int = port.fileno()
+        os.set_blocking(self._fd, False)
+        # pyserial asks for reads that return nothing at once. Then "nothing there now" looks like "the device is gone".
+        mode = termios.tcgetattr(self._fd)
+        mode[_CC][termios.VMIN] = 1
+        termios.tcsetattr(self._fd, termios.TCSANOW, mode)
+
+    def fileno(self) -> int:
+        """The device."""
+        return self._fd
+
+    def read(self) -> bytes:
+        """What the device has."""
+        return os.read(self._fd, READ_BYTES)
+
+    def write(self, data: bytes) -> int:
+        """As much as the device takes."""
+        return os.write(self._fd, data)
+
+    def close(self) -> None:
+        """What the device did not send is forgotten: a jammed port would keep us waiting for half a minute."""
+        # A device that was unplugged cannot be flushed any more; its errors change nothing.
+        with contextlib.suppress(OSError, termios.error):
+            self._port.reset_output_buffer()
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+def _close_unwanted(opening: asyncio.Future[SerialChannel]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()

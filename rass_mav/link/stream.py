@@ -1,0 +1,247 @@
+"""Ports that carry a stream of bytes (serial, TCP): opened again for ever when they are lost.
+
+A stream has no datagrams: what is read in one piece may end in the middle of a frame, and frames are put together by
+who reads. What is sent goes out whole or not at all, so a port that jams never sends half a frame and then another one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+
+from rass_mav.core.errors import LinkError
+
+from .base import MAX_INBOX, Address, Datagram
+
+log = logging.getLogger(__name__)
+
+#: Bytes read at once, and pieces read at one wake: other links and the step get their turn.
+READ_BYTES = 4096
+MAX_PER_WAKE = 16
+#: Bytes that may wait because the port does not take them. At 57,600 bit/s they take 0.7 s to leave.
+MAX_PENDING_BYTES = 4096
+#: A lost port is tried again after so many seconds, then after twice as many, and so on up to the second number.
+FIRST_PAUSE_S = 0.1
+LONGEST_PAUSE_S = 2.0
+#: An attempt that takes longer is given up, seconds. With the longest pause: back within 5 s of the port's return.
+OPENING_S = 2.5
+
+
+class Channel(ABC):
+    """An open port, non-blocking. What it raises as OSError means that the port is lost."""
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """The descriptor that the event loop watches."""
+
+    @abstractmethod
+    def read(self) -> bytes:
+        """At most `READ_BYTES` bytes; none: the other end is gone. Raises `BlockingIOError` if there is nothing now."""
+
+    @abstractmethod
+    def write(self, data: bytes) -> int:
+        """How many bytes were taken. Raises `BlockingIOError` if none can be taken now."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Never raises."""
+
+
+class Opener(ABC):
+    """Knows how to open one port."""
+
+    name: str
+    """How status and log call it."""
+    source: Address
+    """What is said to be the source of all that comes from it."""
+
+    @abstractmethod
+    async def open(self) -> Channel:
+        """Raises `OSError` or `LinkError` if it cannot be opened now."""
+
+
+class StreamPort:
+    """One port that is kept open. Used on one event loop."""
+
+    def __init__(self, opener: Opener) -> None:
+        self._opener = opener
+        self.name = opener.name
+        self.inbox: deque[Datagram] = deque()
+        """Pieces of the stream that have arrived."""
+        self.sent = 0
+        """Frames taken whole by the port."""
+        self.received = 0
+        """Pieces handed out."""
+        self.dropped = 0
+        """Frames lost because the port was away or jammed."""
+        self.opened = 0
+        """How often the port was opened."""
+        self.generation = 0
+        """Grows with each opening: what was half read before has no end any more."""
+        self._wake: Callable[[], None] = _nobody
+        self._channel: Channel | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._lost = asyncio.Event()
+        self._reading = False
+        self._out: deque[bytes] = deque()
+        self._out_bytes = 0
+        self._trouble = ""
+
+    @property
+    def open(self) -> bool:
+        """Whether the port is open now."""
+        return self._channel is not None
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return "" if self._channel is not None else self._trouble
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to open the port, on the running event loop. `wake` is called when something has arrived, when the port
+        has been opened, and when it is lost or cannot be opened."""
+        self._wake = wake
+        self._task = asyncio.create_task(self._keep_open(), name=f"keep {self.name} open")
+        self._task.add_done_callback(_fail_loudly)
+
+    def receive(self) -> list[Datagram]:
+        """What has arrived."""
+        arrived = list(self.inbox)
+        self.inbox.clear()
+        self.received += len(arrived)
+        if len(arrived) >= MAX_INBOX:
+            self._watch()
+        return arrived
+
+    def send(self, frame: bytes) -> None:
+        """Send a frame, or drop and count it: the port is away, or too much is waiting."""
+        if self._channel is None or self._out_bytes + len(frame) > MAX_PENDING_BYTES:
+            self.dropped += 1
+            return
+        waiting = bool(self._out)
+        self._out.append(frame)
+        self._out_bytes += len(frame)
+        if not waiting:
+            self._write()
+            if self._out and self._channel is not None:
+                asyncio.get_running_loop().add_writer(self._channel.fileno(), self._write)
+
+    def close(self) -> None:
+        """Close the port and open it no more."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+        self._drop_channel()
+
+    async def _keep_open(self) -> None:
+        pause = FIRST_PAUSE_S
+        while True:
+            try:
+                channel = await asyncio.wait_for(self._opener.open(), OPENING_S)
+            except (OSError, LinkError, asyncio.TimeoutError) as error:
+                self._tell(error)
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, LONGEST_PAUSE_S)
+                continue
+            self._lost.clear()
+            self._channel = channel
+            self.opened += 1
+            self.generation += 1
+            log.log(logging.WARNING if self._trouble else logging.INFO, "%s: open", self.name)
+            self._trouble = ""
+            self._watch()
+            self._wake()
+            began = asyncio.get_running_loop().time()
+            await self._lost.wait()
+            # A port that is lost as soon as it is opened must not be opened a thousand times a second.
+            if asyncio.get_running_loop().time() - began > LONGEST_PAUSE_S:
+                pause = FIRST_PAUSE_S
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE_S)
+
+    def _tell(self, error: BaseException) -> None:
+        text = getattr(error, "strerror", None) or str(error) or "no answer"
+        # Once, until something else happens.
+        if text != self._trouble:
+            self._trouble = text
+            log.warning("%s: %s; trying again", self.name, text.lower())
+            self._wake()
+
+    def _watch(self) -> None:
+        if self._channel is not None and not self._reading:
+            self._reading = True
+            asyncio.get_running_loop().add_reader(self._channel.fileno(), self._read)
+
+    def _read(self) -> None:
+        channel = self._channel
+        assert channel is not None
+        for _ in range(MAX_PER_WAKE):
+            if len(self.inbox) >= MAX_INBOX:
+                # Until `receive`; then the kernel has to keep it.
+                self._reading = False
+                asyncio.get_running_loop().remove_reader(channel.fileno())
+                break
+            try:
+                data = channel.read()
+            except BlockingIOError:
+                break
+            except OSError as error:
+                self._lose(error)
+                break
+            if not data:
+                self._lose(OSError("the other end is gone"))
+                break
+            self.inbox.append(Datagram(data, self._opener.source))
+        if self.inbox:
+            self._wake()
+
+    def _write(self) -> None:
+        channel = self._channel
+        assert channel is not None
+        while self._out:
+            frame = self._out[0]
+            try:
+                taken = channel.write(frame)
+            except BlockingIOError:
+                return
+            except OSError as error:
+                self._lose(error)
+                return
+            self._out_bytes -= taken
+            if taken < len(frame):
+                self._out[0] = frame[taken:]
+                return
+            self._out.popleft()
+            self.sent += 1
+        asyncio.get_running_loop().remove_writer(channel.fileno())
+
+    def _lose(self, error: OSError) -> None:
+        self._tell(error)
+        self._drop_channel()
+        self._lost.set()
+
+    def _drop_channel(self) -> None:
+        channel, self._channel = self._channel, None
+        self._reading = False
+        self.dropped += len(self._out)
+        self._out.clear()
+        self._out_bytes = 0
+        if channel is not None:
+            loop = asyncio.get_running_loop()
+            loop.remove_reader(channel.fileno())
+            loop.remove_writer(channel.fileno())
+            channel.close()
+
+
+def _fail_loudly(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and task.exception() is not None:
+        task.get_loop().call_exception_handler(
+            {"message": f"{task.get_name()} has failed", "exception": task.exception(), "task": task}
+        )
+
+
+def _nobody() -> None:
+    """Nobody is listening yet."""

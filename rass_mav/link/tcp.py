@@ -1,0 +1,71 @@
+"""TCP to an autopilot, a simulator or a MAVLink router: we call, they answer."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+from rass_mav.core.errors import LinkError
+
+from .base import Address
+from .stream import READ_BYTES, Channel, Opener
+
+#: What we send and nobody confirms for so long ends the connection, milliseconds: a heartbeat leaves each second.
+_UNCONFIRMED_MS = 4000
+_TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
+
+
+class TcpOpener(Opener):
+    """Connects to a server."""
+
+    def __init__(self, address: Address) -> None:
+        """`address`: IPv4 address or name, and port."""
+        self._address = address
+        self.name = f"tcp:{address[0]}:{address[1]}"
+        self.source: Address = address
+
+    async def open(self) -> Channel:
+        """Looks the name up each time: the address may have changed."""
+        loop = asyncio.get_running_loop()
+        try:
+            found = await loop.getaddrinfo(*self._address, family=socket.AF_INET, type=socket.SOCK_STREAM)
+        except UnicodeError as error:
+            raise LinkError(str(error)) from None
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            sock.setblocking(False)
+            # Frames are small and must not wait for each other.
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if _TCP_USER_TIMEOUT is not None:
+                sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNCONFIRMED_MS)
+            await loop.sock_connect(sock, found[0][4])
+            if sock.getsockname() == sock.getpeername():
+                # On this host, with nobody listening, the system may have given us the very port that we call.
+                raise LinkError("nobody is there")
+        except BaseException:
+            sock.close()
+            raise
+        return TcpChannel(sock)
+
+
+class TcpChannel(Channel):
+    """An open connection."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._socket = sock
+
+    def fileno(self) -> int:
+        """The socket."""
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        """What has arrived."""
+        return self._socket.recv(READ_BYTES)
+
+    def write(self, data: bytes) -> int:
+        """As much as the socket takes."""
+        return self._socket.send(data)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._socket.close()

@@ -1,0 +1,227 @@
+"""Drivers whose ports are pseudo-terminals: pulled out and plugged in again in the middle of everything."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from app_drivers import TIMEOUT_S, Arrivals, run, settings
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.rates import MessageRates, message_ids
+from rass_mav.app.clock import Clock
+from rass_mav.app.driver import Driver
+from rass_mav.app.links import AirtimeSection, LinkSection
+from rass_mav.link.address import parse_vehicle_url
+from rass_mav.link.base import Link
+from rass_mav.link.vehicle import VehiclePort
+from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, autopilot_heartbeat, named_value_float
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.store.memory import MemoryStore
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "link"))
+from ptys import Device
+
+#: Fast enough for a test.
+AIRTIME = AirtimeSection(bytes_s=100_000.0, duty=1.0, frames_s=1000.0)
+
+
+class Cable:
+    """Two serial devices joined: what one says, the other hears. A test may spoil what passes."""
+
+    def __init__(self, directory: Path, names: tuple[str, str]) -> None:
+        self.ends = tuple(Device(directory, name) for name in names)
+        self.carries = True
+        self._rng = random.Random(4)
+
+    def plug_in(self) -> None:
+        for end in self.ends:
+            end.plug_in()
+        loop = asyncio.get_running_loop()
+        a, b = self.ends
+        loop.add_reader(a.far, self._pass, a, b)
+        loop.add_reader(b.far, self._pass, b, a)
+
+    def pull_out(self) -> None:
+        for end in self.ends:
+            asyncio.get_running_loop().remove_reader(end.far)
+            end.pull_out()
+
+    def _pass(self, source: Device, sink: Device) -> None:
+        try:
+            data = os.read(source.far, 4096)
+            if self.carries:
+                # In pieces that end anywhere, and with garbage between.
+                cut = self._rng.randrange(len(data) + 1)
+                os.write(sink.far, data[:cut])
+                os.write(sink.far, data[cut:] + (b"\xfd\x55noise" if self._rng.random() < 0.2 else b""))
+        except OSError:
+            pass  # the other side has not opened its end, or has just closed it
+
+
+class Running:
+    """A driver on its task."""
+
+    def __init__(
+        self, node_id: int, links: list[Link], vehicle: VehiclePort | None = None, *, base: bool = False,
+        arrivals: Arrivals | None = None,
+    ) -> None:  # fmt: skip
+        clock = Clock()
+        self.agent = Agent(
+            settings(node_id, base=base), MemoryStore(1000 + node_id), random.Random(node_id), now=clock.now(),
+            observer=arrivals, newborn=True,
+        )  # fmt: skip
+        if vehicle is not None:
+            self.agent.services.append(MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 1.0})))
+        self.executor = ThreadPoolExecutor(1)
+        self.driver = Driver(self.agent, links, vehicle, clock.now, self.executor, random.Random(node_id))
+        self.ports: list[Link | VehiclePort] = [*links, *([vehicle] if vehicle is not None else [])]
+        self.task = asyncio.create_task(self.driver.run())
+
+    async def end(self) -> None:
+        self.driver.stop()
+        await asyncio.wait_for(self.task, TIMEOUT_S)
+        for port in self.ports:
+            port.close()
+        self.executor.shutdown()
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async def wait() -> None:
+        while not condition():
+            await asyncio.sleep(0)  # lets the others run
+
+    await asyncio.wait_for(wait(), TIMEOUT_S)
+
+
+def reads(node: Running) -> float | None:
+    reading = node.agent.telemetry.reading
+    return None if reading is None else reading.value
+
+
+def serial(device: Device) -> Link:
+    return LinkSection(type="serial", device=f"{device.path},57600", airtime=AIRTIME).open(None)
+
+
+def test_data_arrive_over_a_serial_radio_that_is_pulled_out_in_the_middle(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        cable = Cable(tmp_path, ("ttyUSB0", "ttyUSB1"))
+        cable.plug_in()
+        arrivals = Arrivals()
+        base = Running(1, [serial(cable.ends[0])], base=True, arrivals=arrivals)
+        drone = Running(2, [serial(cable.ends[1])])
+        ids = [await drone.driver.put(b"before %d" % n, 0) for n in range(5)]
+        await arrivals.until(5)
+        cable.pull_out()
+        # Storage goes on.
+        ids += [await drone.driver.put(bytes([n]) * 3000, 0) for n in range(1, 3)]
+        ids += [await drone.driver.put(b"meanwhile %d" % n, 0) for n in range(5)]
+        cable.plug_in()
+        began = asyncio.get_running_loop().time()
+        # One more, while all of it is on its way.
+        ids.append(await drone.driver.put(b"x" * 5000, 0))
+        await arrivals.until(9)
+        cable.pull_out()
+        cable.plug_in()
+        await arrivals.until(13)
+        assert asyncio.get_running_loop().time() - began < 10.0
+        assert set(arrivals.data) == set(ids)
+        assert {len(datum.payload) for datum in arrivals.data.values()} >= {3000, 5000}
+        for node in (base, drone):
+            await node.end()
+        cable.pull_out()
+
+    run(scenario)
+
+
+class Autopilot:
+    """The far end of the vehicle's port. Answers nothing, but listens."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.writer = FrameWriter(7, 1)
+        self.heard: list[Frame] = []
+        self._reader = FrameReader()
+
+    def say(self, *frames: bytes) -> None:
+        self.device.say(b"".join(frames))
+
+    async def until(self, message_id: int) -> None:
+        """Wait for a message after those heard so far."""
+        loop = asyncio.get_running_loop()
+        came = loop.create_future()
+
+        def readable() -> None:
+            self.heard += self._reader.feed(os.read(self.device.far, 4096))
+            if any(frame.message_id == message_id for frame in self.heard) and not came.done():
+                came.set_result(None)
+
+        loop.add_reader(self.device.far, readable)
+        try:
+            await asyncio.wait_for(came, TIMEOUT_S)
+        finally:
+            loop.remove_reader(self.device.far)
+
+
+@pytest.mark.parametrize("garbage", [b"", b"\xfd\x09\x00\x00", bytes(range(256)) * 8], ids=["none", "half", "baud"])
+def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(tmp_path: Path, garbage: bytes) -> None:
+    async def scenario() -> None:
+        device = Device(tmp_path, "serial0")
+        vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
+        node = Running(3, [], vehicle)
+        loop = asyncio.get_running_loop()
+        for value in (1.5, 2.5, 3.5):
+            autopilot = Autopilot(device.plug_in())
+            began = loop.time()
+            await autopilot.until(HEARTBEAT)
+            assert autopilot.heard[0].message_id == HEARTBEAT
+            reading = autopilot.writer.message(named_value_float("RAD", value, 1))
+            autopilot.say(garbage, autopilot.writer.message(autopilot_heartbeat()), reading[:9])
+            autopilot.say(reading[9:])
+            await until(lambda value=value: reads(node) == value)
+            if value == 1.5:
+                await autopilot.until(COMMAND_LONG)
+            assert loop.time() - began < 5.0
+            # In the middle of a frame.
+            autopilot.say(autopilot.writer.message(named_value_float("RAD", 99.0, 1))[:15])
+            device.pull_out()
+            # The node goes on without it.
+            steps = node.agent.steps
+            await node.driver.put(b"stored", 0)
+            await until(lambda steps=steps: node.agent.steps >= steps + 3 and bool(vehicle.trouble))
+        await node.end()
+
+    run(scenario)
+
+
+def test_peers_through_the_autopilots_port(tmp_path: Path) -> None:
+    """Two nodes, each at the port of its autopilot; the autopilots' radio is the cable."""
+
+    async def scenario() -> None:
+        cable = Cable(tmp_path, ("fc0", "fc1"))
+        cable.plug_in()
+        arrivals = Arrivals()
+        nodes = []
+        for n, end in enumerate(cable.ends):
+            vehicle = open_vehicle(parse_vehicle_url(f"serial:{end.path}:921600"))
+            link = LinkSection(type="autopilot", airtime=AIRTIME).open(vehicle)
+            assert not link.one_hop
+            nodes.append(Running(n + 1, [link], vehicle, base=n == 0, arrivals=arrivals if n == 0 else None))
+        await nodes[1].driver.put(b"through", 0)
+        await nodes[1].driver.put(b"and a long one" * 100, 0)
+        await arrivals.until(2)
+        assert nodes[1].agent.vehicle_writer is nodes[1].agent.peer_writer, "one port, one sequence"
+        assert nodes[1].driver.links[0].counters().received > 0
+        for node in nodes:
+            await node.end()
+        cable.pull_out()
+
+    run(scenario)

@@ -1,0 +1,152 @@
+"""The pacer: never more than the budget, beacons first, nothing without a bound."""
+
+from __future__ import annotations
+
+import random
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.core.messages import BROADCAST
+from rass_mav.link.airtime import (
+    FRAME_BYTES,
+    LEAST_THROTTLE,
+    MAX_WAITING,
+    RADIO_STATUS_S,
+    Budget,
+    Pacer,
+    Queued,
+    Urgency,
+)
+
+
+def pacer(budget: Budget, *, neighbours: int = 0) -> Pacer:
+    made = Pacer(budget, random.Random(1), now=0.0, step_s=1.0)
+    made.neighbours = neighbours
+    return made
+
+
+def drain(made: Pacer, until: float, now: float = 0.0) -> list[tuple[float, Queued]]:
+    """What leaves, and when, if it is asked for whenever it says so."""
+    left: list[tuple[float, Queued]] = []
+    while True:
+        while (queued := made.pop(now)) is not None:
+            left.append((now, queued))
+        due = made.next_at(now)
+        if due is None or due > until:
+            return left
+        now = max(due, now + 1e-6)
+
+
+budgets = st.builds(
+    Budget,
+    bytes_s=st.floats(50, 100_000),
+    duty=st.floats(0.01, 1.0),
+    beacons=st.floats(0.05, 0.9),
+    burst_bytes=st.integers(FRAME_BYTES, 4096),
+    burst_frames=st.integers(1, 10),
+    frames_s=st.floats(1, 500),
+    listen_s=st.sampled_from([0.0, 0.1]),
+)
+traffic = st.lists(
+    st.tuples(st.sampled_from(list(Urgency)), st.integers(12, FRAME_BYTES), st.floats(0, 3)), min_size=1, max_size=60
+)
+
+
+@given(budgets, traffic, st.integers(0, 100))
+def test_no_window_holds_more_than_the_burst_and_what_the_rate_gives(
+    budget: Budget, frames: list[tuple[Urgency, int, float]], neighbours: int
+) -> None:
+    made = pacer(budget, neighbours=neighbours)
+    left: list[tuple[float, Queued]] = []
+    now = 0.0
+    for urgency, size, gap in frames:
+        left += drain(made, now + gap, now)
+        now += gap
+        made.push(bytes(size), BROADCAST, urgency, now)
+        assert all(len(queue) <= limit for queue, limit in zip(made._queues, MAX_WAITING, strict=True))
+    left += drain(made, now + 30.0, now)
+    rate = budget.bytes_s * budget.duty
+    for first in range(len(left)):
+        size = 0
+        for last in range(first, len(left)):
+            size += len(left[last][1].frame)
+            seconds = left[last][0] - left[first][0]
+            assert size <= max(budget.burst_bytes, FRAME_BYTES) + rate * seconds + 1
+            assert last - first + 1 <= budget.burst_frames + budget.frames_s * seconds + 1e-3
+    # Nothing vanishes: it left, waits, or was dropped and counted.
+    assert len(left) + made.waiting + sum(made.dropped) == len(frames)
+    assert sum(made.sent) == len(left)
+
+
+def test_beacons_go_first_then_answers_then_data() -> None:
+    made = pacer(Budget(bytes_s=1000.0, duty=1.0, burst_bytes=200, burst_frames=1))
+    for urgency in (Urgency.DATA, Urgency.DATA, Urgency.ANSWER, Urgency.BEACON):
+        made.push(bytes([urgency]) * 100, BROADCAST, urgency, 0.0)
+    left = [queued.frame[0] for _, queued in drain(made, 10.0)]
+    assert left == [Urgency.BEACON, Urgency.ANSWER, Urgency.DATA, Urgency.DATA]
+
+
+def test_only_the_newest_beacon_waits() -> None:
+    made = pacer(Budget(bytes_s=100.0), neighbours=50)
+    drain_at = 0.0
+    for n in range(5):
+        made.push(bytes([n]), BROADCAST, Urgency.BEACON, drain_at)
+    [(_, queued)] = drain(made, 1.0)
+    assert queued.frame == bytes([4])
+    assert made.dropped[Urgency.BEACON] == 4
+
+
+def test_what_has_waited_for_two_turns_is_dropped() -> None:
+    made = pacer(Budget(bytes_s=100.0, duty=0.1))
+    for n in range(20):
+        made.push(bytes([n]) * 100, BROADCAST, Urgency.DATA, 0.0)
+    turn_s, _ = made.pace()
+    assert made.pop(2.5 * turn_s) is None
+    assert made.waiting == 0
+    assert made.dropped[Urgency.DATA] == 20
+
+
+@given(st.integers(0, 500))
+def test_beacons_of_all_take_at_most_their_part(neighbours: int) -> None:
+    budget = Budget(bytes_s=5760.0)
+    turn_s, items = pacer(budget, neighbours=neighbours).pace()
+    assert items >= 1
+    if turn_s < 120.0:
+        assert (neighbours + 1) * 69 / turn_s <= 0.3 * 0.4 * 5760.0 + 1e-6
+    assert turn_s == int(turn_s)
+
+
+def test_a_full_radio_slows_us_down_before_it_overflows() -> None:
+    """A radio that drains 1000 bytes/s, with a buffer of 2000, while the budget would allow four times as much."""
+    made = pacer(Budget(bytes_s=4000.0, duty=1.0, frames_s=1000.0))
+    buffered, lost, now = 0.0, 0, 0.0
+    while now < 60.0:
+        while made.waiting < 20:
+            made.push(bytes(145), BROADCAST, Urgency.DATA, now)
+        while (queued := made.pop(now)) is not None:
+            if buffered + len(queued.frame) > 2000:
+                lost += 1
+            else:
+                buffered += len(queued.frame)
+        buffered = max(0.0, buffered - 10.0)
+        now += 0.01
+        if round(now * 100) % 25 == 0:
+            made.radio_status(int(100 * (1 - buffered / 2000)), now)
+    assert lost == 0
+    assert made.throttle < 1.0
+    assert made.sent[Urgency.DATA] * 145 > 0.7 * 60 * 1000
+
+
+def test_the_radios_word_is_bounded_and_forgotten() -> None:
+    made = pacer(Budget(bytes_s=1000.0))
+    for n in range(50):
+        made.radio_status(0, n * 0.1)
+    assert made.throttle == LEAST_THROTTLE
+    for n in range(50):
+        made.radio_status(100, 5.0 + n * 0.1)
+    assert made.throttle == 1.0
+    made.radio_status(0, 10.0)
+    assert made.throttle == 0.5
+    made.pop(10.0 + RADIO_STATUS_S + 1.0)
+    assert made.throttle == 1.0

@@ -1,0 +1,93 @@
+"""20 and 100 nodes on one radio of 57,600 bit/s, which also carries the flight telemetry."""
+
+from __future__ import annotations
+
+import random
+from itertools import pairwise
+from typing import NamedTuple
+
+import pytest
+from shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
+
+from rass_mav.app.links import AirtimeSection
+from rass_mav.link.airtime import Urgency
+
+TELEMETRY_BYTES_S = 2000.0
+#: Seconds: until everybody knows how many they are, and what is looked at then.
+WARM_S, WATCHED_S = 40.0, 60.0
+
+
+class Flight(NamedTuple):
+    nodes: list[RadioNode]
+    created: int
+    arrived: int
+    beacons: float
+    """Part of the airtime."""
+    waits: list[float]
+    """How long each telemetry frame waited for the channel, seconds."""
+
+
+def fly(nodes: int, swarm: bool) -> Flight:
+    """The same telemetry with a swarm and without."""
+    simulation = Simulation()
+    air = Air(simulation)
+    rng = random.Random(5)
+    for n in range(nodes):
+        Vehicle(simulation, air, n % 250 + 1, TELEMETRY_BYTES_S / nodes, rng)
+    arrivals = Arrivals()
+    budget = AirtimeSection().budget(shared=True)
+    members = [
+        RadioNode(
+            simulation, air, n, budget, base=n == 0, observer=arrivals, rng=rng,
+            risk={"worst": 0.5}, data={"interval_steps": 30},
+        )
+        for n in range(nodes if swarm else 0)
+    ]  # fmt: skip
+    simulation.run(WARM_S)
+    warm, before = len(air.telemetry_waits), air.used[Urgency.BEACON]
+    simulation.run(WARM_S + WATCHED_S)
+    assert air.telemetry_waits
+    return Flight(
+        members,
+        len(arrivals.made),
+        len(arrivals.ids),
+        (air.used[Urgency.BEACON] - before) / WATCHED_S,
+        air.telemetry_waits[warm:],
+    )
+
+
+@pytest.mark.parametrize("nodes", [20, 100])
+def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
+    """One flight, looked at from all sides: it takes some seconds to fly."""
+    flight = fly(nodes, True)
+    alone = fly(nodes, False).waits
+    assert 0 < flight.beacons <= 0.30
+    # Telemetry, frame by frame: how much later it leaves because there is a swarm.
+    delays = [max(0.0, a - b) for a, b in zip(flight.waits, alone, strict=True)]
+    assert max(delays) <= 0.100
+    assert max(flight.waits) <= 0.100
+    # Data percolate. What was made last is still on its way: a turn for the datum, one for the answer.
+    assert flight.created > 2 * nodes
+    assert flight.arrived >= 0.6 * flight.created
+    # Everybody knows everybody, although beacons are rare; and the more they are, the rarer.
+    budget = AirtimeSection().budget(shared=True)
+    assert budget.bytes_s == BYTES_S
+    for node in flight.nodes:
+        core, pacer = node.agent.node, node.lane.pacer
+        assert pacer is not None
+        assert pacer.budget == budget
+        assert core.turn_s >= nodes * 0.1
+        assert len(core.routing.neighbours) == nodes - 1
+        assert core.routing.hops == (0 if node.id == 0 else 1)
+
+
+def test_the_emulated_radio_is_half_duplex_and_as_fast_as_it_says() -> None:
+    simulation = Simulation()
+    air = Air(simulation, bytes_s=1000.0)
+    heard: list[float] = []
+    air.hearers.append((1, lambda frame: heard.append(simulation.now)))
+    air.hearers.append((2, lambda frame: pytest.fail("one's own frame")))
+    for _ in range(3):
+        air.send(2, bytes(100), None)
+    simulation.run(1.0)
+    assert [b - a for a, b in pairwise([0.0, *heard])] == pytest.approx([0.1, 0.1, 0.1])
