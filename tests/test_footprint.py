@@ -48,7 +48,9 @@ def loaded() -> set[str]:
     return set(json.loads(_python(_LOAD)))
 
 
-@pytest.mark.parametrize("module", ["shutil", "lzma", "difflib", "tempfile", "tqdm", "pymavlink.mavutil", "lxml"])
+@pytest.mark.parametrize(
+    "module", ["shutil", "lzma", "difflib", "tempfile", "tqdm", "pymavlink.mavutil", "lxml", "serial"]
+)
 def test_a_node_does_not_load(module: str, loaded: set[str]) -> None:
     assert module not in loaded
 
