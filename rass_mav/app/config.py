@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from rass_mav.agent.loading import convert, read_yaml, set_key
+from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import (
     AgentSettings,
     Count,
@@ -130,6 +131,7 @@ class RunConfig(Section, frozen=True):
 
     node: NodeSection = NodeSection()
     autopilot: AutopilotSection = AutopilotSection()
+    sensor: SensorSettings = SensorSettings()
     links: tuple[LinkSection, ...] = ()
     policy: PolicySettings = PolicySettings()
     risk: RiskSettings = RiskSettings()
@@ -166,7 +168,13 @@ class RunConfig(Section, frozen=True):
 
     def agent_settings(self) -> AgentSettings:
         """What the agent needs of it."""
-        return AgentSettings.of(self, node_id=self.node_id, base=self.base, step_s=self.node.step_s)
+        return AgentSettings.of(
+            self,
+            node_id=self.node_id,
+            base=self.base,
+            step_s=self.node.step_s,
+            own_sensor=self.sensor.type != "autopilot",
+        )
 
     def check(self) -> None:
         """Raise `ConfigError` for what no single key can say."""
@@ -180,6 +188,7 @@ class RunConfig(Section, frozen=True):
         if self.autopilot.url is not None:
             with _under("autopilot.url"):
                 parse_vehicle_url(self.autopilot.url)
+        self.sensor.check()
         if not self.mavlink.reading_name.isascii():
             raise ConfigError(f"mavlink.reading_name: expected ASCII characters, got {self.mavlink.reading_name!r}")
         if self.store.path is not None and not self.store.path:

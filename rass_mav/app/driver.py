@@ -17,6 +17,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.errors import RassError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehicleLink
+from rass_mav.sensor.base import Sensor
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +27,11 @@ MAX_WAITING = 2048
 RETRY_S = 1.0
 #: The ground is told of a failing disk at most this often, seconds.
 ALARM_S = 30.0
+#: The ground is told of a sensor that falls silent, or reads again, at most this often, seconds.
+SENSOR_REPORT_S = 30.0
 _CRITICAL = 2
+_WARNING = 4
+_INFO = 6
 
 
 class Driver:
@@ -39,11 +44,16 @@ class Driver:
         vehicle: VehicleLink | None,
         now: Callable[[], float],
         executor: Executor,
+        sensor: Sensor | None = None,
     ) -> None:
-        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything."""
+        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
+
+        `sensor`: the node's own; None: readings are those of the autopilot.
+        """
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
+        self.sensor = sensor
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
         self.held_dropped = 0
@@ -65,6 +75,8 @@ class Driver:
         self._commit: asyncio.Future[None] | None = None
         self._retry_at: float | None = None
         self._next_alarm = now()
+        self._sensor_reads = True
+        self._next_sensor_report = now() + SENSOR_REPORT_S
 
     # -- from outside --------------------------------------------------------------------------------------------------
 
@@ -110,6 +122,8 @@ class Driver:
             link.start(self._wake.set)
         if self.vehicle is not None:
             self.vehicle.start(self._wake.set)
+        if self.sensor is not None:
+            self.sensor.start(self._wake.set)
         start = loop.time()
         due = 0
         try:
@@ -145,6 +159,10 @@ class Driver:
         if self.vehicle is not None:
             for data in self.vehicle.receive():
                 agent.vehicle_bytes(data, now)
+        if self.sensor is not None:
+            for value, at in self.sensor.receive():
+                agent.reading(value, at)
+            self._watch(self.sensor, now)
         own = agent.node.id
         for link in self.links:
             # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
@@ -158,6 +176,22 @@ class Driver:
                     link.learn(agent.beacon_from, source)
                 if out:
                     self._hand_out(out)
+
+    def _watch(self, sensor: Sensor, now: float) -> None:
+        """Tell the ground when the sensor falls silent, and when it reads again."""
+        reads = self.agent.node.risk.known(now)
+        if reads == self._sensor_reads or now < self._next_sensor_report:
+            return
+        self._sensor_reads = reads
+        # A cable with a loose contact must not fill the ground station's screen. At the start a sensor gets this time.
+        self._next_sensor_report = now + SENSOR_REPORT_S
+        if reads:
+            self.agent.tell_ground(_INFO, "RASS: the radiation sensor reads again")
+        else:
+            trouble = sensor.state().trouble
+            self.agent.tell_ground(
+                _WARNING, f"RASS: no radiation reading, risk counts as the worst{': ' + trouble if trouble else ''}"
+            )
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
         for outgoing in frames:

@@ -102,7 +102,10 @@ class Runtime:
                 aside = store.report.set_aside
                 log.error("damaged store set aside as %s: %s", aside, store.report.reason)
                 agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
-            driver = Driver(agent, links, vehicle, self._clock.now, executor)
+            sensor = config.sensor.open(self._clock.now)
+            if sensor is not None:
+                stack.callback(sensor.close)
+            driver = Driver(agent, links, vehicle, self._clock.now, executor, sensor)
             control = ControlServer(driver, config.socket_path)
             await control.start()
             self._driver = driver
