@@ -13,6 +13,7 @@ from rass_mav.sensor.bgeigie_log import load_bgeigie
 from rass_mav.sensor.dose import TUBES, DoseMeter, Tube, Unit
 from rass_mav.sensor.kinds import LOG_TUBE, SERIAL_KINDS
 
+from .loading import shown
 from .settings import NonNegative, Positive, Section
 
 #: The keys of `sensor.dose.TUBES`.
@@ -67,11 +68,12 @@ class SensorSettings(Section, frozen=True):
         if self.type == "log" and self.path is None:
             raise ConfigError("sensor.path: missing, expected a bGeigie log with sensor.type log")
         idle = [] if serial else ["port", "baud"]
-        idle += [] if self.type == "log" else ["path"]
-        idle += ["tube", "cpm_per_usvh", "dead_time_us"] if self.type == "autopilot" else []
+        idle += [] if self.type == "log" else ["path", "speed"]
+        idle += ["unit", "tube", "cpm_per_usvh", "dead_time_us"] if self.type == "autopilot" else []
         for key in idle:
-            if getattr(self, key) is not None:
-                raise ConfigError(f"sensor.{key}: has no effect with sensor.type {self.type}, expected null")
+            value, default = getattr(self, key), getattr(_DEFAULTS, key)
+            if value != default:
+                raise ConfigError(f"sensor.{key}: has no effect with sensor.type {self.type}, got {shown(value)}")
 
     def open(self, now: Callable[[], float]) -> Sensor | None:
         """The sensor; None: readings are the autopilot's.
@@ -104,6 +106,9 @@ class SensorSettings(Section, frozen=True):
             tube = tube._replace(dead_time_us=0.0)
         told = self.tube is not None or self.cpm_per_usvh is not None
         return DoseMeter(_with(tube, self.cpm_per_usvh, self.dead_time_us), self.unit, believe_device=not told)
+
+
+_DEFAULTS = SensorSettings()
 
 
 def _with(tube: Tube, cpm_per_usvh: float | None, dead_time_us: float | None) -> Tube:
