@@ -9,7 +9,6 @@ from msgspec import Meta
 
 from rass_mav.core.errors import ConfigError, LogError
 from rass_mav.sensor.base import Sensor
-from rass_mav.sensor.bgeigie_log import load_bgeigie
 from rass_mav.sensor.dose import TUBES, DoseMeter, Tube, Unit
 from rass_mav.sensor.kinds import LOG_TUBE, SERIAL_KINDS
 
@@ -84,6 +83,7 @@ class SensorSettings(Section, frozen=True):
         if self.type == "autopilot":
             return None
         if self.type == "log":
+            from rass_mav.sensor.bgeigie_log import load_bgeigie
             from rass_mav.sensor.playback import PlaybackSensor
 
             assert self.path is not None
