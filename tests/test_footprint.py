@@ -48,9 +48,16 @@ def loaded() -> set[str]:
     return set(json.loads(_python(_LOAD)))
 
 
-@pytest.mark.parametrize("module", ["shutil", "lzma", "difflib", "tempfile", "tqdm", "pymavlink.mavutil", "lxml"])
+@pytest.mark.parametrize(
+    "module", ["shutil", "lzma", "difflib", "tempfile", "tqdm", "pymavlink.mavutil", "lxml", "serial"]
+)
 def test_a_node_does_not_load(module: str, loaded: set[str]) -> None:
     assert module not in loaded
+
+
+def test_a_node_does_not_load_sensors_that_it_does_not_have(loaded: set[str]) -> None:
+    kinds = {"bgeigie", "bgeigie_log", "gmc", "mightyohm", "playback", "radpro", "serial_sensor"}
+    assert not {f"rass_mav.sensor.{kind}" for kind in kinds} & loaded
 
 
 def test_a_node_does_not_load_the_mock_swarm(loaded: set[str]) -> None:

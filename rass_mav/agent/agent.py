@@ -35,7 +35,7 @@ from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.mavlink.telemetry import Reading, Telemetry
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, encode
 from rass_mav.wire.codec import ForeignError
@@ -107,7 +107,6 @@ class Agent:
         "_node_id",
         "_payload_type",
         "_phase",
-        "_reading_at",
         "_refused",
         "_rng",
         "_text_id",
@@ -115,6 +114,7 @@ class Agent:
         "beacon_from",
         "foreign",
         "frames_received",
+        "last_reading",
         "malformed",
         "node",
         "peer_reader",
@@ -166,6 +166,8 @@ class Agent:
         """TUNNEL payloads of another version, type or purpose."""
         self.steps = 0
         """Steps done."""
+        self.last_reading: Reading | None = None
+        """The last reading, of the autopilot or of the node's own sensor."""
         self.beacon_from: int | None = None
         """Node id of the sender of the last beacon. A driver whose links learn addresses sets it to None before
         `peer_bytes` and looks at it after."""
@@ -181,7 +183,6 @@ class Agent:
         self._next_rival_report = now
         self._refused = 0
         self._next_full_report = now
-        self._reading_at: float | None = None
         self._next_turn = now
         self._turn_s = settings.step_s
         self.services: list[VehicleService] = []
@@ -209,9 +210,16 @@ class Agent:
         if telemetry.system_id != latched and not self._fixed_system_id:
             self.peer_writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
         reading = telemetry.reading
-        if reading is not None and reading.at != self._reading_at:
-            self._reading_at = reading.at
-            self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
+        if reading is not None and reading is not self.last_reading and not self.settings.own_sensor:
+            self._observe(reading)
+
+    def reading(self, value: float, at: float) -> None:
+        """What the node's own sensor said (`AgentSettings.own_sensor`): in its unit, at `at` on the timeline."""
+        self._observe(Reading(value, at))
+
+    def _observe(self, reading: Reading) -> None:
+        self.last_reading = reading
+        self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
@@ -364,7 +372,7 @@ class Agent:
         if position is not None and now - position.at > POSITION_STALE_S:
             position = None
         local = telemetry.local
-        reading = telemetry.reading
+        reading = self.last_reading
         fresh = reading is not None and now - reading.at <= self.settings.risk.stale_s
         payload = encode_measurement(
             Measurement(

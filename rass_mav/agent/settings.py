@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Protocol
 
 import msgspec
@@ -59,27 +60,43 @@ class PolicySettings(Section, frozen=True):
 
 
 class RiskSettings(Section, frozen=True):
-    """From readings to risk."""
+    """From readings to risk (docs/sensors.md)."""
 
     gain: Annotated[float, Meta(gt=0, le=1)] | None = None
     """Gain of the moving average over readings, 1: no memory; null: 0.1 under survival, else 1."""
+    scale: Literal["linear", "logarithmic"] = "linear"
+    """logarithmic: each time the reading doubles, the risk grows by the same amount."""
+    background: float = 0.0
+    """What the sensor says where there is no danger, in its unit; subtracted from every reading."""
     low: float = 0.0
-    """Reading that means risk 0, in the sensor's unit."""
+    """Reading above background that means risk 0, in the sensor's unit."""
     high: float = 1.0
-    """Reading that means risk 1, in the sensor's unit; above `low`."""
+    """Reading above background that means risk 1, in the sensor's unit; above `low`."""
     stale_s: Positive = 10.0
     """A reading older than this is unknown, seconds."""
     worst: Fraction = 1.0
     """What an unknown risk counts as."""
 
     def __post_init__(self) -> None:
-        """`high` must be above `low`."""
+        """`high` must be above `low`, and for a logarithm both above 0."""
+        if self.scale == "logarithmic" and self.low <= 0.0:
+            raise ValueError(f"risk.low: expected a number > 0 with risk.scale logarithmic, got {self.low:g}")
         if self.high <= self.low:
             raise ValueError(f"risk.high: expected a number above risk.low ({self.low:g}), got {self.high:g}")
 
     def normalised(self, reading: float) -> float:
-        """A reading on the scale where `low` is 0 and `high` is 1; linear, unclipped."""
-        return (reading - self.low) / (self.high - self.low)
+        """A reading on the scale where `low` above background is 0 and `high` above background is 1; unclipped.
+
+        Below `low` the logarithmic scale goes on as a straight line with the slope it has there: a reading at or below
+        background has no logarithm, but noise must average out.
+        """
+        reading -= self.background
+        low, high = self.low, self.high
+        if self.scale == "linear":
+            return (reading - low) / (high - low)
+        if reading < low:
+            return (reading / low - 1.0) / math.log(high / low)
+        return math.log(reading / low) / math.log(high / low)
 
     def estimator(self, policy: PolicySettings) -> RiskEstimator:
         """A new estimator with these settings."""
@@ -219,6 +236,8 @@ class AgentSettings(Section, frozen=True):
     data: DataSettings
     mavlink: MavlinkSettings
     forward: Forward = "immediate"
+    own_sensor: bool = False
+    """Readings come by `Agent.reading`; those of the autopilot are not believed."""
 
     @classmethod
     def of(
@@ -231,6 +250,7 @@ class AgentSettings(Section, frozen=True):
         forward: Forward = "immediate",
         data: DataSettings | None = None,
         mavlink: MavlinkSettings | None = None,
+        own_sensor: bool = False,
     ) -> AgentSettings:
         """One node's share of a configuration; `data` and `mavlink` instead of its own sections, if given."""
         return cls(
@@ -245,6 +265,7 @@ class AgentSettings(Section, frozen=True):
             store=sections.store,
             data=data or sections.data,
             mavlink=mavlink or sections.mavlink,
+            own_sensor=own_sensor,
         )
 
     def node_settings(self) -> NodeSettings:

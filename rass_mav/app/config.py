@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from rass_mav.agent.loading import convert, read_yaml, set_key
+from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import (
     AgentSettings,
     Count,
@@ -85,6 +86,7 @@ class RunConfig(Section, frozen=True):
 
     node: NodeSection = NodeSection()
     autopilot: AutopilotSection = AutopilotSection()
+    sensor: SensorSettings = SensorSettings()
     links: tuple[LinkSection, ...] = ()
     policy: PolicySettings = PolicySettings()
     risk: RiskSettings = RiskSettings()
@@ -122,7 +124,12 @@ class RunConfig(Section, frozen=True):
     def agent_settings(self) -> AgentSettings:
         """What the agent needs of it."""
         return AgentSettings.of(
-            self, node_id=self.node_id, base=self.base, step_s=self.node.step_s, forward=self.node.forward
+            self,
+            node_id=self.node_id,
+            base=self.base,
+            step_s=self.node.step_s,
+            forward=self.node.forward,
+            own_sensor=self.sensor.type != "autopilot",
         )
 
     def check(self) -> None:
@@ -152,6 +159,7 @@ class RunConfig(Section, frozen=True):
 
             with under("autopilot.messages"):
                 message_ids(self.autopilot.messages)
+        self.sensor.check()
         if not self.mavlink.reading_name.isascii():
             raise ConfigError(f"mavlink.reading_name: expected ASCII characters, got {self.mavlink.reading_name!r}")
         if self.store.path is not None and not self.store.path:

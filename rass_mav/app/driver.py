@@ -23,6 +23,7 @@ from rass_mav.link.base import Address, Link
 from rass_mav.link.radio import AutopilotLink
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL
+from rass_mav.sensor.base import Sensor
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +33,11 @@ MAX_WAITING = 2048
 RETRY_S = 1.0
 #: The ground is told of a failing disk at most this often, seconds.
 ALARM_S = 30.0
+#: The ground is told of a sensor that falls silent, or reads again, at most this often, seconds.
+SENSOR_REPORT_S = 30.0
 _CRITICAL = 2
+_WARNING = 4
+_INFO = 6
 
 
 class Driver:
@@ -46,14 +51,17 @@ class Driver:
         now: Callable[[], float],
         executor: Executor,
         rng: random.Random | None = None,
+        sensor: Sensor | None = None,
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
-        `rng`: decides how long a node listens before it speaks on a shared radio.
+        `rng`: decides how long a node listens before it speaks on a shared radio. `sensor`: the node's own; None:
+        readings are those of the autopilot.
         """
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
+        self.sensor = sensor
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
         self.held_dropped = 0
@@ -97,6 +105,8 @@ class Driver:
         self._commit: asyncio.Future[None] | None = None
         self._retry_at: float | None = None
         self._next_alarm = now()
+        self._sensor_reads = True
+        self._next_sensor_report = now() + SENSOR_REPORT_S
 
     # -- from outside --------------------------------------------------------------------------------------------------
 
@@ -144,6 +154,8 @@ class Driver:
             link.start(self._wake.set)
         if self.vehicle is not None:
             self.vehicle.start(self._wake.set)
+        if self.sensor is not None:
+            self.sensor.start(self._wake.set)
         start = loop.time()
         due = 0
         try:
@@ -180,6 +192,10 @@ class Driver:
         now = self.now()
         if self.vehicle is not None:
             self._take_in_vehicle(self.vehicle, now)
+        if self.sensor is not None:
+            for value, at in self.sensor.receive():
+                self.agent.reading(value, at)
+            self._watch(self.sensor, now)
         for link, lane in zip(self.links, self.lanes, strict=True):
             # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
             # disk that has failed this would not end, and beacons must be heard: then answers are dropped instead.
@@ -220,6 +236,22 @@ class Driver:
         step_s = self.agent.settings.step_s
         turn_s, items = common_pace(self.lanes, step_s, node.settings.bandwidth_items)
         node.pace(turn_s, items, self.now(), slowest_turn(self.lanes, step_s))
+
+    def _watch(self, sensor: Sensor, now: float) -> None:
+        """Tell the ground when the sensor falls silent, and when it reads again."""
+        reads = self.agent.node.risk.known(now)
+        if reads == self._sensor_reads or now < self._next_sensor_report:
+            return
+        self._sensor_reads = reads
+        # A cable with a loose contact must not fill the ground station's screen. At the start a sensor gets this time.
+        self._next_sensor_report = now + SENSOR_REPORT_S
+        if reads:
+            self.agent.tell_ground(_INFO, "RASS: the radiation sensor reads again")
+        else:
+            trouble = sensor.state().trouble
+            self.agent.tell_ground(
+                _WARNING, f"RASS: no radiation reading, risk counts as the worst{': ' + trouble if trouble else ''}"
+            )
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
         for outgoing in frames:

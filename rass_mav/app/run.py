@@ -105,7 +105,10 @@ class Runtime:
                 agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
             if vehicle is not None and config.autopilot.messages:
                 agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
-            driver = Driver(agent, links, vehicle, self._clock.now, executor, rng)
+            sensor = config.sensor.open(self._clock.now)
+            if sensor is not None:
+                stack.callback(sensor.close)
+            driver = Driver(agent, links, vehicle, self._clock.now, executor, rng, sensor)
             control = ControlServer(driver, config.socket_path)
             await control.start()
             self._driver = driver

@@ -25,7 +25,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
     routing = node.routing
     now = driver.now()
     route = routing.route
-    reading, position = telemetry.reading, telemetry.position
+    reading, position = agent.last_reading, telemetry.position
     heartbeat = telemetry.heartbeat_at
     return {
         "node_id": node.id,
@@ -44,6 +44,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "risk_known": node.risk.known(now),
         **_potential(node.potential, node.base, node.policy.costs is not None),
         "reading": None if reading is None else {"value": reading.value, "age_s": round(now - reading.at, 3)},
+        "sensor": None if driver.sensor is None else {"name": driver.sensor.name, **driver.sensor.state()._asdict()},
         "position": None
         if position is None
         else {

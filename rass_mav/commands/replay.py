@@ -22,12 +22,14 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     parser = add_command(
         subparsers, "replay", _replay,
-        help="play recorded logs (.tlog), one vehicle a node, through the nodes in virtual time",
+        help="play recorded logs (.tlog, bGeigie .LOG), one vehicle a node, through the nodes in virtual time",
         example="rass-mav replay flight/*.tlog --range 33 -o arrived.csv",
     )  # fmt: skip
     # argparse takes `-35.36,149.17` for an option, because it begins with a minus and is no plain number.
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
-    parser.add_argument("logs", metavar="LOG", nargs="+", help="a telemetry log, with one or several vehicles in it")
+    parser.add_argument(
+        "logs", metavar="LOG", nargs="+", help="a telemetry log with one or several vehicles, or a bGeigie log"
+    )
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range (default 100)")
     parser.add_argument(
         "--base", type=_place, metavar="LAT,LON",
@@ -73,7 +75,7 @@ def _replay(options: argparse.Namespace) -> int:
     settings, scale = load_settings(options.range, options.assignments)
     for name in ("output", "record"):
         _spare(options.logs, getattr(options, name), f"--{name}")
-    recording = read_logs(options.logs, reading_name=settings.mavlink.reading_name)
+    recording = read_logs(options.logs, reading_name=settings.mavlink.reading_name, meter=settings.sensor.meter())
     if scale:
         settings = settings.with_highest(recording.highest)
     with recorder(options.record, settings.node.step_s, recording.start_us / 1e6) as record:

@@ -17,6 +17,12 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield f"risk {s['risk']:.3f}{unknown}, {_standing(s)}, policy {s['policy']}"
     if s["reading"] is not None:
         yield f"reading {s['reading']['value']:g}, {s['reading']['age_s']:.1f} s old"
+    if (sensor := s["sensor"]) is not None:
+        yield (
+            f"sensor {sensor['name']}: {'open' if sensor['connected'] else 'not open'}, {sensor['readings']} readings, "
+            f"{sensor['malformed']} malformed, {sensor['saturated']} saturated"
+            + (f"; {sensor['trouble']}" if sensor["trouble"] else "")
+        )
     if s["position"] is not None:
         at = s["position"]
         yield f"position {at['latitude']:.7f} {at['longitude']:.7f} {at['altitude']:.1f} m, {at['age_s']:.1f} s old"

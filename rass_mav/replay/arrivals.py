@@ -31,7 +31,7 @@ class Arrival(NamedTuple):
     altitude_m: float | None
     """Metres above mean sea level."""
     reading: float | None
-    """As in the log, in its unit."""
+    """As in the log, in its unit; of a bGeigie log in `sensor.unit`."""
     risk: float
     """Local risk at that time, 0..1."""
     delay_s: float

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +9,15 @@ from pathlib import Path
 from rass_mav.core.errors import ConfigError, LogError
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HOME_POSITION, NAMED_VALUE_FLOAT
 from rass_mav.mavlink.telemetry import Position, Telemetry
+from rass_mav.sensor.bgeigie import SENTENCE
+from rass_mav.sensor.bgeigie_log import load_bgeigie
+from rass_mav.sensor.dose import TUBES, DoseMeter
+from rass_mav.sensor.kinds import LOG_TUBE
 
+from .bgeigie import spoken, system_id_of
 from .tlog import Record, TlogReader
 
-# A sentence of a bGeigie log, and how many bytes of a file are searched for one.
-_BGEIGIE = re.compile(rb"^\$B[A-Z]{4},", re.MULTILINE)
+# How many bytes of a file are searched for a sentence of a bGeigie.
 _HEAD = 4096
 
 
@@ -117,18 +120,20 @@ def _placed(time_us: int, position: Position | None) -> tuple[int, Position] | N
     return (time_us, position) if position is not None and has_fix(position) else None
 
 
-def read_logs(paths: Sequence[str], *, reading_name: str = "RAD") -> Recording:
+def read_logs(paths: Sequence[str], *, reading_name: str = "RAD", meter: DoseMeter | None = None) -> Recording:
     """Read logs, damaged ones as far as possible. Vehicles are not the same because they share a system id: each
     file has its own.
 
     :param reading_name: of the NAMED_VALUE_FLOAT that is the reading.
+    :param meter: turns the counts of bGeigie logs into readings; None: uSv/h as Safecast does.
     :raises ConfigError: a file cannot be opened.
     :raises LogError: a file has no valid record, or no vehicle speaks in any.
     """
+    meter = meter or DoseMeter(TUBES[LOG_TUBE])
     files: list[LogFile] = []
     scans: list[_Scan] = []
     for path in paths:
-        file, found = _read(path, reading_name)
+        file, found = _read(path, reading_name, meter)
         files.append(file)
         scans += found
     if not scans:
@@ -143,7 +148,7 @@ def read_logs(paths: Sequence[str], *, reading_name: str = "RAD") -> Recording:
     )
 
 
-def _read(path: str, reading_name: str) -> tuple[LogFile, list[_Scan]]:
+def _read(path: str, reading_name: str, meter: DoseMeter) -> tuple[LogFile, list[_Scan]]:
     scans: dict[int, _Scan] = {}
     used = 0
     try:
@@ -162,9 +167,11 @@ def _read(path: str, reading_name: str) -> tuple[LogFile, list[_Scan]]:
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     if not used:
-        if _BGEIGIE.search(head):
-            raise LogError(f"{path}: a bGeigie log; this version replays MAVLink telemetry logs (.tlog) only")
-        raise LogError(f"{path}: not one valid MAVLink record in it; a telemetry log (.tlog) is expected")
+        if SENTENCE.search(head):
+            return _read_bgeigie(path, reading_name, meter)
+        raise LogError(
+            f"{path}: not one valid MAVLink record in it; a telemetry log (.tlog) or a bGeigie log (.LOG) is expected"
+        )
     found = {system_id: scan for system_id, scan in sorted(scans.items()) if scan.is_vehicle}
     vehicles = []
     for system_id, scan in found.items():
@@ -172,3 +179,12 @@ def _read(path: str, reading_name: str) -> tuple[LogFile, list[_Scan]]:
         scan.records.sort(key=lambda record: record[0])
         vehicles.append(Vehicle(path, system_id, scan.records))
     return LogFile(path, reader.read, used, vehicles), list(found.values())
+
+
+def _read_bgeigie(path: str, reading_name: str, meter: DoseMeter) -> tuple[LogFile, list[_Scan]]:
+    log = load_bgeigie(path)
+    system_id = system_id_of(log)
+    scan = _Scan(system_id, reading_name)
+    for record in spoken(log, system_id, reading_name, meter):
+        scan.take(record)
+    return LogFile(path, log.read, log.read - log.rejected, [Vehicle(path, system_id, scan.records)]), [scan]

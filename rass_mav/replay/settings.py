@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from rass_mav.agent.loading import convert, set_key
+from rass_mav.agent.sensors import CountsSettings
 from rass_mav.agent.settings import (
     AgentSettings,
     CustodySettings,
@@ -57,14 +58,16 @@ class ReplaySettings(Section, frozen=True):
     store: StoreSettings = StoreSettings()
     data: DataSettings = DataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
+    sensor: CountsSettings = CountsSettings()
     radio: ReplayRadioSection = ReplayRadioSection()
     radiation: ReplayRadiationSection = ReplayRadiationSection()
 
     def with_highest(self, highest: float | None) -> ReplaySettings:
-        """`risk.high` at the largest reading of the logs; if that is not above `risk.low` (or there is none), 1 above
-        it, so that every reading there means risk 0."""
+        """`risk.high` at the largest reading of the logs, above background; if that is not above `risk.low` (or there
+        is no reading), 1 above it, so that every reading there means risk 0."""
         low = self.risk.low
-        high = highest if highest is not None and highest > low else low + 1.0
+        above = None if highest is None else highest - self.risk.background
+        high = above if above is not None and above > low else low + 1.0
         return msgspec.structs.replace(self, risk=msgspec.structs.replace(self.risk, high=high))
 
     def agent_settings(self, node_id: int, system_id: int | None, *, steps: int) -> AgentSettings:

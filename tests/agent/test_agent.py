@@ -265,3 +265,18 @@ def test_named_value_floats_of_other_names_are_ignored() -> None:
     assert agent.telemetry.reading is None
     agent.vehicle_bytes(writer.message(named_value_float("CPM", 12.0, 1000)), 0.0)
     assert agent.telemetry.reading is not None
+
+
+def test_with_a_sensor_of_its_own_the_autopilots_reading_is_not_believed() -> None:
+    raw = {"node_id": 3, "base": False, "step_s": 1.0, "own_sensor": True, **{name: {} for name in SECTIONS}}
+    raw["risk"] = {"low": 0.0, "high": 10.0}
+    settings = convert(raw, AgentSettings, "test")
+    agent = Agent(settings, MemoryStore(1), random.Random(3), now=0.0, newborn=True)
+    vehicle = FrameWriter(7, 1)
+    for message in (autopilot_heartbeat(), named_value_float("RAD", 9.0, 1000)):
+        agent.vehicle_bytes(vehicle.message(message), 1.0)
+    assert (agent.node.risk.risk(1.0), measured(agent, 1.0).reading) == (1.0, None)
+    agent.reading(2.5, 1.5)
+    assert (agent.node.risk.risk(2.0), measured(agent, 2.0).reading) == (0.25, 2.5)
+    # It falls silent.
+    assert (agent.node.risk.risk(12.0), measured(agent, 12.0).reading) == (1.0, None)

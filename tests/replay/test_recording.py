@@ -93,14 +93,6 @@ def test_a_file_without_one_valid_record_is_refused(tmp_path: Path, content: byt
         read_logs([good, str(bad)])
 
 
-@pytest.mark.parametrize("comments", ["", "# NEW LOG\n", "# DriverName = THS\n# TripInfo = Test\n# NEW LOG\n"])
-def test_a_bgeigie_log_is_refused_by_its_name(tmp_path: Path, comments: str) -> None:
-    path = tmp_path / "drive.LOG"
-    path.write_text(comments + "$BNRDD,0204,2012-09-20T17:24:58Z,42,1,92,A,5242.0,N,0442.0,E,9.8,A,9,1*5D\n")
-    with pytest.raises(LogError, match="a bGeigie log"):
-        read_logs([str(path)])
-
-
 def test_logs_without_a_vehicle_are_refused_together_only(tmp_path: Path) -> None:
     ground = write(tmp_path / "ground.tlog", ground_station(5))
     with pytest.raises(LogError, match="no vehicle"):

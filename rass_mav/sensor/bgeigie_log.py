@@ -1,0 +1,102 @@
+"""Recorded bGeigie logs (.LOG): lines of comments and sentences, damaged ones too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from rass_mav.core.errors import ConfigError, LogError, MalformedError
+
+from .bgeigie import Record, decode_record
+from .protocol import MAX_LINE
+
+#: A record without a fix is believed if its time is at most so far from the records with one, microseconds. A device
+#: without a fix may never have set its clock; a day is longer than its battery lasts.
+UNSURE_US = 86_400_000_000
+
+
+@dataclass
+class BgeigieLog:
+    """What a log holds."""
+
+    records: list[Record] = field(default_factory=list)
+    """In order of time."""
+    read: int = 0
+    """Measurements, and lines or parts of lines that are none and no comments either."""
+    rejected: int = 0
+    """Of these, how many are not in `records`."""
+    trouble: str = ""
+    """Why the first one was rejected, with its line."""
+
+
+def read_bgeigie(file: BinaryIO) -> BgeigieLog:
+    """Read a log. Never raises for what is in it; the work is linear in its size.
+
+    :param file: open for reading, in binary; the caller closes it.
+    """
+    log = BgeigieLog()
+    number = 0
+    inside = False
+    while line := file.readline(MAX_LINE):
+        ended = line.endswith(b"\n")
+        if not inside:
+            number += 1
+            if ended or len(line) < MAX_LINE:
+                _take_line(log, line.strip(), number)
+            else:
+                # What is longer than any line is rejected once, however long it is.
+                _reject(log, number, MalformedError(f"a line of {MAX_LINE} bytes or more"))
+        inside = not ended
+    _leave_out_unset_clocks(log)
+    log.records.sort(key=lambda record: record.time_us)
+    return log
+
+
+def load_bgeigie(path: str) -> BgeigieLog:
+    """Read a log file. Raises `ConfigError` if it cannot be opened, `LogError` if there is no valid record in it."""
+    try:
+        with Path(path).open("rb") as file:
+            log = read_bgeigie(file)
+    except OSError as error:
+        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    if not log.records:
+        why = f" ({log.rejected} rejected; {log.trouble})" if log.rejected else ""
+        raise LogError(f"{path}: not one valid bGeigie record in it{why}")
+    return log
+
+
+def _take_line(log: BgeigieLog, line: bytes, number: int) -> None:
+    if line.startswith(b"#"):
+        return
+    # Where power was lost within a line, the next sentence follows on it.
+    before, *sentences = line.split(b"$")
+    if before:
+        _reject(log, number, MalformedError("what is neither a sentence nor a comment"))
+    for sentence in sentences:
+        try:
+            record = decode_record(b"$" + sentence)
+        except MalformedError as error:
+            _reject(log, number, error)
+            continue
+        if record is not None:
+            log.read += 1
+            log.records.append(record)
+
+
+def _reject(log: BgeigieLog, number: int, error: MalformedError) -> None:
+    log.read += 1
+    log.rejected += 1
+    log.trouble = log.trouble or f"line {number}: {error}"
+
+
+def _leave_out_unset_clocks(log: BgeigieLog) -> None:
+    sure = [record.time_us for record in log.records if record.place is not None]
+    if not sure:
+        return
+    first, last = min(sure) - UNSURE_US, max(sure) + UNSURE_US
+    kept = [record for record in log.records if first <= record.time_us <= last]
+    if len(kept) < len(log.records):
+        log.trouble = log.trouble or "a time of a clock that was not set"
+        log.rejected += len(log.records) - len(kept)
+        log.records = kept

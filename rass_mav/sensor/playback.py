@@ -1,0 +1,61 @@
+"""A recorded log as sensor, for demonstrations: its readings come in the rhythm in which they were measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .base import MAX_WAITING, Sensor, SensorReading, SensorState
+from .bgeigie_log import BgeigieLog
+from .dose import DoseMeter
+
+
+class PlaybackSensor(Sensor):
+    """The first record of the log is now, when it starts. After the last one it is silent, and grows stale."""
+
+    def __init__(
+        self, name: str, log: BgeigieLog, meter: DoseMeter, now: Callable[[], float], *, speed: float = 1.0
+    ) -> None:
+        """:param log: with at least one record.
+        :param now: the driver's timeline, seconds.
+        :param speed: seconds of the log in a second, above 0.
+        """
+        super().__init__(name)
+        begin_us = log.records[0].time_us
+        self._due = [
+            ((record.time_us - begin_us) / 1e6 / speed, record.cpm) for record in log.records if record.cpm is not None
+        ]
+        self._malformed = log.rejected
+        self._meter = meter
+        self._now = now
+        self._begin: float | None = None
+        self._next = 0
+        self._dropped = 0
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin with the log. `wake` is not called: the driver looks at every step."""
+        self._begin = self._now()
+
+    def receive(self) -> list[SensorReading]:
+        """What the log says up to now; its age is right even if the driver comes late."""
+        if self._begin is None:
+            return []
+        passed = self._now() - self._begin
+        first = self._next
+        while self._next < len(self._due) and self._due[self._next][0] <= passed:
+            self._next += 1
+        self._dropped += max(0, self._next - first - MAX_WAITING)
+        return [
+            SensorReading(self._meter.reading(cpm), self._begin + at)
+            for at, cpm in self._due[max(first, self._next - MAX_WAITING) : self._next]
+        ]
+
+    def state(self) -> SensorState:
+        """How it is."""
+        ended = self._next == len(self._due)
+        return SensorState(
+            self._begin is not None, self._next - self._dropped, self._malformed, self._meter.saturated, self._dropped,
+            int(self._begin is not None), "the log is at its end" if ended else "",
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """There is nothing to release."""

@@ -1,0 +1,243 @@
+"""Counters on serial ports, with pseudo-terminals as cables: unplugged, plugged in again, garbage, half a line."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.sensor.base import MAX_WAITING, SensorReading, SensorState
+from rass_mav.sensor.dose import DoseMeter, Tube
+from rass_mav.sensor.gmc import Gmc
+from rass_mav.sensor.mightyohm import MightyOhm
+from rass_mav.sensor.protocol import Protocol, Sample
+from rass_mav.sensor.radpro import RadPro
+from rass_mav.sensor.serial_sensor import Patience, SerialSensor
+from tests.ptys import TIMEOUT_S, SerialDevice
+
+METER = Tube(100.0, 0.0)
+
+
+def line(cpm: int) -> bytes:
+    return b"CPS, 1, CPM, %d, uSv/hr, 0.07, SLOW\r\n" % cpm
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Iterator[SerialDevice]:
+    device = SerialDevice(tmp_path / "ttyCounter")
+    yield device
+    device.close()
+
+
+class Watched:
+    """A sensor, and a way to wait for it."""
+
+    def __init__(self, device: SerialDevice, protocol: Protocol, patience: Patience | None = None) -> None:
+        self.sensor = SerialSensor(
+            str(device.port), 9600, protocol, DoseMeter(METER, "cpm"), time.monotonic, patience or Patience()
+        )
+        self._wake = asyncio.Event()
+        self.sensor.start(self._wake.set)
+
+    async def readings(self) -> list[SensorReading]:
+        """The next ones."""
+        while not (readings := self.sensor.receive()):
+            self._wake.clear()
+            await asyncio.wait_for(self._wake.wait(), TIMEOUT_S)
+        return readings
+
+    async def until(self, so: Callable[[SensorState], bool]) -> None:
+        """Until its state is so."""
+        while not so(self.sensor.state()):
+            self._wake.clear()
+            await asyncio.wait_for(self._wake.wait(), TIMEOUT_S)
+
+    async def connected(self, times: int = 1) -> None:
+        """Until its port has been opened so often; what was said before that is flushed away."""
+        await self.until(lambda state: state.connected and state.connections >= times)
+
+    async def trouble(self, text: str) -> None:
+        """Until it says so."""
+        await self.until(lambda state: text in state.trouble)
+
+
+def scenario(
+    device: SerialDevice,
+    protocol: Protocol,
+    act: Callable[[Watched], Awaitable[None]],
+    patience: Patience | None = None,
+) -> None:
+    async def main() -> None:
+        watched = Watched(device, protocol, patience)
+        try:
+            await act(watched)
+        finally:
+            watched.sensor.close()
+
+    asyncio.run(main())
+
+
+def test_a_counter_that_speaks_by_itself(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        before = time.monotonic()
+        device.say(line(13))
+        [reading] = await watched.readings()
+        assert reading.value == 13.0
+        assert before <= reading.at <= time.monotonic()
+        state = watched.sensor.state()
+        assert (state.connected, state.readings, state.connections, state.trouble) == (True, 1, 1, "")
+
+    scenario(device, MightyOhm(), act)
+
+
+def test_a_gmc_is_asked(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await asyncio.to_thread(device.hear, b"<HEARTBEAT0>><GETVER>>")
+        device.say(b"GMC-500")
+        device.say(b"+Re 1.18")
+        await asyncio.to_thread(device.hear, b"<GETCPM>>")
+        device.say(b"\x00\x00\x01\x02")
+        assert [reading.value for reading in await watched.readings()] == [258.0]
+
+    scenario(device, Gmc(), act)
+
+
+def test_a_rad_pro_is_asked(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await asyncio.to_thread(device.hear, b"GET tubeSensitivity\r\n")
+        device.say(b"OK 153.800\r\n")
+        await asyncio.to_thread(device.hear, b"GET tubeRate\r\n")
+        device.say(b"OK 14")
+        device.say(b"2.857\r\n")
+        assert [reading.value for reading in await watched.readings()] == [142.857]
+
+    scenario(device, RadPro(), act)
+
+
+def test_unplugged_in_the_middle_of_a_line_and_plugged_in_again(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        device.say(line(1))
+        await watched.readings()
+        for n in range(2, 5):
+            device.say(line(n)[:12])
+            device.unplug()
+            await watched.until(lambda state: not state.connected)
+            assert watched.sensor.receive() == []
+            device.plug()
+            returned = time.monotonic()
+            await watched.connected(n)
+            device.say(line(n))
+            assert [reading.value for reading in await watched.readings()] == [float(n)]
+            assert time.monotonic() - returned < 5.0
+        state = watched.sensor.state()
+        assert (state.connections, state.malformed, state.trouble) == (4, 0, "")
+
+    scenario(device, MightyOhm(), act)
+
+
+def test_a_port_that_comes_late(device: SerialDevice, caplog: pytest.LogCaptureFixture) -> None:
+    device.unplug()
+
+    async def act(watched: Watched) -> None:
+        await watched.trouble("no such file or directory")
+        assert not watched.sensor.state().connected
+        device.plug()
+        await watched.connected()
+        device.say(line(7))
+        assert [reading.value for reading in await watched.readings()] == [7.0]
+
+    scenario(device, MightyOhm(), act, Patience(0.01, 0.05))
+    # However often it was tried.
+    assert [record.message.split(": ")[1] for record in caplog.records] == ["no such file or directory", "reads again"]
+
+
+def test_garbage_and_a_wrong_rate_are_counted_and_told(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        device.say(bytes(range(128, 256)) * 4 + b"\n" + line(5) + b"\xff" * 600 + b"\n" + line(6))
+        values: list[float] = []
+        while len(values) < 2:
+            values += [reading.value for reading in await watched.readings()]
+        assert values == [5.0, 6.0]
+        assert watched.sensor.state().malformed == 2
+
+    scenario(device, MightyOhm(), act)
+
+
+def test_a_device_that_says_nothing_sensible_is_opened_anew(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        device.say(b"gibberish\n")
+        await watched.trouble("nothing sensible heard for 0.3 s (expected 'CPS")
+        await watched.connected(2)
+        device.say(line(3))
+        assert [reading.value for reading in await watched.readings()] == [3.0]
+        assert watched.sensor.state().connections >= 2
+
+    scenario(device, MightyOhm(), act, Patience(0.01, 0.05, silence=0.3))
+
+
+def test_a_port_that_another_program_uses(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.trouble("in use by another program")
+        other.close()
+        await watched.connected()
+        device.say(line(3))
+        await watched.readings()
+
+    with serial.Serial(str(device.port), 9600, exclusive=True) as other:
+        scenario(device, MightyOhm(), act, Patience(0.01, 0.05))
+
+
+def test_a_driver_that_does_not_come_loses_the_oldest_readings(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        await asyncio.to_thread(device.say, b"".join(line(n) for n in range(100)))
+        await watched.until(lambda state: state.readings == 100)
+        values = [reading.value for reading in watched.sensor.receive()]
+        assert values == [float(n) for n in range(100 - MAX_WAITING, 100)]
+        assert watched.sensor.state().dropped == 100 - MAX_WAITING
+
+    scenario(device, MightyOhm(), act)
+
+
+class Broken(MightyOhm):
+    """A protocol with a bug in it."""
+
+    def feed(self, data: bytes, now: float) -> list[Sample]:
+        raise ZeroDivisionError
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_bug_of_ours_does_not_look_like_silence(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        with pytest.raises(RuntimeError, match="the thread of sensor"):
+            await watched.readings()
+
+    scenario(device, Broken(), act)
+
+
+def test_closing_ends_the_thread_and_frees_the_port(device: SerialDevice) -> None:
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        device.say(line(1))
+        await watched.readings()
+        watched.sensor.close()
+        with serial.Serial(str(device.port), 9600, exclusive=True):
+            assert not watched.sensor.state().connected
+
+    scenario(device, MightyOhm(), act)
+
+
+def test_without_pyserial_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(ConfigError, match=r"needs pyserial: pip install 'rass-mav\[drone\]'"):
+        SerialSensor("tty", 9600, MightyOhm(), DoseMeter(METER), time.monotonic)
