@@ -18,6 +18,8 @@ from rass_mav.core.errors import RassError, StoreDamagedError, StoreError, Store
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehicleLink
 
+from .notify import Notifier
+
 log = logging.getLogger(__name__)
 
 #: Frames that may wait for a commit. From half of it on, nothing more is taken in from the neighbours.
@@ -39,8 +41,10 @@ class Driver:
         vehicle: VehicleLink | None,
         now: Callable[[], float],
         executor: Executor,
+        notifier: Notifier | None = None,
     ) -> None:
-        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything."""
+        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. `notifier`: hears that the loop
+        goes round. The caller closes everything."""
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
@@ -55,6 +59,7 @@ class Driver:
         self.now = now
         self._store = agent.store
         self._executor = executor
+        self._notifier = notifier or Notifier()
         self._wake = asyncio.Event()
         self._stopping = False
         self._bug: BaseException | None = None
@@ -124,7 +129,7 @@ class Driver:
                     due += missed + 1
                 self._to_vehicle()
                 self._drive_commit()
-                await self._sleep(start + due * step_s)
+                await self._sleep(min(start + due * step_s, self._notifier.alive(loop.time())))
             await self._finish()
         finally:
             self._abort_puts(StoreError("the node is stopping"))
