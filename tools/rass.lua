@@ -14,7 +14,7 @@ local rass = Proto("rass", "RASS swarm storage")
 frame.prefs.payload_type = Pref.uint("payload_type", 33200, "mavlink.payload_type of the swarm")
 frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frames of ours are found on other ports too")
 
--- Fields ---------------------------------------------------------------------------------------------------------------
+-- Fields --------------------------------------------------------------------------------------------------------------
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
     "Query" }
@@ -112,7 +112,7 @@ local bad_checksum = ProtoExpert.new("rass_mavlink.bad_checksum", "Bad checksum"
     expert.severity.ERROR)
 frame.experts = { bad_checksum }
 
--- Our messages ---------------------------------------------------------------------------------------------------------
+-- Our messages --------------------------------------------------------------------------------------------------------
 
 -- Reads the fields of one message in turn. Everything that does not fit stops it with `CUT`.
 local CUT = {}
@@ -352,7 +352,7 @@ function rass.dissector(tvb, pinfo, root)
     return tvb:len()
 end
 
--- MAVLink 2 ------------------------------------------------------------------------------------------------------------
+-- MAVLink 2 -----------------------------------------------------------------------------------------------------------
 
 -- Exclusive or of two bytes, from a table of half bytes: which bit library there is depends on the Lua.
 local HALF = {}
@@ -478,7 +478,7 @@ function frame.dissector(tvb, pinfo, root)
     return at
 end
 
--- Registration ---------------------------------------------------------------------------------------------------------
+-- Registration --------------------------------------------------------------------------------------------------------
 
 -- On any port: a datagram that is one TUNNEL frame with our payload_type and a good checksum. Other MAVLink is left to
 -- other dissectors.
