@@ -41,10 +41,8 @@ class Driver:
         vehicle: VehicleLink | None,
         now: Callable[[], float],
         executor: Executor,
-        notifier: Notifier | None = None,
     ) -> None:
-        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. `notifier`: hears that the loop
-        goes round. The caller closes everything."""
+        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything."""
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
@@ -56,10 +54,11 @@ class Driver:
         """Commits done."""
         self.failed_commits = 0
         """Commits that failed and were tried again."""
+        self.notifier = Notifier()
+        """Hears that the loop goes round; the caller may set one that tells others."""
         self.now = now
         self._store = agent.store
         self._executor = executor
-        self._notifier = notifier or Notifier()
         self._wake = asyncio.Event()
         self._stopping = False
         self._bug: BaseException | None = None
@@ -129,7 +128,7 @@ class Driver:
                     due += missed + 1
                 self._to_vehicle()
                 self._drive_commit()
-                await self._sleep(min(start + due * step_s, self._notifier.alive(loop.time())))
+                await self._sleep(min(start + due * step_s, self.notifier.alive(loop.time())))
             await self._finish()
         finally:
             self._abort_puts(StoreError("the node is stopping"))

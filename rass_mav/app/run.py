@@ -108,7 +108,8 @@ class Runtime:
                 aside = store.report.set_aside
                 log.error("damaged store set aside as %s: %s", aside, store.report.reason)
                 agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
-            driver = Driver(agent, links, vehicle, self._clock.now, executor, self._notifier)
+            driver = Driver(agent, links, vehicle, self._clock.now, executor)
+            driver.notifier = self._notifier
             control = ControlServer(driver, config.socket_path)
             await control.start()
             self._driver = driver
