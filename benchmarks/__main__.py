@@ -33,6 +33,9 @@ AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
     (("handover", "scrub all", "fsyncs_drone"), "fsyncs a datum, drone", 0.1, True),
     (("handover", "scrub all", "fsyncs_base"), "fsyncs a datum, base", 0.1, True),
     (("node", "node - bare", "rss"), "drone node over bare Python, MiB", 24.0, True),
+    # Those of a Pi Zero, which has one slow core and 512 MiB for everything.
+    (("node", "node", "rss"), "drone node, MiB resident", 34.0, True),
+    (("node", "node", "start_ms"), "drone node, start, ms", 1500.0, True),
 )
 
 

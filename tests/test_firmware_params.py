@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +13,11 @@ FOLDER = Path(__file__).parents[1] / "firmware_params"
 OLD = FOLDER / "ardupilot-4.6.parm"
 NEW = FOLDER / "ardupilot-4.7.parm"
 PX4 = FOLDER / "px4.params"
-FILES = (OLD, NEW, PX4)
+#: The same with MAVLink signing.
+SIGNING = {path: path.with_stem(f"{path.stem}-signing") for path in (OLD, NEW, PX4)}
+FILES = (OLD, NEW, PX4, *SIGNING.values())
+#: What real firmware was measured to do, beside the project; not part of the repository.
+FIRMWARE = Path(__file__).parents[2] / "shared" / "FIRMWARE.md"
 
 #: The parameters of ArduPilot that 4.7 renamed.
 RENAMED = {
@@ -22,7 +27,14 @@ RENAMED = {
     "SERIAL2_OPTIONS": "MAV3_OPTIONS",
     "TELEM_DELAY": "MAV_TELEM_DELAY",
 }
-UNCHANGED = {"SERIAL2_PROTOCOL": 2.0, "SERIAL2_BAUD": 921.0, "BRD_SER2_RTSCTS": 0.0, "SCR_ENABLE": 1.0}
+UNCHANGED = {
+    "SERIAL1_PROTOCOL": 2.0,
+    "SERIAL1_BAUD": 57.0,
+    "SERIAL2_PROTOCOL": 2.0,
+    "SERIAL2_BAUD": 921.0,
+    "BRD_SER2_RTSCTS": 0.0,
+    "SCR_ENABLE": 1.0,
+}
 
 #: MAV_PARAM_TYPE_INT32 (MAVLink common, MAV_PARAM_TYPE): PX4 has only this and REAL32.
 INT32 = "6"
@@ -89,7 +101,9 @@ def test_ardupilot_speaks_mavlink_2_to_a_companion_on_telem2(path: Path) -> None
 
 def test_px4_speaks_mavlink_to_a_companion_on_telem2() -> None:
     px4 = values(PX4)
-    assert px4.pop("MAV_1_CONFIG") == 102
+    assert (px4.pop("MAV_0_CONFIG"), px4.pop("MAV_1_CONFIG")) == (101, 102)
+    assert px4.pop("SER_TEL1_BAUD") == 57600
+    assert px4.pop("MAV_0_RADIO_CTL") == 1
     assert px4.pop("SER_TEL2_BAUD") == 1000 * UNCHANGED["SERIAL2_BAUD"] + 600
     assert px4.pop("MAV_1_MODE") == 2
     assert px4.pop("MAV_1_RATE") == 0
@@ -99,17 +113,61 @@ def test_px4_speaks_mavlink_to_a_companion_on_telem2() -> None:
     assert set(px4) == {"MAV_SYS_ID", "MAV_1_RADIO_CTL"}
 
 
+#: What signing changes, file by file: name -> value without and with it.
+CHANGES: dict[Path, dict[str, tuple[float | None, float]]] = {
+    OLD: {"SERIAL2_OPTIONS": (0.0, 1 << 10)},
+    NEW: {"MAV3_OPTIONS": (0.0, 1 << 0 | 1 << 1), "MAV2_OPTIONS": (None, 0.0)},
+    PX4: {"MAV_0_FORWARD": (1.0, 0.0), "MAV_1_FORWARD": (1.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("path", SIGNING, ids=lambda path: path.name)
+def test_with_signing_the_swarm_is_not_forwarded_and_nothing_else_changes(path: Path) -> None:
+    plain, signing = values(path), values(SIGNING[path])
+    for name, (without, with_it) in CHANGES[path].items():
+        assert (plain.pop(name, None), signing.pop(name)) == (without, with_it)
+    assert plain == signing
+
+
+def measured() -> Iterator[tuple[set[str], set[str], set[str]]]:
+    """The rows of the table of parameters: names for ArduPilot to 4.6, for 4.7 and for PX4."""
+    table = FIRMWARE.read_text("utf-8").split("## Parameters for a companion on TELEM2")[1].split("\n## ")[0]
+    for row in table.splitlines():
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        if len(cells) == 4 and cells[0] not in ("purpose", "---"):
+            old, new, px4 = (set(re.findall(r"\b[A-Z][A-Z0-9]*_[A-Z0-9_]+", cell)) for cell in cells[1:])
+            yield old, old if cells[2] == "same" else new, px4
+
+
+@pytest.mark.skipif(not FIRMWARE.exists(), reason="needs ../shared/FIRMWARE.md, which is not part of the repository")
+def test_the_names_are_those_that_were_found_in_real_firmware() -> None:
+    rows = list(measured())
+    assert len(rows) == 8
+    # Of the radio on TELEM1, about which that table says nothing: named as for TELEM2.
+    ardupilot = {name.replace("SERIAL2", "SERIAL1") for name in ("SERIAL2_PROTOCOL", "SERIAL2_BAUD")}
+    for place, radio, paths in (
+        (0, ardupilot, (OLD, SIGNING[OLD])),
+        (1, {*ardupilot, "MAV2_OPTIONS"}, (NEW, SIGNING[NEW])),
+        (2, {"MAV_0_CONFIG", "SER_TEL1_BAUD", "MAV_0_RADIO_CTL", "MAV_0_FORWARD"}, (PX4, SIGNING[PX4])),
+    ):
+        names = set().union(*(row[place] for row in rows))
+        for path in paths:
+            assert names <= set(values(path)) <= names | radio, path.name
+
+
 def test_system_ids_are_those_of_a_vehicle_and_of_a_ground_station() -> None:
     old = values(OLD)
     assert old["SYSID_THISMAV"] == values(PX4)["MAV_SYS_ID"] == 1
     assert 1 <= old["SYSID_MYGCS"] <= 255
     assert old["SYSID_MYGCS"] != old["SYSID_THISMAV"]
     # A vehicle that takes its new id at once no longer hears what is sent to the old one.
-    assert [entries(path)[-1].name for path in (OLD, NEW)] == ["SYSID_THISMAV", "MAV_SYSID"]
+    assert [entries(path)[-1].name for path in (OLD, NEW, SIGNING[OLD], SIGNING[NEW])] == 2 * [
+        "SYSID_THISMAV", "MAV_SYSID",
+    ]  # fmt: skip
 
 
 def test_the_readme_names_every_file_and_every_renamed_parameter() -> None:
     text = (FOLDER / "README.md").read_text("utf-8")
     for name in [path.name for path in FILES] + list(RENAMED) + list(RENAMED.values()):
         assert f"`{name}" in text, name
-    assert {path.name for path in FOLDER.iterdir()} == {"README.md", *(path.name for path in FILES)}
+    assert {path.name for path in FOLDER.iterdir()} == {"README.md", "rass_rad.lua", *(path.name for path in FILES)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,19 @@ from rass_mav.cli import build_parser
 build_parser().parse_args(["run", "drone.yaml"])
 import rass_mav.app.config, rass_mav.app.run
 print(json.dumps(sorted(sys.modules)))
+"""
+
+_WITHOUT_OPENSSL = """
+import sys
+from rass_mav.app.light import load_without_openssl
+load_without_openssl()
+import asyncio, hashlib, rass_mav.app.run
+assert not {"ssl", "_ssl", "_hashlib"} & set(sys.modules)
+assert asyncio.run(asyncio.sleep(0, "works")) == "works"
+assert hashlib.sha256(b"abc").hexdigest().startswith("ba7816bf8f01cfea414140de5dae2223")
+import ssl
+load_without_openssl()
+print(sys.modules["ssl"] is ssl, ssl.OPENSSL_VERSION_NUMBER > 0)
 """
 
 _SPEAK = """
@@ -67,3 +81,23 @@ def test_a_node_does_not_load_the_mock_swarm(loaded: set[str]) -> None:
 
 def test_without_its_texts_the_dialect_says_and_understands_the_same() -> None:
     assert _python(_SPEAK, "forget") == _python(_SPEAK, "keep")
+
+
+def test_openssl_is_left_out_but_others_can_load_it() -> None:
+    assert _python(_WITHOUT_OPENSSL) == "True True\n"
+
+
+def test_a_running_node_does_not_map_openssl(tmp_path: Path) -> None:
+    config = tmp_path / "drone.yaml"
+    config.write_text("node: {id: 7}\nlinks: [{listen: '127.0.0.1:0', peers: [{address: '127.0.0.1:9'}]}]\n")
+    command = [sys.executable, "-m", "rass_mav", "run", config.name, "--json"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE) as node:
+        try:
+            assert node.stdout is not None
+            assert json.loads(node.stdout.readline())["node_id"] == 7
+            mapped = Path(f"/proc/{node.pid}/maps").read_text()
+            assert "libssl" not in mapped
+            assert "libcrypto" not in mapped
+        finally:
+            node.terminate()

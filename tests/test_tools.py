@@ -199,7 +199,7 @@ def test_as_a_program() -> None:
     options: dict[str, Any] = {"env": {**os.environ, "PYTHONPATH": str(ROOT)}, "capture_output": True, "text": True}
     good = subprocess.run([*command, ACCEPT.hex()], check=False, timeout=60, **options)
     assert (good.returncode, good.stderr) == (0, "")
-    shown = (ROOT / "tools" / "README.md").read_text(encoding="utf-8").split("prints:")[1]
+    shown = (ROOT / "tools" / "README.md").read_text(encoding="utf-8").split("prints:")[1].split("\n## ")[0]
     example = "\n".join(line[4:] for line in shown.splitlines() if line.startswith("    "))
     assert good.stdout.rstrip() == example
     bad = subprocess.run([*command, "ff"], check=False, timeout=60, **options)

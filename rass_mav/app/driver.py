@@ -25,6 +25,8 @@ from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL
 from rass_mav.sensor.base import Sensor
 
+from .notify import Notifier
+
 log = logging.getLogger(__name__)
 
 #: Frames that may wait for a commit. From half of it on, nothing more is taken in from the neighbours.
@@ -70,6 +72,8 @@ class Driver:
         """Commits done."""
         self.failed_commits = 0
         """Commits that failed and were tried again."""
+        self.notifier = Notifier()
+        """Hears that the loop goes round; the caller may set one that tells others."""
         self.now = now
         self.duplicates = Duplicates()
         rng = rng or random.Random()
@@ -171,7 +175,7 @@ class Driver:
                     due += missed + 1
                 self._to_vehicle()
                 self._drive_commit()
-                await self._sleep(start + due * step_s)
+                await self._sleep(min(start + due * step_s, self.notifier.alive(loop.time())))
             await self._finish()
         finally:
             for alarm in self._alarms.values():

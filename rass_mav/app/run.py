@@ -25,6 +25,7 @@ from .clock import Clock
 from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
+from .notify import Notifier
 
 log = logging.getLogger(__name__)
 
@@ -42,12 +43,16 @@ class Runtime:
         self._config = config
         self._ready = ready
         self._clock = Clock()
+        self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
 
     def run(self) -> None:
         """Blocking. Raises `RassError`s: a port in use, a store that another node uses, a disk that fails."""
-        asyncio.run(self._main())
+        try:
+            asyncio.run(self._main())
+        finally:
+            self._notifier.close()
 
     async def _main(self) -> None:
         loop = asyncio.get_running_loop()
@@ -72,6 +77,7 @@ class Runtime:
             os._exit(128 + number)
         log.info("signal %d: stopping", number)
         self._stopped = True
+        self._notifier.stopping()
         if self._driver is not None:
             self._driver.stop()
 
@@ -109,12 +115,14 @@ class Runtime:
             if sensor is not None:
                 stack.callback(sensor.close)
             driver = Driver(agent, links, vehicle, self._clock.now, executor, rng, sensor)
+            driver.notifier = self._notifier
             control = ControlServer(driver, config.socket_path)
             await control.start()
             self._driver = driver
             if self._stopped:
                 driver.stop()
             log.info("node %d (%s) runs, store %s", settings.node_id, config.node.role, config.store_path)
+            self._notifier.ready(f"node {settings.node_id} ({config.node.role})")
             if self._ready is not None:
                 self._ready(
                     {

@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from rass_mav.core.errors import RassError
 
@@ -73,9 +73,41 @@ def add_set(parser: argparse.ArgumentParser) -> None:
 def start_logging(verbose: int, level: str = "warning") -> None:
     """Logs go to stderr. `verbose`: how often -v was given; 0: `level` (debug, info, warning or error)."""
     chosen = {0: level.upper(), 1: "INFO"}.get(verbose, "DEBUG")
-    logging.basicConfig(
-        stream=sys.stderr, level=chosen, format="%(asctime)s %(levelname)s %(name)s: %(message)s", force=True
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(
+        _JournalFormatter("%(name)s: %(message)s")
+        if _goes_to_journal(sys.stderr)
+        else logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
     )
+    logging.basicConfig(level=chosen, handlers=[handler], force=True)
+
+
+class _JournalFormatter(logging.Formatter):
+    """For journald, which has time stamps of its own: instead, each line begins with its level (sd-daemon(3))."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        prefix = f"<{_priority(record.levelno)}>"
+        return "\n".join(prefix + line for line in super().format(record).splitlines())
+
+
+def _priority(level: int) -> int:
+    """Of syslog: 2 critical, 3 error, 4 warning, 6 information, 7 for debugging."""
+    return next((number for least, number in ((50, 2), (40, 3), (30, 4), (20, 6)) if level >= least), 7)
+
+
+def _goes_to_journal(stream: TextIO) -> bool:
+    """Whether journald reads the stream: $JOURNAL_STREAM holds the device and inode of its end (systemd.exec(5)).
+
+    The variable alone is not enough: who redirects the output of a program still hands it on.
+    """
+    named = os.environ.get("JOURNAL_STREAM")
+    if not named:
+        return False
+    try:
+        about = os.fstat(stream.fileno())
+    except (OSError, ValueError):
+        return False
+    return named == f"{about.st_dev}:{about.st_ino}"
 
 
 def print_json(value: dict[str, Any]) -> None:

@@ -67,6 +67,10 @@ def _config(options: argparse.Namespace) -> RunConfig:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from rass_mav.app.light import load_without_openssl
+
+    # First of all: whoever comes later would load it.
+    load_without_openssl()
     from rass_mav.mavlink.dialect import forget_texts
 
     # The dialect is the largest that a node loads. Loaded first, it leaves its scaffolding to the others.

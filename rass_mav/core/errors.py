@@ -46,3 +46,7 @@ class SwarmError(RassError):
 
 class ControlError(RassError):
     """The running node could not be reached, or refused a command."""
+
+
+class ServiceError(RassError):
+    """The system's service could not be installed, removed or asked."""

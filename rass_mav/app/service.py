@@ -1,0 +1,219 @@
+"""A node as a service of systemd: what is to be written and run, and doing it.
+
+A plan is made first, so that it can be shown. Paths in it are those of the running system. With another root (the
+mounted card of a Raspberry Pi, say) they lie below it, and nothing is run: systemd does the rest when that card boots.
+"""
+
+from __future__ import annotations
+
+import os
+import pwd
+import re
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rass_mav.core.errors import ConfigError, ServiceError
+
+from .config import RunConfig
+
+TEMPLATES = Path(__file__).parent / "systemd"
+#: Longest that one of systemd's programs may take, seconds. A start waits until the node is ready.
+COMMAND_S = 330.0
+_NAME = re.compile(r"[a-z][a-z0-9_-]{0,30}")
+_WANTS = "/etc/systemd/system/multi-user.target.wants"
+
+
+class PlannedFile(NamedTuple):
+    """A file to be written."""
+
+    path: str
+    """Absolute, on the running system."""
+    content: str
+
+
+class Plan(NamedTuple):
+    """What makes the service, or ends it."""
+
+    name: str
+    files: tuple[PlannedFile, ...]
+    """To be written, all readable by everybody."""
+    links: tuple[tuple[str, str], ...]
+    """Symbolic links, (path, target): what the commands do, for a system that does not run."""
+    removed: tuple[str, ...]
+    """Files that go, if they are there."""
+    commands: tuple[tuple[str, ...], ...]
+    """To be run in turn on the running system, after the files were written and before others are removed."""
+    after: tuple[tuple[str, ...], ...] = ()
+    """To be run after files were removed."""
+
+
+def unit_path(name: str) -> str:
+    """Of the service's unit."""
+    return f"/etc/systemd/system/{name}.service"
+
+
+def config_path(name: str) -> str:
+    """Of the configuration that the service reads."""
+    return f"/etc/{name}/node.yaml"
+
+
+def check_name(what: str, name: str) -> str:
+    """The name itself. Raises `ConfigError` if it is none for a service, user or group."""
+    if not _NAME.fullmatch(name):
+        raise ConfigError(f"{what}: expected a name of small letters, digits, - and _, got {name!r}")
+    return name
+
+
+def plan_install(
+    config: RunConfig, text: str, *, name: str, user: str, groups: Sequence[str], python: str, prefix: str
+) -> Plan:
+    """What makes a service of a node.
+
+    :param config: the node's configuration, already checked; `text`: the file as it was written.
+    :param name: of the service; its data are in /var/lib/NAME, its configuration is /etc/NAME/node.yaml.
+    :param user: whom the node runs as; made if there is no such user. `groups`: those that it joins.
+    :param python: the interpreter that has rass_mav; `prefix`: the environment that this one belongs to.
+    """
+    for what, each in (("--name", name), ("--user", user), *(("--group", group) for group in groups)):
+        check_name(what, each)
+    own = f"/var/lib/{name}"
+    outside = {str(path.parent) for path in (config.store_path, config.socket_path) if path.is_absolute()}
+    writable = sorted(path for path in outside if not Path(path).is_relative_to(own))
+    at_home = any(Path(path).is_relative_to(home) for path in (python, prefix) for home in ("/home", "/root"))
+    values = {
+        "NAME": name,
+        "USER": user,
+        "PYTHON": _quoted(python),
+        "CONFIG": config_path(name),
+        "PROTECT_HOME": "read-only" if at_home else "yes",
+        "WRITABLE": "".join(f"ReadWritePaths={_quoted(path)}\n" for path in writable),
+    }
+    members = "".join(f"m {user} {group}\n" for group in groups)
+    files = (
+        PlannedFile(config_path(name), text),
+        PlannedFile(f"/etc/sysusers.d/{name}.conf", _filled("node.sysusers", values) + members),
+        PlannedFile(unit_path(name), _filled("node.service", values)),
+    )
+    unit = f"{name}.service"
+    commands = (
+        ("systemd-sysusers", f"{name}.conf"),
+        ("systemctl", "daemon-reload"),
+        ("systemctl", "enable", unit),
+        ("systemctl", "restart", unit),
+    )
+    return Plan(name, files, ((f"{_WANTS}/{unit}", unit_path(name)),), (), commands)
+
+
+def plan_remove(name: str) -> Plan:
+    """What ends the service. Its data, its configuration and its user stay."""
+    check_name("--name", name)
+    unit = f"{name}.service"
+    removed = (f"{_WANTS}/{unit}", unit_path(name), f"/etc/sysusers.d/{name}.conf")
+    return Plan(name, (), (), removed, (("systemctl", "disable", "--now", unit),), (("systemctl", "daemon-reload"),))
+
+
+def check_reachable(user: str, *paths: str) -> None:
+    """Raise `ServiceError` if the user could not run what is at these paths: it lies in somebody's closed home."""
+    try:
+        uid = pwd.getpwnam(user).pw_uid
+    except KeyError:
+        uid = -1  # yet to be made: nothing belongs to it
+    if uid == 0:
+        return
+    for path in paths:
+        for folder in (Path(path), *Path(path).parents):
+            if not folder.is_dir():
+                continue
+            about = folder.stat()
+            if about.st_uid != uid and not about.st_mode & 0o001:
+                raise ServiceError(
+                    f"{folder}: closed to other users, so the user {user} could not run {path}: install rass-mav "
+                    f"outside of home directories, for example in /opt/rass-mav, or name another --user"
+                )
+
+
+def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:
+    """Do it. Raises `ServiceError`, and writes nothing, if a configuration stands in the way that has other contents.
+
+    :param root: below which the files go, and nothing is run; None: the running system.
+    :param replace: a configuration with other contents is replaced.
+    """
+    try:
+        for file in plan.files:
+            if file.path == config_path(plan.name) and not replace:
+                _check_same(place(root, file.path), file.content)
+        for file in plan.files:
+            _write(place(root, file.path), file.content)
+        if root is None:
+            for command in plan.commands:
+                run(*command)
+        else:
+            for link, target in plan.links:
+                path = place(root, link)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.unlink(missing_ok=True)
+                path.symlink_to(target)
+        for gone in plan.removed:
+            place(root, gone).unlink(missing_ok=True)
+    except OSError as error:
+        raise ServiceError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+    if root is None:
+        for command in plan.after:
+            run(*command)
+
+
+def place(root: Path | None, path: str) -> Path:
+    """Where a path of the system lies below another root."""
+    return Path(path) if root is None else root / path.lstrip("/")
+
+
+def run(*command: str) -> str:
+    """Run one of systemd's programs; returns what it says. Raises `ServiceError` if it fails or is not there."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=COMMAND_S, check=False)
+    except FileNotFoundError:
+        raise ServiceError(f"{command[0]}: not found; the service needs a system with systemd") from None
+    except subprocess.TimeoutExpired:
+        raise ServiceError(f"{' '.join(command)}: no answer in {COMMAND_S:g} s") from None
+    if done.returncode:
+        said = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[0]
+        raise ServiceError(f"{' '.join(command)}: {said}")
+    return done.stdout
+
+
+def state(name: str) -> dict[str, str]:
+    """What systemd knows of the service, property by property. Raises `ServiceError`."""
+    wanted = "LoadState,UnitFileState,ActiveState,SubState,MainPID,NRestarts,StatusText"
+    text = run("systemctl", "show", f"{name}.service", f"--property={wanted}")
+    return dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+
+
+def _check_same(path: Path, content: str) -> None:
+    """Somebody may have edited it where it is."""
+    if path.exists() and path.read_text(encoding="utf-8", errors="replace") != content:
+        raise ServiceError(f"{path}: is there already, with other contents: edit it, or give --replace")
+
+
+def _filled(template: str, values: dict[str, str]) -> str:
+    text = (TEMPLATES / template).read_text(encoding="utf-8")
+    return re.sub(r"@([A-Z_]+)@", lambda match: values[match[1]], text)
+
+
+def _quoted(path: str) -> str:
+    """A path as systemd reads it in a unit: a % begins a specifier, and blanks end a word."""
+    escaped = path.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{escaped}"' if re.search(r"[\s\"'\\;]", path) else escaped
+
+
+def _write(path: Path, content: str) -> None:
+    """Whole or not at all: the power may go at any moment."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name(path.name + ".new")
+    with fresh.open("w", encoding="utf-8") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+        os.fchmod(file.fileno(), 0o644)
+    fresh.replace(path)

@@ -1,0 +1,191 @@
+"""`service`: a node that systemd starts at boot."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rass_mav.core.errors import ConfigError, ServiceError
+
+from .common import HelpFormatter, Subparsers, add_command, print_json, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.app.service import Plan
+
+NAME = "rass-mav"
+USER = "rass"
+GROUP = "dialout"
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    service = subparsers.add_parser(
+        "service",
+        help="a node that systemd starts at boot: install, remove, status",
+        description="A node that systemd starts at boot and again when it fails.",
+        epilog="example: sudo rass-mav service install drone.yaml",
+        formatter_class=HelpFormatter,
+    )
+    actions = service.add_subparsers(dest="action", metavar="ACTION", required=True)
+    install = add_command(
+        actions, "install", _install, help="install the service, or bring it up to date, and start it",
+        example="sudo rass-mav service install drone.yaml",
+    )  # fmt: skip
+    remove = add_command(
+        actions, "remove", _remove, help="stop and remove the service; data, configuration and user stay",
+        example="sudo rass-mav service remove",
+    )  # fmt: skip
+    status = add_command(
+        actions, "status", _status, help="say whether the service is installed and runs; exit code 1 if it does not",
+        example="rass-mav service status",
+    )  # fmt: skip
+    install.add_argument("config", metavar="CONFIG.yaml", help=f"the configuration, copied to /etc/{NAME}/node.yaml")
+    install.add_argument(
+        "--user", default=USER, metavar="NAME", help=f"whom the node runs as ({USER}); made if missing"
+    )
+    install.add_argument(
+        "--group", action="append", metavar="NAME", help=f"a group that the user joins ({GROUP}); may be repeated"
+    )
+    install.add_argument("--replace", action="store_true", help="replace a configuration that is there and differs")
+    for parser in (install, remove):
+        parser.add_argument("--print", action="store_true", dest="show", help="only show what would be done")
+    for parser in (install, remove, status):
+        parser.add_argument("--name", default=NAME, metavar="NAME", help=f"of the service ({NAME}), for a second node")
+        parser.add_argument("--root", metavar="DIR", help="a system that does not run, such as a mounted card")
+
+
+def _install(options: argparse.Namespace) -> int:
+    from rass_mav.app.config import load_config
+    from rass_mav.app.service import check_reachable, plan_install
+
+    start_logging(options.verbose)
+    config = load_config(options.config)
+    try:
+        text = Path(options.config).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{options.config}: {(error.strerror or str(error)).lower()}") from None
+    groups = options.group if options.group is not None else [GROUP]
+    plan = plan_install(
+        config, text, name=options.name, user=options.user, groups=groups, python=sys.executable, prefix=sys.prefix
+    )
+    if options.root is None and not options.show:
+        _need_root("install")
+        check_reachable(options.user, sys.executable, os.path.realpath(sys.executable), sys.prefix)
+    return _do(options, plan, f"{options.name}: installed; what it says: journalctl -u {options.name}")
+
+
+def _remove(options: argparse.Namespace) -> int:
+    from rass_mav.app.service import config_path, place, plan_remove, unit_path
+
+    start_logging(options.verbose)
+    plan = plan_remove(options.name)
+    root = _root(options)
+    if root is None and not options.show:
+        _need_root("remove")
+    if not options.show and not place(root, unit_path(options.name)).exists():
+        raise ServiceError(f"{place(root, unit_path(options.name))}: not there, so there is nothing to remove")
+    kept = f"/var/lib/{options.name}, {config_path(options.name)} and the user are still there"
+    return _do(options, plan, f"{options.name}: removed; {kept}")
+
+
+def _do(options: argparse.Namespace, plan: Plan, said: str) -> int:
+    from rass_mav.app.service import carry_out
+
+    root = _root(options)
+    if not options.show:
+        carry_out(plan, root, replace=getattr(options, "replace", False))
+    if options.json:
+        print_json(
+            {
+                "name": plan.name,
+                "done": not options.show,
+                "files": [file.path for file in plan.files],
+                "removed": list(plan.removed),
+                "commands": [shlex.join(command) for command in plan.commands + plan.after] if root is None else [],
+            }
+        )
+    elif options.show:
+        _show(plan, root)
+    else:
+        say(said)
+    return 0
+
+
+def _show(plan: Plan, root: Path | None) -> None:
+    from rass_mav.app.service import place
+
+    for file in plan.files:
+        say(f"== {place(root, file.path)}")
+        sys.stdout.write(file.content if file.content.endswith("\n") else file.content + "\n")
+    if root is None:
+        for command in plan.commands:
+            say(f"$ {shlex.join(command)}")
+    else:
+        for link, target in plan.links:
+            say(f"== {place(root, link)} -> {target}")
+    for gone in plan.removed:
+        say(f"$ rm -f {shlex.quote(str(place(root, gone)))}")
+    if root is None:
+        for command in plan.after:
+            say(f"$ {shlex.join(command)}")
+
+
+def _status(options: argparse.Namespace) -> int:
+    from rass_mav.app.service import check_name, place, state, unit_path
+
+    start_logging(options.verbose)
+    check_name("--name", options.name)
+    root = _root(options)
+    unit = place(root, unit_path(options.name))
+    about: dict[str, Any] = {"name": options.name, "installed": unit.exists(), "unit": str(unit)}
+    if root is not None:
+        link = place(root, f"/etc/systemd/system/multi-user.target.wants/{options.name}.service")
+        about["enabled"] = link.is_symlink()
+        well = bool(about["installed"])
+    else:
+        known = state(options.name)
+        about["installed"] = known.get("LoadState") == "loaded"
+        about["enabled"] = known.get("UnitFileState") == "enabled"
+        about["active"] = known.get("ActiveState", "unknown")
+        about["pid"] = int(known.get("MainPID") or 0) or None
+        about["restarts"] = int(known.get("NRestarts") or 0)
+        about["status"] = known.get("StatusText") or None
+        well = about["active"] == "active"
+    if options.json:
+        print_json(about)
+    else:
+        say(_line(about))
+    return 0 if well else 1
+
+
+def _line(about: dict[str, Any]) -> str:
+    if not about["installed"]:
+        return f"{about['name']}: not installed"
+    words = ["starts at boot" if about["enabled"] else "does not start at boot"]
+    if "active" in about:
+        words.insert(0, str(about["active"]))
+        if about["pid"]:
+            words.append(f"process {about['pid']}")
+        if about["restarts"]:
+            words.append(f"started again {about['restarts']} times")
+        if about["status"]:
+            words.append(str(about["status"]))
+    return f"{about['name']}: {', '.join(words)}"
+
+
+def _root(options: argparse.Namespace) -> Path | None:
+    if options.root is None:
+        return None
+    root = Path(options.root)
+    if not root.is_dir():
+        raise ConfigError(f"--root: {root} is not a directory")
+    return root
+
+
+def _need_root(action: str) -> None:
+    if os.geteuid() != 0:
+        raise ServiceError(f"service {action}: needs root (sudo), or --root DIR, or --print to see what it would do")

@@ -1,0 +1,236 @@
+"""`rass-mav service`: what it writes below another root, what it would do, and what it refuses."""
+
+from __future__ import annotations
+
+import configparser
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.app.config import load_config
+from rass_mav.app.service import check_reachable, plan_install, plan_remove, run
+from rass_mav.cli import main
+from rass_mav.core.errors import ConfigError, ServiceError
+
+CONFIG = "node: {id: 7}\nlinks: [{broadcast: '192.168.4.255:14600'}]\n"
+UNIT = "etc/systemd/system/rass-mav.service"
+LINK = "etc/systemd/system/multi-user.target.wants/rass-mav.service"
+USERS = "etc/sysusers.d/rass-mav.conf"
+
+
+@pytest.fixture
+def drone(tmp_path: Path) -> str:
+    file = tmp_path / "drone.yaml"
+    file.write_text(CONFIG)
+    return str(file)
+
+
+@pytest.fixture
+def card(tmp_path: Path) -> Path:
+    """The root of a system that does not run."""
+    root = tmp_path / "card"
+    root.mkdir()
+    return root
+
+
+def below(root: Path) -> set[str]:
+    return {str(path.relative_to(root)) for path in root.rglob("*") if path.is_symlink() or path.is_file()}
+
+
+def unit(text: str) -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(interpolation=None, strict=False, comment_prefixes=("#",), delimiters=("=",))
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
+    parser.read_string(text)
+    return parser
+
+
+def test_install_below_another_root(drone: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["service", "install", drone, "--root", str(card)]) == 0
+    assert capsys.readouterr().out.startswith("rass-mav: installed")
+    assert below(card) == {UNIT, LINK, USERS, "etc/rass-mav/node.yaml"}
+    assert os.readlink(card / LINK) == f"/{UNIT}"
+    assert (card / "etc/rass-mav/node.yaml").read_text() == CONFIG
+    service = unit((card / UNIT).read_text())["Service"]
+    assert service["ExecStart"] == f"{sys.executable} -I -m rass_mav run /etc/rass-mav/node.yaml"
+    assert (service["User"], service["Type"], service["Restart"]) == ("rass", "notify", "always")
+    assert service["WorkingDirectory"] == "/var/lib/rass-mav"
+    assert int(service["WatchdogSec"]) > 0
+    # Both would close the serial ports.
+    assert not {"ProtectClock", "PrivateDevices"} & set(service)
+    lines = (card / USERS).read_text().splitlines()
+    assert 'u rass - "rass_mav node" /var/lib/rass-mav' in lines
+    assert "m rass dialout" in lines
+
+
+def test_no_placeholder_is_left(drone: str, card: Path) -> None:
+    main(["service", "install", drone, "--root", str(card)])
+    for file in (UNIT, USERS):
+        assert "@" not in (card / file).read_text().replace("@system-service", "")
+
+
+def test_what_runs_at_home_can_read_it_and_a_store_elsewhere_can_be_written(tmp_path: Path) -> None:
+    file = tmp_path / "drone.yaml"
+    file.write_text(CONFIG + "store: {path: /mnt/fast disk/100%/n7.db}\n")
+
+    def service(python: str) -> configparser.SectionProxy:
+        plan = plan_install(
+            load_config(file), CONFIG, name="second", user="pi", groups=(), python=python, prefix="/opt/x"
+        )
+        return unit(dict(plan.files)["/etc/systemd/system/second.service"])["Service"]
+
+    assert service("/opt/rass-mav/bin/python")["ProtectHome"] == "yes"
+    assert service("/home/pi/rass/bin/python")["ProtectHome"] == "read-only"
+    assert service("/opt/my env/bin/python")["ExecStart"].startswith(
+        '"/opt/my env/bin/python" -I -m rass_mav run /etc/second/'
+    )
+    # In a unit, % begins a specifier.
+    assert service("/opt/x/bin/python")["ReadWritePaths"] == '"/mnt/fast disk/100%%"'
+
+
+def test_print_shows_everything_and_does_nothing(drone: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["service", "install", drone, "--root", str(card), "--print"]) == 0
+    assert below(card) == set()
+    shown = capsys.readouterr().out
+    for path in (UNIT, USERS, LINK, "etc/rass-mav/node.yaml"):
+        assert f"== {card / path}" in shown
+    assert "WantedBy=multi-user.target" in shown
+    # On the running system it needs no root only to show it.
+    assert main(["service", "install", drone, "--print", "--user", "pi", "--group", "uucp", "--group", "video"]) == 0
+    shown = capsys.readouterr().out
+    assert "m pi uucp\nm pi video\n" in shown
+    assert shown.splitlines()[-4:] == [
+        "$ systemd-sysusers rass-mav.conf",
+        "$ systemctl daemon-reload",
+        "$ systemctl enable rass-mav.service",
+        "$ systemctl restart rass-mav.service",
+    ]
+    assert main(["service", "remove", "--print"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "$ systemctl disable --now rass-mav.service",
+        f"$ rm -f /{LINK}",
+        f"$ rm -f /{UNIT}",
+        f"$ rm -f /{USERS}",
+        "$ systemctl daemon-reload",
+    ]
+
+
+def test_install_again_and_remove(drone: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    here = ["--root", str(card)]
+    assert main(["service", "status", *here]) == 1
+    assert capsys.readouterr().out == "rass-mav: not installed\n"
+    assert main(["service", "remove", *here]) == 1
+    assert "nothing to remove" in capsys.readouterr().err
+    main(["service", "install", drone, *here])
+    before = below(card)
+    assert main(["service", "install", drone, *here]) == 0
+    assert below(card) == before
+    capsys.readouterr()
+    assert main(["service", "status", *here, "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert about == {"name": "rass-mav", "installed": True, "enabled": True, "unit": str(card / UNIT)}
+    assert main(["service", "remove", *here]) == 0
+    assert below(card) == {"etc/rass-mav/node.yaml"}
+
+
+def test_a_configuration_edited_in_place_is_not_lost(
+    drone: str, card: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = ["--root", str(card)]
+    main(["service", "install", drone, *here])
+    installed = card / "etc/rass-mav/node.yaml"
+    installed.write_text(CONFIG + "# by hand\n")
+    (card / UNIT).unlink()
+    assert main(["service", "install", drone, *here]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"{installed}: is there already, with other contents: edit it, or give --replace"
+    # Refused as a whole.
+    assert not (card / UNIT).exists()
+    assert main(["service", "install", str(installed), *here]) == 0
+    assert installed.read_text().endswith("# by hand\n")
+    assert main(["service", "install", drone, "--replace", *here]) == 0
+    assert installed.read_text() == CONFIG
+
+
+def test_a_wrong_configuration_is_not_installed(tmp_path: Path, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("node: {id: 7}\npolicy: {alpha: ten}\nlinks: [{broadcast: '192.168.4.255:1'}]\n")
+    assert main(["service", "install", str(file), "--root", str(card)]) == 2
+    assert "policy.alpha" in capsys.readouterr().err
+    assert below(card) == set()
+
+
+@pytest.mark.parametrize("action", [["install", "drone.yaml"], ["remove"]], ids=lambda words: words[0])
+def test_without_root_it_is_refused_in_one_line(
+    action: list[str], drone: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(Path(drone).parent)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    assert main(["service", *action]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "needs root (sudo)" in line
+
+
+@pytest.mark.parametrize(
+    "wrong", ["--name=Rass", "--name=../etc", "--user=a b", "--group=x;y", "--user=", "--root=gone"]
+)
+def test_names_that_are_none(wrong: str, drone: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = [] if wrong.startswith("--root") else ["--root", str(card)]
+    assert main(["service", "install", drone, wrong, *root]) == 2
+    assert wrong.split("=")[0] in capsys.readouterr().err
+    assert below(card) == set()
+
+
+def test_a_program_in_a_closed_home_is_refused() -> None:
+    # pytest's own folders are closed to others.
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        home = Path(name) / "home"
+        program = home / "env" / "bin" / "python"
+        program.parent.mkdir(parents=True)
+        check_reachable("nobody-of-that-name", str(program))
+        home.chmod(0o700)
+        with pytest.raises(ServiceError, match=f"{home}: closed to other users"):
+            check_reachable("nobody-of-that-name", str(program))
+        check_reachable("root", str(program))
+
+
+def test_programs_that_fail_or_are_missing_are_told() -> None:
+    assert run(sys.executable, "-c", "print('well')") == "well\n"
+    with pytest.raises(ServiceError, match="it is broken"):
+        run(sys.executable, "-c", "import sys; sys.exit('it is broken')")
+    with pytest.raises(ServiceError, match="no-such-program: not found"):
+        run("no-such-program", "restart")
+
+
+@given(st.text(max_size=40))
+def test_a_name_is_a_name_or_refused(name: str) -> None:
+    try:
+        plan = plan_remove(name)
+    except ConfigError:
+        return
+    assert all(Path(path).name in (f"{name}.service", f"{name}.conf") for path in plan.removed)
+
+
+def test_systemd_agrees(drone: str, card: Path) -> None:
+    """What systemd itself thinks of the unit and of the user."""
+    analyze, sysusers = shutil.which("systemd-analyze"), shutil.which("systemd-sysusers")
+    if analyze is None or sysusers is None:
+        pytest.skip("systemd-analyze and systemd-sysusers are not installed")
+    main(["service", "install", drone, "--root", str(card)])
+    verified = subprocess.run(
+        [analyze, "verify", str(card / UNIT)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert "rass-mav.service:" not in verified.stderr
+    made = subprocess.run(
+        [sysusers, f"--root={card}", "--dry-run"], capture_output=True, text=True, timeout=60, check=False
+    )
+    if "dry-run" not in made.stderr:  # systemd before 250 does not know the option
+        assert (made.returncode, "rass_mav node" in made.stdout + made.stderr) == (0, True)

@@ -1,0 +1,105 @@
+"""The wheel holds all that a drone needs: installed alone, beside nothing but what a node imports, it works."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TIMEOUT_S = 120.0
+#: All that a node imports from elsewhere. Without fastcrc and lxml, which pymavlink demands: not every board has them.
+NEEDED = ("pymavlink", "msgspec", "yaml")
+CONFIG = "node: {id: 7, step_s: 0.1}\nlinks: [{listen: '127.0.0.1:0', peers: [{address: '127.0.0.1:9'}]}]\n"
+
+
+@pytest.fixture(scope="module")
+def rass_mav(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The command `rass-mav` in an environment into which only the wheel was installed."""
+    if importlib.util.find_spec("pip") is None or importlib.util.find_spec("setuptools") is None:
+        pytest.skip("pip and setuptools are not installed")
+    directory = tmp_path_factory.mktemp("wheel")
+    # A build leaves files behind in the folder that it is made from.
+    source = directory / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    shutil.copytree(ROOT / "rass_mav", source / "rass_mav", ignore=shutil.ignore_patterns("__pycache__"))
+    pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
+    _run(*pip, "wheel", "--no-deps", "--no-index", "--no-build-isolation", "-w", str(directory), str(source))
+    (wheel,) = directory.glob("rass_mav-*.whl")
+    assert wheel.name.endswith("-py3-none-any.whl")
+
+    environment = directory / "venv"
+    venv.create(environment, symlinks=True)
+    python = environment / "bin" / "python"
+    _run(*pip, "--python", str(python), "install", "--no-deps", "--no-index", str(wheel))
+    shutil.rmtree(source)
+    packages = directory / "packages"
+    packages.mkdir()
+    for name in NEEDED:
+        found = importlib.util.find_spec(name)
+        assert found is not None
+        assert found.origin is not None
+        (packages / name).symlink_to(Path(found.origin).parent)
+    (site,) = environment.glob("lib/python*/site-packages")
+    (site / "needed.pth").write_text(f"{packages}\n")
+    return environment / "bin" / "rass-mav"
+
+
+def _run(*command: str, cwd: Path | None = None) -> str:
+    done = subprocess.run(
+        command, cwd=cwd, env=_environment(), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+
+def test_it_is_the_installed_one_and_knows_nothing_else(rass_mav: Path, tmp_path: Path) -> None:
+    python = str(rass_mav.with_name("python"))
+    code = "import rass_mav, importlib.util as u; print(rass_mav.__file__, u.find_spec('fastcrc'), u.find_spec('lxml'))"
+    file, *others = _run(python, "-c", code, cwd=tmp_path).split()
+    assert Path(file).is_relative_to(rass_mav.parents[1])
+    assert others == ["None", "None"]
+
+
+def test_help_and_version(rass_mav: Path, tmp_path: Path) -> None:
+    assert "example: rass-mav run drone.yaml" in _run(str(rass_mav), "--help", cwd=tmp_path)
+    assert _run(str(rass_mav), "--version", cwd=tmp_path).startswith("rass-mav ")
+
+
+def test_check_run_and_status(rass_mav: Path, tmp_path: Path) -> None:
+    (tmp_path / "drone.yaml").write_text(CONFIG)
+    assert "ok (drone, node 7)" in _run(str(rass_mav), "check", "drone.yaml", cwd=tmp_path)
+    with subprocess.Popen(
+        [str(rass_mav), "run", "drone.yaml", "--json"], cwd=tmp_path, env=_environment(), stdout=subprocess.PIPE
+    ) as node:
+        try:
+            assert node.stdout is not None
+            assert select.select([node.stdout], [], [], TIMEOUT_S)[0]
+            assert json.loads(node.stdout.readline())["node_id"] == 7
+            assert json.loads(_run(str(rass_mav), "status", "drone.yaml", "--json", cwd=tmp_path))["node_id"] == 7
+            node.send_signal(signal.SIGTERM)
+            assert node.wait(TIMEOUT_S) == 0
+        finally:
+            node.kill()
+
+
+def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> None:
+    (tmp_path / "drone.yaml").write_text(CONFIG)
+    assert "WatchdogSec=" in _run(str(rass_mav), "service", "install", "drone.yaml", "--print", cwd=tmp_path)
+    summary = json.loads(_run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path))
+    assert summary["steps"] == 5

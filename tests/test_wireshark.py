@@ -1,0 +1,255 @@
+"""tools/rass.lua: what Wireshark shows of our frames is what `rass_mav.wire` reads in them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import struct
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.core.datum import DatumId, Kind, make_datum
+from rass_mav.core.errors import MalformedError
+from rass_mav.core.messages import (
+    Beacon,
+    Chunk,
+    Corrupt,
+    CorruptEntry,
+    Data,
+    Handover,
+    Message,
+    PassedOn,
+    Receipt,
+    ReceiptEntry,
+    ReceiptSpan,
+    Sack,
+)
+from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.signing import Signer
+from rass_mav.wire import decode, encode
+from rass_mav.wire.measurement import Measurement, encode_measurement
+
+TSHARK = shutil.which("tshark")
+pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed (Debian: apt install tshark)")
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = ROOT / "tools" / "rass.lua"
+PROTOCOL = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").split("## Golden vectors")[1]
+GOLDEN = {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f]+)` \|", PROTOCOL, re.M)}
+
+#: The port that the script knows; on others it finds our frames by their content.
+PORT = 14600
+LINKTYPE_RAW = 101
+TIMEOUT_S = 120.0
+
+#: A field of our messages -> its name in Wireshark, where that is another one.
+NAMES = {"Beacon.number": "beacon", "Receipt.bitmap": "arrived", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops"}
+
+Shown = dict[str, list[str]]
+
+
+def pcap(datagrams: Sequence[bytes], port: int) -> bytes:
+    """A capture file with a UDP datagram a packet (https://wiki.wireshark.org/Development/LibpcapFileFormat)."""
+    packets = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, LINKTYPE_RAW)]
+    for number, data in enumerate(datagrams):
+        udp = struct.pack(">HHHH", port, port, 8 + len(data), 0) + data
+        ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), 0, 0, 1, 17, 0, b"\x7f\0\0\1", b"\x7f\0\0\1") + udp
+        packets.append(struct.pack("<IIII", number, 0, len(ip), len(ip)) + ip)
+    return b"".join(packets)
+
+
+def leaves(layer: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """All fields of tshark's JSON, however deep, as (name, value)."""
+    if isinstance(layer, dict):
+        for key, value in layer.items():
+            yield from leaves(value, key)
+    elif isinstance(layer, list):
+        for value in layer:
+            yield from leaves(value, name)
+    else:
+        yield name, layer
+
+
+def shown(directory: Path, datagrams: Sequence[bytes], port: int = PORT, *options: str) -> list[Shown]:
+    """What tshark shows of each datagram: our fields with their values in order."""
+    assert TSHARK is not None
+    file = directory / "air.pcap"
+    file.write_bytes(pcap(datagrams, port))
+    command = [TSHARK, "-r", str(file), "-X", f"lua_script:{SCRIPT}", "-T", "json", "--no-duplicate-keys", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
+    assert "rass.lua" not in done.stderr
+    found = []
+    for packet in json.loads(done.stdout):
+        fields: Shown = {}
+        for name, value in leaves(packet["_source"]["layers"]):
+            if name.startswith("rass"):
+                fields.setdefault(name, []).append(value)
+        found.append(fields)
+    return found
+
+
+def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
+    """All fields of a message as the dissector names them. `created` is an age on the wire."""
+    kind = type(record).__name__
+    for name, value in zip(record._fields, record, strict=True):
+        if (kind, name) == ("Chunk", "target") or (name == "turn" and not value):
+            continue  # not on the wire
+        if name == "created":
+            yield "age", round((now - value) * 1000)
+        elif name in ("handovers", "entries", "ids", "spans"):
+            yield "spans" if name == "spans" else "count", len(value)
+            for each in value:
+                yield from said(each, now)
+        elif name in ("committed", "refused"):
+            yield name, len(value)
+            for each in value:
+                yield from (
+                    zip(("number", "crc"), each, strict=True) if name == "committed" else [("refused_number", each)]
+                )
+        elif hasattr(value, "_fields"):
+            yield from said(value, now)
+        elif name == "payload":
+            yield "size", len(value)
+            yield name, value
+        elif name == "bitmap" and kind == "Sack":
+            size = (value.bit_length() + 7) // 8
+            yield "bitmap_size", size
+            if size:
+                yield name, value.to_bytes(size, "little")
+        else:
+            owner = "Receipt" if kind in ("ReceiptEntry", "ReceiptSpan") else kind
+            yield NAMES.get(f"{owner}.{name}", name), value
+
+
+def read(name: str, text: str) -> int | bytes:
+    if name in ("rass.payload", "rass.data", "rass.bitmap"):
+        return bytes.fromhex(text.replace(":", ""))
+    return int(text, 0)
+
+
+def assert_shows(fields: Shown, message: Message) -> None:
+    expected: dict[str, list[int | bytes]] = {}
+    for name, value in said(message):
+        expected.setdefault(f"rass.{name}", []).append(value)
+    ours = {
+        name: values
+        for name, values in fields.items()
+        if name.startswith("rass.") and not re.match(r"rass\.(version|type|flags\.|flags_tree|measurement)", name)
+    }
+    assert {name: [read(name, value) for value in values] for name, values in ours.items()} == expected
+
+
+def frame(payload: bytes, writer: FrameWriter | None = None, payload_type: int = 33200) -> bytes:
+    return (writer or FrameWriter(7, 191)).tunnel(payload, payload_type=payload_type)
+
+
+def decoded(payload: bytes) -> Message:
+    message = decode(payload, 0.0)
+    assert message is not None
+    return message
+
+
+@pytest.fixture(scope="module")
+def golden(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Shown]:
+    found = shown(tmp_path_factory.mktemp("golden"), [frame(payload) for payload in GOLDEN.values()])
+    return dict(zip(GOLDEN, found, strict=True))
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_every_field_of_every_golden_vector_is_shown(name: str, golden: dict[str, Shown]) -> None:
+    fields = golden[name]
+    assert fields["rass.version"] == ["1"]
+    assert fields["rass.type"] == [str(GOLDEN[name][0] & 15)]
+    assert fields["rass_mavlink.checksum_good"] == ["1"]
+    assert fields["rass_mavlink.system"] == ["7"]
+    assert fields["rass_mavlink.payload_length"] == [str(len(GOLDEN[name]))]
+    assert_shows(fields, decoded(GOLDEN[name]))
+
+
+def test_full_frames_and_measurements(tmp_path: Path) -> None:
+    payload = encode_measurement(Measurement(47.5, -8.25, 412.5, 0.75, 1.0))
+    datum = make_datum(DatumId(7, 0xABCD, 4), Kind.MEASUREMENT, -3.0, payload)
+    messages: list[Message] = [
+        Data(7, 8, (Handover(1, datum), Handover(2, datum))),
+        Data(7, 8, (Handover(1, datum),), True),
+        Chunk(65535, 0xFFFF, 16383, True, bytes(range(123))),
+        Sack(1, 65535, 2, 3, (1 << 256) - 1),
+        Receipt(1, 2, tuple(ReceiptEntry(n, n + 1, n + 2, n + 3) for n in range(1, 9))),
+        Receipt(1, 2, (), tuple(ReceiptSpan(n, n + 1, n + 2, n + 3, n + 4, n) for n in range(1, 7))),
+        PassedOn(7, 8, tuple(DatumId(n, n + 1, n + 2) for n in range(12))),
+        Corrupt(7, 8, tuple(CorruptEntry(DatumId(n, n + 1, n + 2), n) for n in range(11))),
+    ]
+    payloads = [part for message in messages for part in encode(message, 0.0)]
+    fields = shown(tmp_path, [frame(part) for part in payloads])
+    for one, part in zip(fields, payloads, strict=True):
+        assert_shows(one, decoded(part))
+    assert fields[0]["rass.measurement.latitude"] == ["475000000", "475000000"]
+    assert fields[0]["rass.measurement.longitude"][0] == "-82500000"
+    assert fields[0]["rass.measurement.altitude"][0] == "412500"
+    assert float(fields[0]["rass.measurement.reading"][0]) == 0.75
+    assert fields[0]["rass.measurement.risk"][0] == "65535"
+
+
+def test_signed_frames_and_several_in_one_datagram(tmp_path: Path) -> None:
+    signed = frame(GOLDEN["accept"], FrameWriter(7, 191, Signer(bytes(32), 3, 1_000_000)))
+    heartbeat = FrameWriter(9, 1).message(common.MAVLink_heartbeat_message(2, 3, 81, 0, 4, 3))
+    alone, three = shown(tmp_path, [signed, heartbeat + signed + frame(GOLDEN["sack"])])
+    assert alone["rass_mavlink.signature_link"] == ["3"]
+    assert int(alone["rass_mavlink.signature_timestamp"][0]) >= 1_000_000
+    assert alone["rass_mavlink.signature"] == [signed[-6:].hex(":")]
+    assert_shows(alone, decoded(GOLDEN["accept"]))
+    assert three["rass_mavlink.message_id"] == ["0", "385", "385"]
+    assert three["rass.type"] == ["4", "6"]
+
+
+def test_on_another_port_ours_are_found_and_others_left_alone(tmp_path: Path) -> None:
+    heartbeat = FrameWriter(9, 1).message(common.MAVLink_heartbeat_message(2, 3, 81, 0, 4, 3))
+    damaged = bytearray(frame(GOLDEN["accept"]))
+    damaged[20] ^= 1
+    found = shown(
+        tmp_path, [frame(GOLDEN["accept"]), frame(GOLDEN["accept"], payload_type=211), heartbeat, damaged], 40001
+    )
+    assert [fields.get("rass.type") for fields in found] == [["4"], None, None, None]
+
+
+def test_a_swarm_with_its_own_payload_type(tmp_path: Path) -> None:
+    datagrams = [frame(GOLDEN["accept"], payload_type=40000), frame(GOLDEN["accept"])]
+    found = shown(tmp_path, datagrams, PORT, "-o", "rass_mavlink.payload_type:40000")
+    assert [fields.get("rass.type") for fields in found] == [["4"], None]
+    assert found[1]["rass_mavlink.payload_type"] == ["33200"]
+
+
+def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:
+    """Every way to cut off every golden vector, other versions and types, a wrong checksum."""
+    cut = [payload[:size] for payload in GOLDEN.values() for size in range(1, len(payload))]
+    strange = [b"\x21" + bytes(40), b"\x1f" + bytes(40)]
+    damaged = bytearray(frame(GOLDEN["accept"]))
+    damaged[20] ^= 1
+    *short, version, kind, checksum = shown(tmp_path, [*map(frame, cut + strange), bytes(damaged)])
+    for payload, fields in zip(cut, short, strict=True):
+        try:
+            message = decode(payload, 0.0)
+        except MalformedError:
+            assert "rass.malformed" in fields, payload.hex()
+        else:
+            assert message is not None
+            assert "rass.malformed" not in fields, payload.hex()
+    assert "rass.foreign" in version
+    assert "rass.foreign" in kind
+    assert checksum["rass_mavlink.checksum_good"] == ["0"]
+    assert "rass.type" not in checksum
+
+
+def test_a_beacon_of_zeros_comes_back_whole(tmp_path: Path) -> None:
+    """MAVLink 2 trims zeros: even fields of TUNNEL itself may be gone from the wire."""
+    (payload,) = encode(Beacon(*([0] * 15)), 0.0)
+    trimmed = frame(payload)
+    assert len(trimmed) < 20
+    (fields,) = shown(tmp_path, [trimmed])
+    assert_shows(fields, decoded(payload))

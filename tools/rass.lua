@@ -1,0 +1,546 @@
+-- Wireshark dissector for rass_mav: MAVLink 2 frames in UDP, TUNNEL (message 385) in them, and in it every field of our
+-- own messages (docs/protocol.md). How to use it: tools/README.md.
+--
+-- Written for Lua 5.2 (Wireshark 4.0 and 4.2) and Lua 5.4 (from 4.4 on): no bit library, no integer division.
+
+local TUNNEL_ID = 385
+local TUNNEL_EXTRA = 147 -- CRC_EXTRA: a digest of the message's definition, goes into the checksum
+local AHEAD_OF_DATA = 5 -- bytes of TUNNEL before its data: payload_type, target_system, target_component, length
+local SIGNATURE_SIZE = 13
+
+local frame = Proto("rass_mavlink", "MAVLink 2 (rass_mav)")
+local rass = Proto("rass", "RASS swarm storage")
+
+frame.prefs.payload_type = Pref.uint("payload_type", 33200, "mavlink.payload_type of the swarm")
+frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frames of ours are found on other ports too")
+
+-- Fields --------------------------------------------------------------------------------------------------------------
+
+local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
+    "Query", "Passed on", "Corrupt" }
+local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
+local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished" }
+local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still" }
+local TARGETS = { [65535] = "everybody" }
+
+local f = {}
+local function field(key, make, abbreviation, ...)
+    f[key] = make(abbreviation, ...)
+end
+
+field("length", ProtoField.uint8, "rass_mavlink.length", "Payload length")
+field("incompatible", ProtoField.uint8, "rass_mavlink.incompatible", "Incompatibility flags", base.HEX)
+field("signed", ProtoField.bool, "rass_mavlink.signed", "Signed")
+field("mav_sequence", ProtoField.uint8, "rass_mavlink.sequence", "Sequence")
+field("system", ProtoField.uint8, "rass_mavlink.system", "System id")
+field("component", ProtoField.uint8, "rass_mavlink.component", "Component id")
+field("message_id", ProtoField.uint24, "rass_mavlink.message_id", "Message id")
+field("checksum", ProtoField.uint16, "rass_mavlink.checksum", "Checksum", base.HEX)
+field("good", ProtoField.bool, "rass_mavlink.checksum_good", "Checksum good")
+field("link_id", ProtoField.uint8, "rass_mavlink.signature_link", "Signature: link id")
+field("ticks", ProtoField.uint64, "rass_mavlink.signature_timestamp", "Signature: 10 us since 2015-01-01 UTC")
+field("signature", ProtoField.bytes, "rass_mavlink.signature", "Signature")
+field("payload_type", ProtoField.uint16, "rass_mavlink.payload_type", "TUNNEL payload type")
+field("target_system", ProtoField.uint8, "rass_mavlink.target_system", "TUNNEL target system")
+field("target_component", ProtoField.uint8, "rass_mavlink.target_component", "TUNNEL target component")
+field("payload_length", ProtoField.uint8, "rass_mavlink.payload_length", "TUNNEL payload length")
+frame.fields = f
+
+local g = f -- those of the frame; f is for our own messages
+f = {}
+field("version", ProtoField.uint8, "rass.version", "Version", base.DEC, nil, 0xf0)
+field("type", ProtoField.uint8, "rass.type", "Type", base.DEC, TYPES, 0x0f)
+field("sender", ProtoField.uint16, "rass.sender", "Sender")
+field("target", ProtoField.uint16, "rass.target", "Target", base.DEC, TARGETS)
+field("epoch", ProtoField.uint32, "rass.epoch", "Epoch", base.HEX)
+field("beacon", ProtoField.uint16, "rass.beacon", "Beacon number")
+field("flags", ProtoField.uint8, "rass.flags", "Flags", base.HEX)
+field("flag_base", ProtoField.bool, "rass.flags.base", "Sender is a base", 8, nil, 1)
+field("flag_wanted", ProtoField.bool, "rass.flags.wanted", "Wants a newer announcement", 8, nil, 2)
+field("base", ProtoField.uint16, "rass.base", "Base")
+field("base_epoch", ProtoField.uint32, "rass.base_epoch", "Base epoch", base.HEX)
+field("route_number", ProtoField.uint16, "rass.route_number", "Announcement number")
+field("hops", ProtoField.uint8, "rass.hops", "Hops to the base (255: no route)")
+field("wanted_base", ProtoField.uint16, "rass.wanted_base", "Wanted base")
+field("wanted_number", ProtoField.uint16, "rass.wanted_number", "Wanted announcement")
+field("risk", ProtoField.uint16, "rass.risk", "Risk (65535 is 1)")
+field("free", ProtoField.uint16, "rass.free", "Free items (65535: no bound)")
+field("policy", ProtoField.uint16, "rass.policy", "Policy tag", base.HEX)
+field("potential", ProtoField.uint32, "rass.potential", "Potential (16777216 is fitness 1)")
+field("digest", ProtoField.uint32, "rass.digest", "Receipt digest", base.HEX)
+field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
+field("count", ProtoField.uint8, "rass.count", "Entries")
+field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
+field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
+field("receipt_count", ProtoField.uint8, "rass.count", "Entries", base.DEC, nil, 0x0f)
+field("spans", ProtoField.uint8, "rass.spans", "Spans", base.DEC, nil, 0xf0)
+field("number", ProtoField.uint32, "rass.number", "Hand-over number", base.HEX)
+field("origin", ProtoField.uint16, "rass.origin", "Datum: origin")
+field("sequence", ProtoField.uint32, "rass.sequence", "Datum: sequence")
+field("age", ProtoField.uint32, "rass.age", "Age, ms")
+field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Hand-overs so far")
+field("kind", ProtoField.uint8, "rass.kind", "Kind", base.DEC, KINDS)
+field("crc", ProtoField.uint32, "rass.crc", "CRC of the datum", base.HEX)
+field("size", ProtoField.uint32, "rass.size", "Size, bytes")
+field("small_size", ProtoField.uint8, "rass.size", "Size, bytes")
+field("payload", ProtoField.bytes, "rass.payload", "Payload of the datum")
+field("chunk_size", ProtoField.uint8, "rass.chunk_size", "Chunk size, bytes")
+field("handle", ProtoField.uint16, "rass.handle", "Handle", base.HEX)
+field("next_index", ProtoField.uint16, "rass.next_index", "First missing chunk")
+field("position", ProtoField.uint16, "rass.position", "Chunk", base.DEC, nil, 0x7fff)
+field("poll", ProtoField.bool, "rass.poll", "Wants a sack", 16, nil, 0x8000)
+field("data", ProtoField.bytes, "rass.data", "Data of the chunk")
+field("bitmap_size", ProtoField.uint8, "rass.bitmap_size", "Bytes of bitmap")
+field("bitmap", ProtoField.bytes, "rass.bitmap", "Bitmap")
+field("committed", ProtoField.uint8, "rass.committed", "Committed pairs")
+field("refused", ProtoField.uint8, "rass.refused", "Refused numbers")
+field("refused_number", ProtoField.uint32, "rass.refused_number", "Refused hand-over", base.HEX)
+field("closed", ProtoField.uint32, "rass.closed", "All below have arrived")
+field("arrived", ProtoField.uint16, "rass.arrived", "Bitmap: closed + 1 + i has arrived too", base.HEX)
+field("lost", ProtoField.uint16, "rass.lost", "Bitmap: closed + i was told lost", base.HEX)
+field("floor", ProtoField.uint32, "rass.floor", "Of what is below nothing is said")
+field("word", ProtoField.uint8, "rass.word", "Word", base.DEC, WORDS)
+field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
+field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp")
+field("writer", ProtoField.uint16, "rass.writer", "Writer")
+field("m_version", ProtoField.uint8, "rass.measurement.version", "Version")
+field("m_flags", ProtoField.uint8, "rass.measurement.flags", "Flags", base.HEX)
+field("m_place_1", ProtoField.int32, "rass.measurement.latitude", "Latitude, 1e-7 degrees (local: north, mm)")
+field("m_place_2", ProtoField.int32, "rass.measurement.longitude", "Longitude, 1e-7 degrees (local: east, mm)")
+field("m_place_3", ProtoField.int32, "rass.measurement.altitude", "Altitude, mm (local: down)")
+field("m_reading", ProtoField.float, "rass.measurement.reading", "Reading, the sensor's own unit")
+field("m_risk", ProtoField.uint16, "rass.measurement.risk", "Risk (65535 is 1)")
+rass.fields = f
+
+local malformed = ProtoExpert.new("rass.malformed", "Cut off, or fields contradict each other",
+    expert.group.MALFORMED, expert.severity.ERROR)
+local foreign = ProtoExpert.new("rass.foreign", "Another version, or a type that is not known",
+    expert.group.UNDECODED, expert.severity.NOTE)
+rass.experts = { malformed, foreign }
+local bad_checksum = ProtoExpert.new("rass_mavlink.bad_checksum", "Bad checksum", expert.group.CHECKSUM,
+    expert.severity.ERROR)
+frame.experts = { bad_checksum }
+
+-- Our messages --------------------------------------------------------------------------------------------------------
+
+-- Reads the fields of one message in turn. Everything that does not fit stops it with `CUT`.
+local CUT = {}
+local Reader = {}
+Reader.__index = Reader
+
+function Reader:need(size)
+    if self.at + size > self.tvb:len() then error(CUT, 0) end
+    local range = self.tvb(self.at, size)
+    self.at = self.at + size
+    return range
+end
+
+-- A little-endian number into the tree; returns it.
+function Reader:number(key, size)
+    local range = self:need(size)
+    self.tree:add_le(f[key], range)
+    return range:le_uint()
+end
+
+function Reader:bytes(key, size)
+    local range = self:need(size)
+    if size > 0 then self.tree:add(f[key], range) end
+    return range
+end
+
+-- A branch of the tree around what `read` reads.
+function Reader:branch(title, read)
+    local start, parent = self.at, self.tree
+    self.tree = parent:add(rass, self.tvb(start), title)
+    read()
+    self.tree:set_len(self.at - start)
+    self.tree = parent
+end
+
+local function title_of_id(r)
+    return string.format("%d-%08x-%d", r.tvb(r.at, 2):le_uint(), r.tvb(r.at + 2, 4):le_uint(),
+        r.tvb(r.at + 6, 4):le_uint())
+end
+
+local function datum_id(r)
+    if r.at + 10 > r.tvb:len() then error(CUT, 0) end
+    local title = title_of_id(r)
+    r:number("origin", 2)
+    r:number("epoch", 4)
+    r:number("sequence", 4)
+    return title
+end
+
+local function measurement(r, range)
+    if range:len() < 20 or range(0, 1):uint() ~= 1 then return end
+    local inner = r.tree:add(rass, range(0, 20), "Measurement")
+    inner:add(f.m_version, range(0, 1))
+    inner:add(f.m_flags, range(1, 1))
+    for i = 1, 3 do inner:add_le(f["m_place_" .. i], range(4 * i - 2, 4)) end
+    inner:add_le(f.m_reading, range(14, 4))
+    inner:add_le(f.m_risk, range(18, 2))
+end
+
+-- What Data and Put have in common: id, age, hops, kind, CRC, size, payload.
+local function whole_datum(r)
+    local title = datum_id(r)
+    r:number("age", 4)
+    r:number("datum_hops", 1)
+    local kind = r:number("kind", 1)
+    r:number("crc", 4)
+    local size = r:number("small_size", 1)
+    if size == 0 then error(CUT, 0) end
+    local payload = r:bytes("payload", size)
+    if kind == 1 then measurement(r, payload) end
+    return title
+end
+
+local function times(r, count, title, read)
+    for i = 1, count do
+        r:branch(string.format("%s %d", title, i), read)
+    end
+end
+
+local READ = {}
+
+READ[1] = function(r)
+    local sender = r:number("sender", 2)
+    if sender == 65535 then error(CUT, 0) end
+    r:number("epoch", 4)
+    r:number("beacon", 2)
+    local flags = r:need(1)
+    local branch = r.tree:add(f.flags, flags)
+    branch:add(f.flag_base, flags)
+    branch:add(f.flag_wanted, flags)
+    local to = r:number("base", 2)
+    r:number("base_epoch", 4)
+    r:number("route_number", 2)
+    local hops = r:number("hops", 1)
+    r:number("wanted_base", 2)
+    r:number("wanted_number", 2)
+    local risk = r:number("risk", 2)
+    r:number("free", 2)
+    r:number("policy", 2)
+    r:number("potential", 4)
+    r:number("digest", 4)
+    if r.at < r.tvb:len() then r:number("turn", 2) end
+    local way = hops == 255 and "no route" or string.format("%d hops to %d", hops, to)
+    return string.format("%d: %s, risk %.3f", sender, way, risk / 65535)
+end
+
+-- Sender and target; returns the beginning of the line in the packet list.
+local function to_one(r)
+    local sender = r:number("sender", 2)
+    local target = r:number("target", 2)
+    return string.format("%d -> %s", sender, TARGETS[target] or tostring(target))
+end
+
+READ[2] = function(r)
+    local info = to_one(r)
+    local count = r:need(1)
+    r.tree:add(f.data_count, count)
+    r.tree:add(f.spare, count)
+    if count:uint() >= 128 then info = info .. ", spare" end
+    times(r, count:uint() % 128, "Hand-over", function()
+        r:number("number", 4)
+        info = info .. " " .. whole_datum(r)
+    end)
+    return info
+end
+
+READ[3] = function(r)
+    local info = to_one(r)
+    r:number("number", 4)
+    info = info .. " " .. datum_id(r)
+    r:number("age", 4)
+    r:number("datum_hops", 1)
+    r:number("kind", 1)
+    r:number("crc", 4)
+    local size = r:number("size", 4)
+    local chunk = r:number("chunk_size", 1)
+    if size == 0 or chunk == 0 or chunk > 123 then error(CUT, 0) end
+    return string.format("%s, %d bytes", info, size)
+end
+
+READ[4] = function(r)
+    local info = to_one(r)
+    r:number("number", 4)
+    local handle = r:number("handle", 2)
+    return string.format("%s %04x, from chunk %d on", info, handle, r:number("next_index", 2))
+end
+
+READ[5] = function(r)
+    local handle = r:number("handle", 2)
+    local index = r:need(2)
+    r.tree:add_le(f.position, index)
+    r.tree:add_le(f.poll, index)
+    local size = r.tvb:len() - r.at
+    r:bytes("data", size)
+    return string.format("%04x, chunk %d, %d bytes", handle, index:le_uint() % 32768, size)
+end
+
+READ[6] = function(r)
+    local info = to_one(r)
+    local handle = r:number("handle", 2)
+    local next_index = r:number("next_index", 2)
+    local size = r:number("bitmap_size", 1)
+    if size > 32 then error(CUT, 0) end
+    r:bytes("bitmap", size)
+    return string.format("%s %04x, all below chunk %d", info, handle, next_index)
+end
+
+READ[7] = function(r)
+    local info = to_one(r)
+    local committed = r:number("committed", 1)
+    local refused = r:number("refused", 1)
+    times(r, committed, "Committed", function()
+        r:number("number", 4)
+        r:number("crc", 4)
+    end)
+    for _ = 1, refused do r:number("refused_number", 4) end
+    return string.format("%s, %d committed, %d refused", info, committed, refused)
+end
+
+READ[8] = function(r)
+    local from = r:number("base", 2)
+    r:number("base_epoch", 4)
+    local counts = r:need(1)
+    r.tree:add(f.receipt_count, counts)
+    r.tree:add(f.spans, counts)
+    local entries = counts:uint() % 16
+    local spans = (counts:uint() - entries) / 16
+    local function entry()
+        r:number("origin", 2)
+        r:number("epoch", 4)
+        local closed = r:number("closed", 4)
+        r:number("arrived", 2)
+        return closed
+    end
+    times(r, entries, "Origin", entry)
+    times(r, spans, "Span", function()
+        local closed = entry()
+        r:number("lost", 2)
+        if r:number("floor", 4) > closed then error(CUT, 0) end
+    end)
+    return string.format("base %d, of %d origins", from, entries + spans)
+end
+
+READ[9] = function(r)
+    local info = to_one(r)
+    times(r, r:number("count", 1), "Lost", function()
+        r:number("number", 4)
+        info = info .. " " .. datum_id(r)
+        r:number("reason", 1)
+    end)
+    return info
+end
+
+READ[10] = function(r)
+    local sender = r:number("sender", 2)
+    r:number("lamport", 2)
+    r:number("writer", 2)
+    return string.format("%d: %s", sender, whole_datum(r))
+end
+
+READ[11] = function(r)
+    local info = to_one(r)
+    times(r, r:number("count", 1), "Key", function() info = info .. " " .. datum_id(r) end)
+    return info
+end
+
+READ[12] = function(r)
+    local info = to_one(r)
+    times(r, r:number("count", 1), "Datum", function() info = info .. " " .. datum_id(r) end)
+    return info
+end
+
+READ[13] = function(r)
+    local info = to_one(r)
+    times(r, r:number("count", 1), "Datum", function()
+        local id = datum_id(r)
+        local word = r:number("word", 1)
+        info = string.format("%s %s %s", info, WORDS[word] or tostring(word), id)
+    end)
+    return info
+end
+
+function rass.dissector(tvb, pinfo, root)
+    local tree = root:add(rass, tvb())
+    if tvb:len() == 0 then
+        tree:add_proto_expert_info(malformed)
+        return 0
+    end
+    local head = tvb(0, 1)
+    local version, number = head:bitfield(0, 4), head:bitfield(4, 4)
+    tree:add(f.version, head)
+    tree:add(f.type, head)
+    local read = READ[number]
+    if version ~= 1 or not read then
+        tree:add_proto_expert_info(foreign)
+        tree:append_text(string.format(", version %d, type %d", version, number))
+        pinfo.cols.info:append(string.format("[version %d, type %d] ", version, number))
+        return tvb:len()
+    end
+    local reader = setmetatable({ tvb = tvb, at = 1, tree = tree }, Reader)
+    local whole, result = pcall(read, reader)
+    if not whole then
+        if result ~= CUT then error(result, 0) end -- our own bug: Wireshark shows it
+        tree:add_proto_expert_info(malformed)
+        result = "malformed"
+    end
+    tree:append_text(", " .. TYPES[number] .. " " .. result)
+    pinfo.cols.info:append(string.format("[%s] %s  ", TYPES[number], result))
+    return tvb:len()
+end
+
+-- MAVLink 2 -----------------------------------------------------------------------------------------------------------
+
+-- Exclusive or of two bytes, from a table of half bytes: which bit library there is depends on the Lua.
+local HALF = {}
+for a = 0, 15 do
+    HALF[a] = {}
+    for b = 0, 15 do
+        local sum, bit = 0, 1
+        for _ = 1, 4 do
+            if math.floor(a / bit) % 2 ~= math.floor(b / bit) % 2 then sum = sum + bit end
+            bit = bit * 2
+        end
+        HALF[a][b] = sum
+    end
+end
+
+local function xor(a, b)
+    local a_low, b_low = a % 16, b % 16
+    return HALF[(a - a_low) / 16][(b - b_low) / 16] * 16 + HALF[a_low][b_low]
+end
+
+-- CRC-16/MCRF4XX of each byte: low and high half.
+local LOW, HIGH = {}, {}
+for byte = 0, 255 do
+    local low, high = byte, 0
+    for _ = 1, 8 do
+        local carry = low % 2
+        low = (low - carry) / 2 + high % 2 * 128
+        high = (high - high % 2) / 2
+        if carry == 1 then low, high = xor(low, 0x08), xor(high, 0x84) end
+    end
+    LOW[byte], HIGH[byte] = low, high
+end
+
+local function checksum(tvb, first, last, extra)
+    local low, high = 0xff, 0xff
+    local function feed(byte)
+        local index = xor(low, byte)
+        low, high = xor(high, LOW[index]), HIGH[index]
+    end
+    for at = first, last do feed(tvb(at, 1):uint()) end
+    feed(extra)
+    return low + high * 256
+end
+
+-- Length of the MAVLink 2 frame at `at`, or nil if there is none or it does not fit.
+local function frame_length(tvb, at)
+    local left = tvb:len() - at
+    if left < 12 or tvb(at, 1):uint() ~= 0xfd then return nil end
+    local flags = tvb(at + 2, 1):uint()
+    if flags > 1 then return nil end
+    local length = 12 + tvb(at + 1, 1):uint() + flags * SIGNATURE_SIZE
+    return length <= left and length or nil
+end
+
+local function tunnel(tvb, at, size, pinfo, tree, root)
+    -- MAVLink 2 trims zeros at the end of the payload; they come back here.
+    local bytes = tvb:range(at, size):bytes()
+    if size < AHEAD_OF_DATA then bytes:set_size(AHEAD_OF_DATA) end
+    for i = size, bytes:len() - 1 do bytes:set_index(i, 0) end
+    local number = bytes:get_index(0) + bytes:get_index(1) * 256
+    local length = bytes:get_index(4)
+    local shown = tvb:range(at, math.min(size, AHEAD_OF_DATA))
+    tree:add(g.payload_type, shown, number)
+    tree:add(g.target_system, shown, bytes:get_index(2))
+    tree:add(g.target_component, shown, bytes:get_index(3))
+    tree:add(g.payload_length, shown, length)
+    if number ~= frame.prefs.payload_type or length > 128 then return end
+    local inner
+    if size >= AHEAD_OF_DATA + length then
+        inner = tvb:range(at + AHEAD_OF_DATA, length):tvb()
+    else
+        local held = math.max(size - AHEAD_OF_DATA, 0)
+        bytes:set_size(AHEAD_OF_DATA + length)
+        for i = AHEAD_OF_DATA + held, AHEAD_OF_DATA + length - 1 do bytes:set_index(i, 0) end
+        inner = length > 0 and bytes:subset(AHEAD_OF_DATA, length):tvb("TUNNEL payload, its zeros restored")
+    end
+    if not inner or length == 0 then return end
+    pinfo.cols.protocol = "RASS"
+    rass.dissector(inner, pinfo, root)
+end
+
+local function one_frame(tvb, at, length, pinfo, root)
+    local size, signed = tvb(at + 1, 1):uint(), tvb(at + 2, 1):uint() == 1
+    local message_id = tvb(at + 7, 3):le_uint()
+    local tree = root:add(frame, tvb(at, length))
+    tree:append_text(message_id == TUNNEL_ID and ", TUNNEL" or ", message " .. message_id)
+    tree:add(g.length, tvb(at + 1, 1))
+    tree:add(g.incompatible, tvb(at + 2, 1))
+    tree:add(g.signed, tvb(at + 2, 1), signed)
+    tree:add(g.mav_sequence, tvb(at + 4, 1))
+    tree:add(g.system, tvb(at + 5, 1))
+    tree:add(g.component, tvb(at + 6, 1))
+    tree:add_le(g.message_id, tvb(at + 7, 3))
+    local check = tvb(at + 10 + size, 2)
+    tree:add_le(g.checksum, check)
+    local good = true
+    if message_id == TUNNEL_ID then
+        good = checksum(tvb, at + 1, at + 9 + size, TUNNEL_EXTRA) == check:le_uint()
+        tree:add(g.good, check, good)
+        if not good then tree:add_proto_expert_info(bad_checksum) end
+    end
+    if signed then
+        tree:add(g.link_id, tvb(at + 12 + size, 1))
+        tree:add_le(g.ticks, tvb(at + 13 + size, 6))
+        tree:add(g.signature, tvb(at + 19 + size, 6))
+    end
+    if message_id == TUNNEL_ID and good then
+        tunnel(tvb, at + 10, size, pinfo, tree, root)
+    end
+end
+
+function frame.dissector(tvb, pinfo, root)
+    local at = 0
+    local length = frame_length(tvb, at)
+    if not length then return 0 end
+    pinfo.cols.protocol = "MAVLink"
+    pinfo.cols.info = ""
+    while length do
+        one_frame(tvb, at, length, pinfo, root)
+        at = at + length
+        length = frame_length(tvb, at)
+    end
+    return at
+end
+
+-- Registration --------------------------------------------------------------------------------------------------------
+
+-- On any port: a datagram that is one TUNNEL frame with our payload_type and a good checksum. Other MAVLink is left to
+-- other dissectors.
+local function ours(tvb, pinfo, root)
+    local length = frame_length(tvb, 0)
+    if not length or tvb(7, 3):le_uint() ~= TUNNEL_ID then return false end
+    local size = tvb(1, 1):uint()
+    if size < AHEAD_OF_DATA or tvb(10, 2):le_uint() ~= frame.prefs.payload_type then return false end
+    if checksum(tvb, 1, 9 + size, TUNNEL_EXTRA) ~= tvb(10 + size, 2):le_uint() then return false end
+    frame.dissector(tvb, pinfo, root)
+    return true
+end
+frame:register_heuristic("udp", ours)
+
+local udp_ports = DissectorTable.get("udp.port")
+local registered = frame.prefs.port
+udp_ports:add(registered, frame)
+function frame.prefs_changed()
+    if registered ~= frame.prefs.port then
+        udp_ports:remove(registered, frame)
+        registered = frame.prefs.port
+        udp_ports:add(registered, frame)
+    end
+end
