@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 import random
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from rass_mav.agent.ground import Ground, Way
+from rass_mav.agent.parameters import recall
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.errors import MalformedError, StoreFullError
@@ -35,6 +38,8 @@ RIVAL_REPORT_S = 30.0
 FULL_REPORT_S = 30.0
 #: A position older than this is not where the vehicle is, seconds.
 POSITION_STALE_S = 10.0
+# Under this name the store keeps the system id of the autopilot.
+_SYSTEM_ID = "system_id"
 _CRITICAL = 2
 _WARNING = 4
 _PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack))
@@ -73,6 +78,7 @@ class Agent:
         "beacon_from",
         "foreign",
         "frames_received",
+        "ground",
         "malformed",
         "node",
         "peer_reader",
@@ -100,15 +106,20 @@ class Agent:
 
         `newborn`: nobody can remember this node from an earlier life (as when a mock swarm begins).
         """
+        configured = settings
+        unfit: list[str] = []
+        if settings.ground is not None:
+            settings, unfit = recall(store, configured)
         self.settings = settings
-        self.node = Node(
-            settings.node_settings(), store, settings.policy.make(), settings.risk.estimator(), rng, now=now,
-            observer=observer, newborn=newborn,
-        )  # fmt: skip
+        self._rng = rng
         self.store = store
+        self.node = self._make_node(now, observer, newborn)
         mavlink = settings.mavlink
         self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
         system_id = mavlink.system_id or mavlink.autopilot_id or (settings.node_id - 1) % 255 + 1
+        if settings.ground is not None and mavlink.system_id is None and not mavlink.autopilot_id:
+            # Autopilots never forget a sender, so the right id from the first frame on, if it is known.
+            system_id = store.get_meta(_SYSTEM_ID) or system_id
         self.peer_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -126,7 +137,6 @@ class Agent:
         self.beacon_from: int | None = None
         """Node id of the sender of the last beacon. A driver whose links learn addresses sets it to None before
         `peer_bytes` and looks at it after."""
-        self._rng = rng
         self._node_id = settings.node_id
         self._phase = {"step-id": 1, "step+id": -1, "together": 0}[settings.data.due] * settings.node_id
         self._payload_type = mavlink.payload_type
@@ -138,6 +148,45 @@ class Agent:
         self._refused = 0
         self._next_full_report = now
         self._reading_at: float | None = None
+        self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
+        """None: there is no ground station."""
+        for error in unfit:
+            self.tell_ground(_WARNING, f"RASS: not taken over: {error}")
+
+    def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Node:
+        settings = self.settings
+        return Node(
+            settings.node_settings(), self.store, settings.policy.make(), settings.risk.estimator(), self._rng, now=now,
+            observer=observer, newborn=newborn,
+        )  # fmt: skip
+
+    def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
+        """Go on with other settings, between two steps.
+
+        :param settings: differ in weights, risk, data and bandwidth; with `rebirth` in the policy or the step too.
+        :param rebirth: the node begins anew over its store, as after a restart: what it holds stays, neighbours and
+            pending hand-overs are forgotten.
+        """
+        before, self.settings = self.settings, settings
+        if rebirth:
+            self.node = self._make_node(now, self.node.observer, False)
+            self._observe()
+            return
+        node = self.node
+        node.settings = settings.node_settings()
+        node.policy = settings.policy.make()
+        risk, old = settings.risk, before.risk
+        if (risk.low, risk.high) != (old.low, old.high):
+            # What was averaged was on another scale.
+            node.risk = risk.estimator()
+            self._observe()
+        else:
+            node.risk.gain, node.risk.stale_s, node.risk.worst = risk.gain, risk.stale_s, risk.worst
+
+    def _observe(self) -> None:
+        reading = self.telemetry.reading
+        if reading is not None:
+            self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -151,16 +200,22 @@ class Agent:
                 self._vehicle_frame(frame, now)
 
     def _vehicle_frame(self, frame: Frame, now: float) -> None:
+        if self.ground is not None:
+            self.ground.handle(frame, Way.VEHICLE, now)
         telemetry = self.telemetry
         latched = telemetry.system_id
         if not telemetry.handle(frame, now):
             return
         if telemetry.system_id != latched and not self._fixed_system_id:
             self.peer_writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
+            if self.ground is not None:
+                self.ground.writer.system_id = telemetry.system_id
+                if self.store.get_meta(_SYSTEM_ID) != telemetry.system_id:
+                    self.store.set_meta(_SYSTEM_ID, telemetry.system_id)
         reading = telemetry.reading
         if reading is not None and reading.at != self._reading_at:
             self._reading_at = reading.at
-            self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
+            self._observe()
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
@@ -215,9 +270,7 @@ class Agent:
     def step(self, now: float) -> Sequence[Outgoing]:
         """One turn of Alg. 1: what the node sends; then a measurement, if one is due."""
         if now >= self._next_heartbeat:
-            # Sent by the loop that does the work, so that it stops when the work stops.
-            self.to_vehicle.append(self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
-            self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
+            self._beat(now)
         out = self._encoded(self.node.step(now), now)
         if self.node.rivals and now >= self._next_rival_report:
             self._report_rivals(now)
@@ -231,6 +284,25 @@ class Agent:
             self.measure(now)
         self.steps += 1
         return out
+
+    def _beat(self, now: float) -> None:
+        # Sent by the loop that does the work, so that it stops when the work stops.
+        self.to_vehicle.append(self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
+        if self.ground is not None:
+            self.ground.to_ground.append(self.ground.writer.frame(HEARTBEAT, _HEARTBEAT))
+        self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
+
+    def beat_next(self, now: float) -> None:
+        """Let a heartbeat be the next frame that leaves."""
+        self._next_heartbeat = now
+
+    def tend(self, now: float) -> float:
+        """Between steps: say to the autopilot and the ground what is due. Returns when to come again."""
+        if self.ground is None:
+            return math.inf
+        if now >= self._next_heartbeat:
+            self._beat(now)
+        return min(self._next_heartbeat, self.ground.tend(now))
 
     def _encoded(self, messages: Sequence[Message], now: float) -> list[Outgoing]:
         tunnel = self.peer_writer.tunnel
@@ -291,6 +363,9 @@ class Agent:
     def tell_ground(self, severity: int, text: str) -> None:
         """A STATUSTEXT for the people at the ground station; `severity` as MAV_SEVERITY."""
         log.log(logging.ERROR if severity <= _CRITICAL else logging.WARNING, "%s", text)
+        if self.ground is not None:
+            self.ground.tell(severity, text)
+            return
         self._text_id = self._text_id % 0xFFFF + 1
         for message in statustext(severity, text, text_id=self._text_id):
             self.to_vehicle.append(self.vehicle_writer.message(message))

@@ -164,6 +164,17 @@ class MavlinkSettings(Section, frozen=True):
     """Name of the NAMED_VALUE_FLOAT that carries the reading."""
 
 
+class GroundSettings(Section, frozen=True):
+    """What a ground station is told, and may set."""
+
+    may_set: bool = True
+    """Whether parameters can be set from the ground; they can be read in any case."""
+    values_s: NonNegative = 10.0
+    """Seconds between two NAMED_VALUE_FLOATs of a kind: fitness, hops, risk, fill; 0: never."""
+    computer_s: NonNegative = 30.0
+    """Seconds between two ONBOARD_COMPUTER_STATUS; 0: never."""
+
+
 class Sections(Protocol):
     """What a `run` configuration, a scenario and a replay have in common."""
 
@@ -196,6 +207,8 @@ class AgentSettings(Section, frozen=True):
     store: StoreSettings
     data: DataSettings
     mavlink: MavlinkSettings
+    ground: GroundSettings | None = None
+    """None: no ground station is answered (the mock swarm has none)."""
 
     @classmethod
     def of(
@@ -207,6 +220,7 @@ class AgentSettings(Section, frozen=True):
         step_s: float,
         data: DataSettings | None = None,
         mavlink: MavlinkSettings | None = None,
+        ground: GroundSettings | None = None,
     ) -> AgentSettings:
         """One node's share of a configuration; `data` and `mavlink` instead of its own sections, if given."""
         return cls(
@@ -220,6 +234,7 @@ class AgentSettings(Section, frozen=True):
             store=sections.store,
             data=data or sections.data,
             mavlink=mavlink or sections.mavlink,
+            ground=ground,
         )
 
     def node_settings(self) -> NodeSettings:

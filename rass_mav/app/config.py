@@ -11,12 +11,14 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.loading import convert, read_yaml, set_key
 from rass_mav.agent.settings import (
     AgentSettings,
     Count,
     CustodySettings,
     DataSettings,
+    GroundSettings,
     MavlinkSettings,
     PolicySettings,
     Positive,
@@ -57,6 +59,13 @@ class AutopilotSection(Section, frozen=True):
 
     url: str | None = None
     """`udpin:host:port` or `udpout:host:port`; null: there is none."""
+
+
+class GroundSection(GroundSettings, frozen=True):
+    """The ground station."""
+
+    url: str | None = None
+    """`udpout:host:port` or `udpin:host:port`, besides the way through the autopilot; null: none."""
 
 
 class PeerSection(Section, frozen=True):
@@ -130,6 +139,7 @@ class RunConfig(Section, frozen=True):
 
     node: NodeSection = NodeSection()
     autopilot: AutopilotSection = AutopilotSection()
+    ground: GroundSection = GroundSection()
     links: tuple[LinkSection, ...] = ()
     policy: PolicySettings = PolicySettings()
     risk: RiskSettings = RiskSettings()
@@ -166,7 +176,7 @@ class RunConfig(Section, frozen=True):
 
     def agent_settings(self) -> AgentSettings:
         """What the agent needs of it."""
-        return AgentSettings.of(self, node_id=self.node_id, base=self.base, step_s=self.node.step_s)
+        return AgentSettings.of(self, node_id=self.node_id, base=self.base, step_s=self.node.step_s, ground=self.ground)
 
     def check(self) -> None:
         """Raise `ConfigError` for what no single key can say."""
@@ -177,9 +187,14 @@ class RunConfig(Section, frozen=True):
             raise ConfigError("links: a drone needs at least one")
         for index, link in enumerate(self.links):
             link.check(f"links[{index}]")
-        if self.autopilot.url is not None:
-            with _under("autopilot.url"):
-                parse_vehicle_url(self.autopilot.url)
+        for key, url in (("autopilot.url", self.autopilot.url), ("ground.url", self.ground.url)):
+            if url is not None:
+                with _under(key):
+                    parse_vehicle_url(url)
+        if self.mavlink.reading_name in VALUE_NAMES:
+            raise ConfigError(
+                f"mavlink.reading_name: expected another name than {', '.join(VALUE_NAMES)}, which the node says itself"
+            )
         if not self.mavlink.reading_name.isascii():
             raise ConfigError(f"mavlink.reading_name: expected ASCII characters, got {self.mavlink.reading_name!r}")
         if self.store.path is not None and not self.store.path:

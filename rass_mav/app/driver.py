@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 
@@ -39,11 +40,15 @@ class Driver:
         vehicle: VehicleLink | None,
         now: Callable[[], float],
         executor: Executor,
+        *,
+        ground: VehicleLink | None = None,
     ) -> None:
-        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything."""
+        """`now`: the agent's timeline. `executor`: one thread, for the store's writes. `ground`: straight to a ground
+        station. The caller closes everything."""
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
+        self.ground = ground
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
         self.held_dropped = 0
@@ -60,6 +65,8 @@ class Driver:
         self._bug: BaseException | None = None
         self._pending: list[Outgoing] = []
         self._pending_puts: list[asyncio.Future[None]] = []
+        self._covered_words: list[Callable[[], None]] = []
+        self._tend_at = math.inf
         self._covered: list[Outgoing] = []
         self._covered_puts: list[asyncio.Future[None]] = []
         self._commit: asyncio.Future[None] | None = None
@@ -105,26 +112,27 @@ class Driver:
     async def run(self) -> None:
         """Until `stop`. Raises `StoreDamagedError`: nothing more can be stored; and whatever is our own bug."""
         loop = asyncio.get_running_loop()
-        step_s = self.agent.settings.step_s
         for link in self.links:
             link.start(self._wake.set)
-        if self.vehicle is not None:
-            self.vehicle.start(self._wake.set)
-        start = loop.time()
-        due = 0
+        for way in (self.vehicle, self.ground):
+            if way is not None:
+                way.start(self._wake.set)
+        last = loop.time() - self.agent.settings.step_s
         try:
             while not self._stopping:
                 self._take_in()
-                behind = loop.time() - (start + due * step_s)
+                # The length of a step may have been set anew from the ground.
+                step_s = self.agent.settings.step_s
+                behind = loop.time() - (last + step_s)
                 if behind >= 0:
                     self._hand_out(self.agent.step(self.now()))
                     # On an absolute schedule: no drift. What was missed is skipped, for a burst would help nobody.
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
-                    due += missed + 1
-                self._to_vehicle()
+                    last += (missed + 1) * step_s
                 self._drive_commit()
-                await self._sleep(start + due * step_s)
+                self._to_vehicle()
+                await self._sleep(min(last + step_s, loop.time() + self._tend_at - self.now()))
             await self._finish()
         finally:
             self._abort_puts(StoreError("the node is stopping"))
@@ -145,6 +153,9 @@ class Driver:
         if self.vehicle is not None:
             for data in self.vehicle.receive():
                 agent.vehicle_bytes(data, now)
+        if self.ground is not None and agent.ground is not None:
+            for data in self.ground.receive():
+                agent.ground.receive(data, now)
         own = agent.node.id
         for link in self.links:
             # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
@@ -175,12 +186,17 @@ class Driver:
             link.send(frame, target)
 
     def _to_vehicle(self) -> None:
-        frames = self.agent.to_vehicle
-        if frames:
-            self.agent.to_vehicle = []
-            if self.vehicle is not None:
+        """To the autopilot and to the ground: what is due, and what has gathered."""
+        agent = self.agent
+        self._tend_at = agent.tend(self.now())
+        ways = [(self.vehicle, agent.to_vehicle)]
+        if agent.ground is not None:
+            ways.append((self.ground, agent.ground.to_ground))
+        for way, frames in ways:
+            if way is not None:
                 for frame in frames:
-                    self.vehicle.send(frame)
+                    way.send(frame)
+            frames.clear()
 
     # -- commits -------------------------------------------------------------------------------------------------------
 
@@ -193,6 +209,10 @@ class Driver:
         loop = asyncio.get_running_loop()
         if self._retry_at is not None and loop.time() < self._retry_at and not force:
             return
+        ground = self.agent.ground
+        if ground is not None and ground.promised:
+            self._covered_words += ground.promised
+            ground.promised.clear()
         batch = self._store.take(force=force)
         self._covered, self._pending = self._covered + self._pending, []
         self._covered_puts, self._pending_puts = self._covered_puts + self._pending_puts, []
@@ -227,6 +247,9 @@ class Driver:
     def _release(self) -> None:
         covered, self._covered = self._covered, []
         puts, self._covered_puts = self._covered_puts, []
+        words, self._covered_words = self._covered_words, []
+        for word in words:
+            word()
         for outgoing in covered:
             self._send(outgoing)
         for durable in puts:

@@ -24,6 +24,7 @@ from .clock import Clock
 from .config import LinkSection, RunConfig
 from .control import ControlServer
 from .driver import Driver
+from .machine import Machine
 
 log = logging.getLogger(__name__)
 
@@ -90,6 +91,10 @@ class Runtime:
             if config.autopilot.url is not None:
                 vehicle = VehicleLink(parse_vehicle_url(config.autopilot.url))
                 stack.callback(vehicle.close)
+            ground = None
+            if config.ground.url is not None:
+                ground = VehicleLink(parse_vehicle_url(config.ground.url))
+                stack.callback(ground.close)
             links = []
             for section in config.links:
                 links.append(open_link(section))
@@ -102,7 +107,9 @@ class Runtime:
                 aside = store.report.set_aside
                 log.error("damaged store set aside as %s: %s", aside, store.report.reason)
                 agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
-            driver = Driver(agent, links, vehicle, self._clock.now, executor)
+            if agent.ground is not None:
+                agent.ground.computer = Machine(config.store_path).status
+            driver = Driver(agent, links, vehicle, self._clock.now, executor, ground=ground)
             control = ControlServer(driver, config.socket_path)
             await control.start()
             self._driver = driver

@@ -78,6 +78,16 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "vehicle": None
         if driver.vehicle is None
         else {"name": driver.vehicle.name, **driver.vehicle.counters()._asdict()},
+        "ground": None
+        if agent.ground is None
+        else {
+            "link": None
+            if driver.ground is None
+            else {"name": driver.ground.name, **driver.ground.counters()._asdict()},
+            "parameters": agent.ground.in_force(),
+            "parameters_refused": agent.ground.refused,
+            "texts_dropped": agent.ground.texts.dropped,
+        },
         "malformed": agent.malformed + agent.peer_reader.malformed,
         "foreign": agent.foreign,
         "vehicle_malformed": agent.vehicle_reader.malformed,
