@@ -1,6 +1,6 @@
 # Needs Python 3.10 or newer, git and make; everything else goes into a virtual environment of its own.
 #
-#   make          the environment in .venv, from requirements.lock, with this checkout installed in it
+#   make          the environment in .venv, from requirements*.lock, with this checkout installed in it
 #   make demo     a mock swarm of 100 nodes, and what became of its data
 #   make test     the tests
 #   make lint     ruff and mypy (style, format and types by themselves)
@@ -27,13 +27,14 @@ READY := $(VENV)/ready
 install: $(READY)
 
 # A file inside the environment says that it is complete, so it is made anew only when what it is made from changes.
-$(READY): requirements.lock pyproject.toml
+$(READY): requirements.lock requirements-interop.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 		{ echo 'Python 3.10 or newer is needed: make PYTHON=python3.12' >&2; exit 1; }
 	@echo 'Making $(VENV) (once, about a minute) ...'
 	@if [ -e '$(VENV)/pyvenv.cfg' ]; then rm -rf '$(VENV)'; fi
 	@$(PYTHON) -m venv '$(VENV)' || { echo 'On Debian and Ubuntu: sudo apt install python3-venv' >&2; exit 1; }
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --require-hashes -r requirements-interop.lock
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch '$(READY)'
 

@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 import logging
+import math
 import random
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
+from rass_mav.agent.ground import Ground, Way
+from rass_mav.agent.parameters import recall
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.errors import MalformedError, StoreFullError
-from rass_mav.core.messages import (
-    BROADCAST,
-    Accept,
-    Beacon,
-    Chunk,
-    Committed,
-    Corrupt,
-    Data,
-    Message,
-    Offer,
-    PassedOn,
-    Put,
-    Query,
-    Receipt,
-    Sack,
-)
+from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
-from rass_mav.link.airtime import Urgency
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
@@ -37,9 +24,11 @@ from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, st
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Reading, Telemetry
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode, encode
+from rass_mav.wire import decode
 from rass_mav.wire.codec import ForeignError
 from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
+
+from .outgoing import Outgoing, frames_of
 
 log = logging.getLogger(__name__)
 
@@ -51,32 +40,12 @@ RIVAL_REPORT_S = 30.0
 FULL_REPORT_S = 30.0
 #: A position older than this is not where the vehicle is, seconds.
 POSITION_STALE_S = 10.0
+# Under this name the store keeps the system id of the autopilot.
+_SYSTEM_ID = "system_id"
 _CRITICAL = 2
 _WARNING = 4
-_URGENCIES: dict[type, Urgency] = {
-    Beacon: Urgency.BEACON,
-    Committed: Urgency.ANSWER,
-    Accept: Urgency.ANSWER,
-    Sack: Urgency.ANSWER,
-    PassedOn: Urgency.ANSWER,
-    Corrupt: Urgency.ANSWER,
-}
-_PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack, Corrupt))
-_FOR_EVERYBODY = frozenset((Beacon, Receipt, Put))
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
-
-
-class Outgoing(NamedTuple):
-    """A frame for the neighbours."""
-
-    frame: bytes
-    target: int
-    """Node id of the neighbour it is for, or BROADCAST. Everybody in range may hear it all the same."""
-    promises: bool
-    """True: it rests on what is not on disk yet, and must not leave before the store has committed."""
-    urgency: Urgency = Urgency.DATA
-    """What goes first where airtime is short."""
 
 
 class VehicleService(Protocol):
@@ -114,6 +83,7 @@ class Agent:
         "beacon_from",
         "foreign",
         "frames_received",
+        "ground",
         "last_reading",
         "malformed",
         "node",
@@ -143,15 +113,20 @@ class Agent:
 
         `newborn`: nobody can remember this node from an earlier life (as when a mock swarm begins).
         """
+        configured = settings
+        unfit: list[str] = []
+        if settings.ground is not None:
+            settings, unfit = recall(store, configured)
         self.settings = settings
-        self.node = Node(
-            settings.node_settings(), store, settings.policy.make(), settings.risk.estimator(settings.policy), rng,
-            now=now, observer=observer, newborn=newborn,
-        )  # fmt: skip
+        self._rng = rng
         self.store = store
+        self.node = self._make_node(now, observer, newborn)
         mavlink = settings.mavlink
         self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
         system_id = mavlink.system_id or mavlink.autopilot_id or (settings.node_id - 1) % 255 + 1
+        if settings.ground is not None and mavlink.system_id is None and not mavlink.autopilot_id:
+            # Autopilots never forget a sender, so the right id from the first frame on, if it is known.
+            system_id = store.get_meta(_SYSTEM_ID) or system_id
         self.peer_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -171,7 +146,6 @@ class Agent:
         self.beacon_from: int | None = None
         """Node id of the sender of the last beacon. A driver whose links learn addresses sets it to None before
         `peer_bytes` and looks at it after."""
-        self._rng = rng
         self._node_id = settings.node_id
         self._immediate = settings.forward == "immediate"
         self._phase = {"step-id": 1, "step+id": -1, "together": 0}[settings.data.due] * settings.node_id
@@ -187,6 +161,55 @@ class Agent:
         self._turn_s = settings.step_s
         self.services: list[VehicleService] = []
         """Who else listens to the autopilot's port."""
+        self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
+        """None: there is no ground station."""
+        for error in unfit:
+            self.tell_ground(_WARNING, f"RASS: not taken over: {error}")
+
+    def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Node:
+        settings = self.settings
+        return Node(
+            settings.node_settings(), self.store, settings.policy.make(), settings.risk.estimator(settings.policy),
+            self._rng, now=now, observer=observer, newborn=newborn,
+        )  # fmt: skip
+
+    def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
+        """Go on with other settings, between two steps.
+
+        :param settings: differ in weights, risk, data and bandwidth; with `rebirth` in the policy or the step too.
+        :param rebirth: the node begins anew over its store, as after a restart: what it holds stays, neighbours and
+            pending hand-overs are forgotten. It does so in any case if costs add up in another way now: the routing
+            table is made of them.
+        """
+        before, self.settings = self.settings, settings
+        node = self.node
+        policy = settings.policy.make()
+        if rebirth or policy.costs != node.policy.costs:
+            self.node = self._make_node(now, node.observer, False)
+            self._observe_again()
+            return
+        node.settings = settings.node_settings()
+        # Until the link's pace is looked at again, in the next step.
+        node.bandwidth_items = node.settings.bandwidth_items
+        node.policy = policy
+        risk, old = settings.risk, before.risk
+        estimator = risk.estimator(settings.policy)
+        if (risk.low, risk.high) != (old.low, old.high):
+            # What was averaged was on another scale.
+            node.risk = estimator
+            self._observe_again()
+        else:
+            node.risk.gain, node.risk.stale_s, node.risk.worst = estimator.gain, risk.stale_s, risk.worst
+
+    def _observe_again(self) -> None:
+        if self.last_reading is not None:
+            self._observe(self.last_reading)
+
+    def share_port(self) -> None:
+        """The neighbours are reached through the autopilot's port: who listens there expects one sequence."""
+        self.vehicle_writer = self.peer_writer
+        if self.ground is not None:
+            self.ground.outboxes[Way.VEHICLE].writer = self.peer_writer
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -201,6 +224,8 @@ class Agent:
 
     def vehicle_frame(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port, whoever said it."""
+        if self.ground is not None:
+            self.ground.handle(frame, Way.VEHICLE, now)
         telemetry = self.telemetry
         for service in self.services:
             service.hear(frame, now)
@@ -209,6 +234,10 @@ class Agent:
             return
         if telemetry.system_id != latched and not self._fixed_system_id:
             self.peer_writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
+            if self.ground is not None:
+                self.ground.writer.system_id = telemetry.system_id
+                if self.store.get_meta(_SYSTEM_ID) != telemetry.system_id:
+                    self.store.set_meta(_SYSTEM_ID, telemetry.system_id)
         reading = telemetry.reading
         if reading is not None and reading is not self.last_reading and not self.settings.own_sensor:
             self._observe(reading)
@@ -328,7 +357,21 @@ class Agent:
         """Say the heartbeat, and the next one a second later. On a port that has just been opened it must be the first
         frame: an autopilot sends nothing to where it has heard nobody."""
         self.to_vehicle.insert(0, self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
+        if self.ground is not None:
+            self.ground.to_ground.append(self.ground.writer.frame(HEARTBEAT, _HEARTBEAT))
         self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
+
+    def beat_next(self, now: float) -> None:
+        """Let a heartbeat be the next frame that leaves."""
+        self._next_heartbeat = now
+
+    def tend(self, now: float) -> float:
+        """Between steps: say to the autopilot and the ground what is due. Returns when to come again."""
+        if self.ground is None:
+            return math.inf
+        if now >= self._next_heartbeat:
+            self.greet_vehicle(now)
+        return min(self._next_heartbeat, self.ground.tend(now))
 
     def _until_next_turn(self, turn_s: float, step_s: float) -> float:
         """Whole steps, seconds. A new length begins at a random place: nodes that were switched on together, or have
@@ -339,30 +382,7 @@ class Agent:
         return turn_s
 
     def _encoded(self, messages: Sequence[Message], now: float) -> list[Outgoing]:
-        tunnel = self.peer_writer.tunnel
-        payload_type = self._payload_type
-        out = []
-        for message in messages:
-            target = BROADCAST if type(message) in _FOR_EVERYBODY else message.target  # type: ignore[union-attr]
-            promises = self._promises(message)
-            urgency = _URGENCIES.get(type(message), Urgency.DATA)
-            for payload in encode(message, now):
-                out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
-        return out
-
-    def _promises(self, message: Message) -> bool:
-        """Whether a message may rest on something that is not on disk yet.
-
-        Data that are on disk leave at once: so a node whose disk is full can still hand on what it has.
-        """
-        if type(message) in _PROMISES_NOTHING:
-            return False
-        durable = self.store.durable
-        if type(message) is Data:
-            return not all(durable(handover.datum.id) for handover in message.handovers)
-        if type(message) is Offer:
-            return not durable(message.id)
-        return True
+        return frames_of(messages, self.peer_writer, self._payload_type, self.store, now)
 
     def measure(self, now: float) -> DatumId | None:
         """Make a datum of where the vehicle is and what the sensor says. None: there was no room (overflow)."""
@@ -398,6 +418,9 @@ class Agent:
     def tell_ground(self, severity: int, text: str) -> None:
         """A STATUSTEXT for the people at the ground station; `severity` as MAV_SEVERITY."""
         log.log(logging.ERROR if severity <= _CRITICAL else logging.WARNING, "%s", text)
+        if self.ground is not None:
+            self.ground.tell(severity, text)
+            return
         self._text_id = self._text_id % 0xFFFF + 1
         for message in statustext(severity, text, text_id=self._text_id):
             self.to_vehicle.append(self.vehicle_writer.message(message))

@@ -11,8 +11,9 @@ from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
 
-from .agent import Agent, Outgoing
+from .agent import Agent
 from .duplicates import Duplicates
+from .outgoing import Outgoing
 
 
 class Lane:

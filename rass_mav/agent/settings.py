@@ -203,6 +203,17 @@ class MavlinkSettings(Section, frozen=True):
     """Name of the NAMED_VALUE_FLOAT that carries the reading."""
 
 
+class GroundSettings(Section, frozen=True):
+    """What a ground station is told, and may set."""
+
+    may_set: bool = True
+    """Whether parameters can be set from the ground; they can be read in any case."""
+    values_s: NonNegative = 10.0
+    """Seconds between two NAMED_VALUE_FLOATs of a kind: fitness, hops, risk, fill; 0: never."""
+    computer_s: NonNegative = 30.0
+    """Seconds between two ONBOARD_COMPUTER_STATUS; 0: never."""
+
+
 class Sections(Protocol):
     """What a `run` configuration, a scenario and a replay have in common."""
 
@@ -236,6 +247,8 @@ class AgentSettings(Section, frozen=True):
     data: DataSettings
     mavlink: MavlinkSettings
     forward: Forward = "immediate"
+    ground: GroundSettings | None = None
+    """None: no ground station is answered (the mock swarm has none)."""
     own_sensor: bool = False
     """Readings come by `Agent.reading`; those of the autopilot are not believed."""
 
@@ -250,6 +263,7 @@ class AgentSettings(Section, frozen=True):
         forward: Forward = "immediate",
         data: DataSettings | None = None,
         mavlink: MavlinkSettings | None = None,
+        ground: GroundSettings | None = None,
         own_sensor: bool = False,
     ) -> AgentSettings:
         """One node's share of a configuration; `data` and `mavlink` instead of its own sections, if given."""
@@ -265,6 +279,7 @@ class AgentSettings(Section, frozen=True):
             store=sections.store,
             data=data or sections.data,
             mavlink=mavlink or sections.mavlink,
+            ground=ground,
             own_sensor=own_sensor,
         )
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.loading import convert, read_yaml, set_key
 from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import (
@@ -17,6 +18,7 @@ from rass_mav.agent.settings import (
     CustodySettings,
     DataSettings,
     Forward,
+    GroundSettings,
     MavlinkSettings,
     PolicySettings,
     Positive,
@@ -61,6 +63,13 @@ class AutopilotSection(Section, frozen=True):
     """Messages that the autopilot is asked for, by name, each with the seconds between two; {}: it is not asked."""
 
 
+class GroundSection(GroundSettings, frozen=True):
+    """The ground station."""
+
+    url: str | None = None
+    """As `autopilot.url`, besides the way through the autopilot; null: none."""
+
+
 class ControlSection(Section, frozen=True):
     """The socket for `status`, `put`, `get` and `ls`."""
 
@@ -86,6 +95,7 @@ class RunConfig(Section, frozen=True):
 
     node: NodeSection = NodeSection()
     autopilot: AutopilotSection = AutopilotSection()
+    ground: GroundSection = GroundSection()
     sensor: SensorSettings = SensorSettings()
     links: tuple[LinkSection, ...] = ()
     policy: PolicySettings = PolicySettings()
@@ -129,6 +139,7 @@ class RunConfig(Section, frozen=True):
             base=self.base,
             step_s=self.node.step_s,
             forward=self.node.forward,
+            ground=self.ground,
             own_sensor=self.sensor.type != "autopilot",
         )
 
@@ -151,15 +162,20 @@ class RunConfig(Section, frozen=True):
             )
         if len(through) > 1:
             raise ConfigError(f"links[{through[1]}].type: only one link can go through the autopilot")
-        if self.autopilot.url is not None:
-            with under("autopilot.url"):
-                parse_vehicle_url(self.autopilot.url)
+        for key, url in (("autopilot.url", self.autopilot.url), ("ground.url", self.ground.url)):
+            if url is not None:
+                with under(key):
+                    parse_vehicle_url(url)
         if not self.autopilot.messages.keys() <= DEFAULT_MESSAGES.keys():
             from rass_mav.agent.rates import message_ids  # with all message definitions, which a client does not need
 
             with under("autopilot.messages"):
                 message_ids(self.autopilot.messages)
         self.sensor.check()
+        if self.mavlink.reading_name in VALUE_NAMES:
+            raise ConfigError(
+                f"mavlink.reading_name: expected another name than {', '.join(VALUE_NAMES)}, which the node says itself"
+            )
         if not self.mavlink.reading_name.isascii():
             raise ConfigError(f"mavlink.reading_name: expected ASCII characters, got {self.mavlink.reading_name!r}")
         if self.store.path is not None and not self.store.path:

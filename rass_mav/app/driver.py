@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import random
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 
-from rass_mav.agent.agent import Agent, Outgoing
+from rass_mav.agent.agent import Agent
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, common_pace, slowest_turn
+from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId
 from rass_mav.core.errors import RassError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
@@ -54,16 +56,19 @@ class Driver:
         executor: Executor,
         rng: random.Random | None = None,
         sensor: Sensor | None = None,
+        *,
+        ground: VehiclePort | None = None,
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
         `rng`: decides how long a node listens before it speaks on a shared radio. `sensor`: the node's own; None:
-        readings are those of the autopilot.
+        readings are those of the autopilot. `ground`: straight to a ground station.
         """
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
         self.sensor = sensor
+        self.ground = ground
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
         self.held_dropped = 0
@@ -94,8 +99,7 @@ class Driver:
             None,
         )
         if self._through is not None:
-            # Both go through one port: who listens there expects one sequence.
-            agent.vehicle_writer = agent.peer_writer
+            agent.share_port()
         self._vehicle_generation = 0
         self._store = agent.store
         self._executor = executor
@@ -104,6 +108,8 @@ class Driver:
         self._bug: BaseException | None = None
         self._pending: list[Outgoing] = []
         self._pending_puts: list[asyncio.Future[None]] = []
+        self._covered_words: list[Callable[[], None]] = []
+        self._tend_at = math.inf
         self._covered: list[Outgoing] = []
         self._covered_puts: list[asyncio.Future[None]] = []
         self._commit: asyncio.Future[None] | None = None
@@ -153,29 +159,29 @@ class Driver:
     async def run(self) -> None:
         """Until `stop`. Raises `StoreDamagedError`: nothing more can be stored; and whatever is our own bug."""
         loop = asyncio.get_running_loop()
-        step_s = self.agent.settings.step_s
         for link in self.links:
             link.start(self._wake.set)
-        if self.vehicle is not None:
-            self.vehicle.start(self._wake.set)
-        if self.sensor is not None:
-            self.sensor.start(self._wake.set)
-        start = loop.time()
-        due = 0
+        for way in (self.vehicle, self.ground, self.sensor):
+            if way is not None:
+                way.start(self._wake.set)
+        last = loop.time() - self.agent.settings.step_s
         try:
             while not self._stopping:
                 self._take_in()
-                behind = loop.time() - (start + due * step_s)
+                # The length of a step may have been set anew from the ground.
+                step_s = self.agent.settings.step_s
+                behind = loop.time() - (last + step_s)
                 if behind >= 0:
                     self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
                     # On an absolute schedule: no drift. What was missed is skipped, for a burst would help nobody.
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
-                    due += missed + 1
-                self._to_vehicle()
+                    last += (missed + 1) * step_s
                 self._drive_commit()
-                await self._sleep(min(start + due * step_s, self.notifier.alive(loop.time())))
+                self._to_vehicle()
+                until = min(last + step_s, loop.time() + self._tend_at - self.now())
+                await self._sleep(min(until, self.notifier.alive(loop.time())))
             await self._finish()
         finally:
             for alarm in self._alarms.values():
@@ -196,6 +202,9 @@ class Driver:
         now = self.now()
         if self.vehicle is not None:
             self._take_in_vehicle(self.vehicle, now)
+        if self.ground is not None and self.agent.ground is not None:
+            for data in self.ground.receive():
+                self.agent.ground.receive(data, now, stream=self.ground.stream)
         if self.sensor is not None:
             for value, at in self.sensor.receive():
                 self.agent.reading(value, at)
@@ -236,6 +245,8 @@ class Driver:
         node = self.agent.node
         for link, lane in zip(self.links, self.lanes, strict=True):
             if lane.pacer is not None:
+                # The length of a step may have been set anew from the ground.
+                lane.pacer.step_s = self.agent.settings.step_s
                 lane.pacer.neighbours = sum(map(link.reaches, node.routing.neighbours))
         step_s = self.agent.settings.step_s
         turn_s, items = common_pace(self.lanes, step_s, node.settings.bandwidth_items)
@@ -295,12 +306,17 @@ class Driver:
             self._alarms[lane] = loop.call_later(due - now, self._pump, link, lane)
 
     def _to_vehicle(self) -> None:
-        frames = self.agent.to_vehicle
-        if frames:
-            self.agent.to_vehicle = []
-            if self.vehicle is not None:
+        """To the autopilot and to the ground: what is due, and what has gathered."""
+        agent = self.agent
+        self._tend_at = agent.tend(self.now())
+        ways = [(self.vehicle, agent.to_vehicle)]
+        if agent.ground is not None:
+            ways.append((self.ground, agent.ground.to_ground))
+        for way, frames in ways:
+            if way is not None:
                 for frame in frames:
-                    self.vehicle.send(frame)
+                    way.send(frame)
+            frames.clear()
 
     # -- commits -------------------------------------------------------------------------------------------------------
 
@@ -313,6 +329,10 @@ class Driver:
         loop = asyncio.get_running_loop()
         if self._retry_at is not None and loop.time() < self._retry_at and not force:
             return
+        ground = self.agent.ground
+        if ground is not None and ground.promised:
+            self._covered_words += ground.promised
+            ground.promised.clear()
         batch = self._store.take(force=force)
         self._covered, self._pending = self._covered + self._pending, []
         self._covered_puts, self._pending_puts = self._covered_puts + self._pending_puts, []
@@ -347,6 +367,9 @@ class Driver:
     def _release(self) -> None:
         covered, self._covered = self._covered, []
         puts, self._covered_puts = self._covered_puts, []
+        words, self._covered_words = self._covered_words, []
+        for word in words:
+            word()
         for outgoing in covered:
             self._send(outgoing)
         for durable in puts:

@@ -25,6 +25,7 @@ from .clock import Clock
 from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
+from .machine import Machine
 from .notify import Notifier
 
 log = logging.getLogger(__name__)
@@ -97,6 +98,10 @@ class Runtime:
             if config.autopilot.url is not None:
                 vehicle = open_vehicle(parse_vehicle_url(config.autopilot.url))
                 stack.callback(vehicle.close)
+            ground = None
+            if config.ground.url is not None:
+                ground = open_vehicle(parse_vehicle_url(config.ground.url))
+                stack.callback(ground.close)
             links: list[Link] = []
             for section in config.links:
                 links.append(section.open(vehicle))
@@ -114,7 +119,9 @@ class Runtime:
             sensor = config.sensor.open(self._clock.now)
             if sensor is not None:
                 stack.callback(sensor.close)
-            driver = Driver(agent, links, vehicle, self._clock.now, executor, rng, sensor)
+            if agent.ground is not None:
+                agent.ground.computer = Machine(config.store_path).status
+            driver = Driver(agent, links, vehicle, self._clock.now, executor, rng, sensor, ground=ground)
             driver.notifier = self._notifier
             control = ControlServer(driver, config.socket_path)
             await control.start()

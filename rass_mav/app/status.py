@@ -10,6 +10,7 @@ from rass_mav.core.cost_routing import COST_ONE, NO_COST
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_ONE, Policy
 from rass_mav.core.routing import Neighbour, is_base
+from rass_mav.link.vehicle import VehiclePort
 from rass_mav.store.quota import ROW_OVERHEAD
 
 from .driver import Driver
@@ -89,12 +90,14 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             for link, lane in zip(driver.links, driver.lanes, strict=True)
         ],
         "copies": {"heard_twice": driver.duplicates.heard_twice, "echoes": driver.duplicates.echoes},
-        "vehicle": None
-        if driver.vehicle is None
+        "vehicle": None if driver.vehicle is None else _port(driver.vehicle),
+        "ground": None
+        if agent.ground is None
         else {
-            "name": driver.vehicle.name,
-            "trouble": driver.vehicle.trouble or None,
-            **driver.vehicle.counters()._asdict(),
+            "link": None if driver.ground is None else _port(driver.ground),
+            "parameters": agent.ground.in_force(),
+            "parameters_refused": agent.ground.refused,
+            "texts_dropped": agent.ground.texts.dropped,
         },
         "malformed": agent.malformed + sum(lane.reader.malformed for lane in driver.lanes),
         "foreign": agent.foreign,
@@ -127,6 +130,10 @@ def _neighbour(neighbour: Neighbour, now: float, policy: Policy) -> dict[str, An
         "same_policy": beacon.policy == policy.tag,
         "age_s": round(now - neighbour.heard, 3),
     }
+
+
+def _port(port: VehiclePort) -> dict[str, Any]:
+    return {"name": port.name, "trouble": port.trouble or None, **port.counters()._asdict()}
 
 
 def _store(driver: Driver) -> dict[str, Any]:

@@ -34,7 +34,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         hops = "no route" if n["hops"] is None else f"{n['hops']} hops"
         standing = "base" if n["base"] else _standing(n)
         yield f"  node {n['node_id']}: {hops}, risk {n['risk']:.3f}, {standing}, heard {n['age_s']:.1f} s ago"
-    for link in [*s["links"], *([s["vehicle"]] if s["vehicle"] else [])]:
+    straight = s["ground"]["link"] if s["ground"] else None
+    for link in [*s["links"], *(way for way in (s["vehicle"], straight) if way)]:
         yield (
             f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
             f"dropped {link['dropped_in']} in, {link['dropped_out']} out"

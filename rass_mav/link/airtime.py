@@ -114,7 +114,8 @@ class Pacer:
         self.throttle = 1.0
         """What the radio's buffer leaves of the rate."""
         self._rng = rng
-        self._step_s = step_s
+        self.step_s = step_s
+        """Beacons are made that often, seconds."""
         self._queues: tuple[deque[Queued], ...] = (deque(), deque(), deque())
         size = max(budget.burst_bytes, FRAME_BYTES)
         self._bytes = _Bucket(size, size, now)
@@ -142,7 +143,7 @@ class Pacer:
         """What the link can bear, with the neighbours that there are now."""
         wanted = (self.neighbours + 1) * BEACON_BYTES / (self.rate * self.budget.beacons)
         # Whole steps: that is when beacons are made.
-        turn_s = self._step_s * max(1, math.ceil(min(wanted, MAX_TURN_S) / self._step_s - 1e-9))
+        turn_s = self.step_s * max(1, math.ceil(min(wanted, MAX_TURN_S) / self.step_s - 1e-9))
         return Pace(turn_s, max(1, int(self.data_rate * turn_s / FRAME_BYTES)))
 
     # -- the queue -----------------------------------------------------------------------------------------------------

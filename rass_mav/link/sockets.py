@@ -100,6 +100,10 @@ class Reader:
             self._wake()
 
 
+# So long without an error, seconds, says that sending works again.
+_CALM_S = 10.0
+
+
 class Sender:
     """Sends at once; what the socket does not take waits, up to a bound."""
 
@@ -111,6 +115,7 @@ class Sender:
         self.sent = 0
         self.dropped = 0
         self._trouble = ""
+        self._failed_at = 0.0
 
     def send(self, frame: bytes, address: Address | None) -> None:
         """`address`: None for a connected socket."""
@@ -139,6 +144,7 @@ class Sender:
             return False
         except OSError as error:
             self.dropped += 1
+            self._failed_at = asyncio.get_running_loop().time()
             text = error.strerror or str(error)
             if text != self._trouble:
                 # Once, until something else happens: a network that is away stays away for many frames.
@@ -146,7 +152,8 @@ class Sender:
                 log.warning("%s: cannot send: %s", self._name, text.lower())
             return True
         self.sent += 1
-        if self._trouble:
+        # Where nobody listens, a connected socket fails for the datagram before: every other one seems to be sent.
+        if self._trouble and asyncio.get_running_loop().time() - self._failed_at > _CALM_S:
             self._trouble = ""
             log.info("%s: sending again", self._name)
         return True

@@ -1,0 +1,315 @@
+"""The conversation with ground stations: parameters, commands, texts, values (docs/ground-station.md).
+
+Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, and messages/common.html. What other
+components of the vehicle are asked is left alone; a command for all of them is answered only if it is known here.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+from rass_mav import __version__
+from rass_mav.core.cost_routing import COST_ONE, NO_COST
+from rass_mav.core.errors import ConfigError, MalformedError
+from rass_mav.core.messages import NO_ROUTE
+from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.mavlink import component as mav
+from rass_mav.mavlink.dialect import payload_of
+from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.identity import BROADCAST, addressed_to
+from rass_mav.mavlink.messages import (
+    COMMAND_ACK,
+    COMMAND_LONG,
+    HEARTBEAT,
+    NAMED_VALUE_FLOAT,
+    STATUSTEXT,
+    companion_heartbeat,
+    named_value_float_payload,
+    parse,
+    statustext,
+)
+from rass_mav.mavlink.reader import FrameReader
+
+from . import parameters
+from .outbox import Outbox
+from .parameters import INDEX, PARAMETERS
+from .settings import AgentSettings, GroundSettings
+from .texts import Texts
+
+if TYPE_CHECKING:
+    from .agent import Agent
+
+log = logging.getLogger(__name__)
+
+#: Names of the NAMED_VALUE_FLOATs that a node says. PX4 repeats them as its own: no reading may have one of them.
+VALUE_NAMES = ("RASS_PHI", "RASS_COST", "RASS_HOPS", "RASS_RISK", "RASS_FILL")
+#: Bounds of an interval that a ground station may ask for, seconds. The wire counts to 2147.
+LEAST_INTERVAL_S, MOST_INTERVAL_S = 0.5, 2000.0
+_WARNING = 4
+
+
+class Way(IntEnum):
+    """How a frame came, and how answers go back."""
+
+    VEHICLE = 0
+    """Through the autopilot."""
+    GROUND = 1
+    """Directly (`ground.url`)."""
+
+
+class Ground:
+    """What an agent says to the ground, and how it answers. Frames gather in `Agent.to_vehicle` and in `to_ground`."""
+
+    def __init__(self, agent: Agent, about: GroundSettings, configured: AgentSettings, now: float) -> None:
+        """:param configured: the settings of the file, without what was set from the ground."""
+        self._agent = agent
+        self._about = about
+        self._configured = configured
+        self._started = now
+        self._text_id = 0
+        self.texts = Texts()
+        self.writer = FrameWriter(agent.vehicle_writer.system_id, agent.vehicle_writer.component_id)
+        """Writes the frames that go directly to the ground: each way has its own sequence."""
+        self.to_ground: list[bytes] = []
+        """Frames that go directly to a ground station; the driver takes them away."""
+        self._reader = FrameReader()
+        self._heard: set[Way] = set()
+        self.outboxes = tuple(
+            Outbox(writer, self._listed, len(PARAMETERS)) for writer in (agent.vehicle_writer, self.writer)
+        )
+        self.refused = 0
+        """PARAM_SETs refused."""
+        self.computer: Callable[[], mav.ComputerStatus] | None = None
+        """Asked how the computer does; None: nobody knows."""
+        self.promised: list[Callable[[], None]] = []
+        """Answers that rest on what is not on disk yet. The driver takes them and calls them after the commit."""
+        self._intervals = {NAMED_VALUE_FLOAT: about.values_s, mav.ONBOARD_COMPUTER_STATUS: about.computer_s}
+        self._next = dict.fromkeys(self._intervals, now)
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def receive(self, data: bytes, now: float, *, stream: bool = False) -> None:
+        """What came directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of
+        a frame. What it says of vehicles is not believed."""
+        for frame in [*self._reader.feed(data), *(() if stream else self._reader.flush())]:
+            self.handle(frame, Way.GROUND, now)
+
+    def handle(self, frame: Frame, way: Way, now: float) -> None:
+        """Answer a frame, if it is for this component and asks for something."""
+        if way not in self._heard:
+            # Who listens at last must not have to wait for a second: an autopilot passes nothing on before a heartbeat.
+            self._heard.add(way)
+            self._agent.beat_next(now)
+        handler = _HANDLERS.get(frame.message_id)
+        own = self._agent.vehicle_writer
+        if handler is None or (frame.system_id, frame.component_id) == (own.system_id, own.component_id):
+            return
+        try:
+            message = parse(frame)
+        except MalformedError as error:
+            log.debug("frame not understood: %s", error)
+            return
+        if addressed_to(message.target_system, message.target_component, own.system_id, own.component_id):
+            handler(self, message, frame, self.outboxes[way], now)
+
+    def _on_param_list(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        outbox.list_all()
+
+    def _on_param_read(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        index = message.param_index if message.param_index >= 0 else INDEX.get(message.param_id, -1)
+        if 0 <= index < len(PARAMETERS):
+            outbox.answer(*self._listed(index))
+        else:
+            self._param_error(message.param_id, message.param_index, mav.DOES_NOT_EXIST, frame, outbox)
+
+    def _on_param_set(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        index = INDEX.get(message.param_id)
+        if index is None:
+            self._param_error(message.param_id, -1, mav.DOES_NOT_EXIST, frame, outbox)
+            return
+        before = self._values()
+        try:
+            self._set(index, message.param_type, message.param_value, now)
+        except ConfigError as error:
+            self.refused += 1
+            log.warning("refused from the ground: %s", error)
+            self.texts.add(_WARNING, str(error))
+            self._param_error(message.param_id, -1, self._reason(index), frame, outbox)
+            outbox.answer(*self._listed(index))
+            return
+        # Others may have changed with it: the policy brings its own weights.
+        others = [i for i, value in enumerate(self._values()) if value != before[i] and i != index]
+
+        def answer() -> None:
+            for i in (index, *others):
+                outbox.answer(*self._listed(i))
+
+        self.promised.append(answer)
+
+    def _reason(self, index: int) -> int:
+        if not PARAMETERS[index].key:
+            return mav.READ_ONLY
+        return mav.VALUE_OUT_OF_RANGE if self._about.may_set else mav.PERMISSION_DENIED
+
+    def _param_error(self, name: str, index: int, error: int, frame: Frame, outbox: Outbox) -> None:
+        if mav.PARAM_ERROR is not None:
+            target = {"target_system": frame.system_id, "target_component": frame.component_id}
+            outbox.answer(mav.PARAM_ERROR, mav.param_error(name, index, error, **target))
+
+    def _set(self, index: int, kind: int, value: float, now: float) -> None:
+        parameter = PARAMETERS[index]
+        if not self._about.may_set:
+            raise ConfigError(f"{parameter.name}: ground.may_set is false")
+        if kind != mav.REAL32:
+            raise ConfigError(f"{parameter.name}: expected type REAL32 ({mav.REAL32}), got {kind}")
+        agent = self._agent
+        old = agent.settings
+        new = parameters.changed(old, parameter, value)
+        if new is not old:
+            agent.take_over(new, now, rebirth=parameter.rebirth)
+            parameters.remember(agent.store, self._configured, parameter, value)
+            log.warning("%s set from the ground: %g, was %g", parameter.name, value, parameter.read(old))
+
+    def _values(self) -> list[float]:
+        settings = self._agent.settings
+        return [parameter.read(settings) for parameter in PARAMETERS]
+
+    def in_force(self) -> dict[str, float]:
+        """All parameters and their values."""
+        return {p.name: value for p, value in zip(PARAMETERS, self._values(), strict=True)}
+
+    def _listed(self, index: int) -> tuple[int, bytes]:
+        parameter = PARAMETERS[index]
+        value = parameters.single(parameter.read(self._agent.settings))
+        return mav.PARAM_VALUE, mav.param_value(parameter.name, value, len(PARAMETERS), index)
+
+    def _on_ping(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        # With a target it is somebody's answer.
+        if message.target_system == BROADCAST and message.target_component == BROADCAST:
+            target = {"target_system": frame.system_id, "target_component": frame.component_id}
+            outbox.answer(mav.PING, mav.ping(message.time_usec, message.seq, **target))
+
+    def _on_command(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        answers: list[tuple[int, bytes]] = []
+        result = mav.UNSUPPORTED
+        about = _whole(message.param1)
+        if message.command == mav.CMD_REQUEST_MESSAGE:
+            answers = self._requested(about, _whole(message.param2), now)
+        elif message.command == mav.CMD_GET_MESSAGE_INTERVAL and 0 <= about <= 0xFFFF:
+            answers = [(mav.MESSAGE_INTERVAL, mav.message_interval(about, self._interval(about)))]
+        elif message.command == mav.CMD_SET_MESSAGE_INTERVAL and self._interval(about) is not None:
+            result = self._set_interval(about, message.param2, now)
+        if answers:
+            result = mav.ACCEPTED
+        if result == mav.UNSUPPORTED and message.target_component == BROADCAST:
+            return
+        target = {"target_system": frame.system_id, "target_component": frame.component_id}
+        outbox.answer(COMMAND_ACK, mav.command_ack(message.command, result, **target))
+        for answer in answers:
+            outbox.answer(*answer)
+
+    def _requested(self, message_id: int, about: int, now: float) -> list[tuple[int, bytes]]:
+        if message_id == HEARTBEAT:
+            return [(HEARTBEAT, payload_of(companion_heartbeat()))]
+        if message_id == mav.AUTOPILOT_VERSION:
+            return [(mav.AUTOPILOT_VERSION, mav.autopilot_version(__version__))]
+        if message_id == mav.MESSAGE_INTERVAL and 0 <= about <= 0xFFFF:
+            return [(mav.MESSAGE_INTERVAL, mav.message_interval(about, self._interval(about)))]
+        return self._periodic(message_id, now)
+
+    def _interval(self, message_id: int) -> float | None:
+        """Seconds between two; 0: never; None: not one of ours."""
+        return 1.0 if message_id == HEARTBEAT else self._intervals.get(message_id)
+
+    def _set_interval(self, message_id: int, micros: float, now: float) -> int:
+        if message_id not in self._intervals:
+            return mav.DENIED  # who listens for our heartbeat relies on one a second
+        if micros == 0:
+            about = self._about
+            interval = about.values_s if message_id == NAMED_VALUE_FLOAT else about.computer_s
+        elif micros == -1:
+            interval = 0.0
+        elif LEAST_INTERVAL_S <= micros / 1e6 <= MOST_INTERVAL_S:
+            interval = micros / 1e6
+        else:
+            return mav.DENIED
+        self._intervals[message_id] = interval
+        self._next[message_id] = now
+        return mav.ACCEPTED
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def tell(self, severity: int, text: str) -> None:
+        """A text for people; `severity` as MAV_SEVERITY."""
+        self.texts.add(severity, text)
+
+    def tend(self, now: float) -> float:
+        """Say what is due. Returns when to come again."""
+        due = math.inf
+        for message_id, interval in self._intervals.items():
+            if interval:
+                if now >= self._next[message_id]:
+                    self._next[message_id] = now + interval
+                    for message in self._periodic(message_id, now):
+                        self._say(*message)
+                due = min(due, self._next[message_id])
+        while (text := self.texts.take(now)) is not None:
+            self._text_id = self._text_id % 0xFFFF + 1
+            for piece in statustext(text.severity, text.text, text_id=self._text_id):
+                self._say(STATUSTEXT, payload_of(piece))
+        agent = self._agent
+        for outbox, frames in zip(self.outboxes, (agent.to_vehicle, self.to_ground), strict=True):
+            frame = outbox.take(now)
+            if frame is not None:
+                frames.append(frame)
+            due = min(due, outbox.due())
+        return min(due, self.texts.due())
+
+    def _say(self, message_id: int, payload: bytes) -> None:
+        for outbox in self.outboxes:
+            outbox.say(message_id, payload)
+
+    def _periodic(self, message_id: int, now: float) -> list[tuple[int, bytes]]:
+        if message_id == NAMED_VALUE_FLOAT:
+            boot_ms = int((now - self._started) * 1000.0)
+            return [
+                (message_id, named_value_float_payload(name, value, boot_ms))
+                for name, value in zip(VALUE_NAMES, self._own_values(now), strict=True)
+                if value is not None
+            ]
+        if message_id == mav.ONBOARD_COMPUTER_STATUS and self.computer is not None:
+            return [(message_id, mav.onboard_computer_status(self.computer(), max(0, int(now * 1e6))))]
+        return []
+
+    def _own_values(self, now: float) -> tuple[float | None, ...]:
+        node = self._agent.node
+        hops = node.routing.hops
+        costs = node.policy.costs is not None
+        capacity = None if node.sink else node.settings.capacity_items
+        return (
+            None if node.base or costs else node.potential / POTENTIAL_ONE,
+            None if node.base or not costs else -1.0 if node.potential >= NO_COST else node.potential / COST_ONE,
+            -1.0 if hops == NO_ROUTE else float(hops),
+            node.risk.risk(now),
+            None if capacity is None else len(node.inventory) / capacity,
+        )
+
+
+def _whole(value: float) -> int:
+    """A message id as a command carries it; -1 for what is none."""
+    return int(value) if math.isfinite(value) and 0 <= value < 1 << 24 else -1
+
+
+_Handler = Callable[[Ground, Any, Frame, Outbox, float], None]
+_HANDLERS: dict[int, _Handler] = {
+    mav.PARAM_REQUEST_LIST: Ground._on_param_list,
+    mav.PARAM_REQUEST_READ: Ground._on_param_read,
+    mav.PARAM_SET: Ground._on_param_set,
+    mav.PING: Ground._on_ping,
+    COMMAND_LONG: Ground._on_command,
+    mav.COMMAND_INT: Ground._on_command,
+}

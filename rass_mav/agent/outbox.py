@@ -1,0 +1,88 @@
+"""One way to the ground: what is to be said, paced.
+
+An autopilot that passes frames on has room for two messages (PX4) or 1024 bytes (ArduPilot), so nothing leaves in a
+burst. Answers, what is said unasked, and a listing of all parameters take turns: none of them can silence the others.
+Everything is bounded; a question that finds no room is asked again, as questions are that get lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+from rass_mav.mavlink.frames import FrameWriter
+
+#: Seconds between two frames: 25 a second, which a telemetry radio at 57,600 bit/s takes beside the flight's telemetry.
+GAP_S = 0.04
+#: Answers that may wait.
+MAX_ANSWERS = 32
+#: Texts and values that may wait.
+MAX_SAID = 32
+
+
+class Outbox:
+    """Frames for one way. Time comes in as an argument."""
+
+    __slots__ = ("_answers", "_free_at", "_list", "_listed", "_said", "_size", "_to_list", "_turn", "dropped", "writer")
+
+    def __init__(self, writer: FrameWriter, listing: Callable[[int], tuple[int, bytes]], size: int) -> None:
+        """:param listing: message id and payload of an entry of the list, 0..size - 1."""
+        self.writer = writer
+        self._answers: deque[tuple[int, bytes]] = deque()
+        self._said: deque[tuple[int, bytes]] = deque()
+        self._list = listing
+        self._size = size
+        self._listed = 0
+        self._to_list = 0
+        self._free_at = -math.inf
+        self._turn = 0
+        self.dropped = 0
+        """Messages for which there was no room."""
+
+    def answer(self, message_id: int, payload: bytes) -> None:
+        """Answer a question. What waits already is not said twice: a forwarded question may come more than once."""
+        self._put(self._answers, MAX_ANSWERS, message_id, payload)
+
+    def say(self, message_id: int, payload: bytes) -> None:
+        """Say something unasked."""
+        self._put(self._said, MAX_SAID, message_id, payload)
+
+    def _put(self, queue: deque[tuple[int, bytes]], most: int, message_id: int, payload: bytes) -> None:
+        if (message_id, payload) in queue:
+            return
+        if len(queue) >= most:
+            self.dropped += 1
+        else:
+            queue.append((message_id, payload))
+
+    def list_all(self) -> None:
+        """Say every entry of the list. While that goes on, it goes on until each has been said once more."""
+        self._to_list = self._size
+
+    def due(self) -> float:
+        """When the next frame may leave; infinity: there is none."""
+        return self._free_at if self._answers or self._said or self._to_list else math.inf
+
+    def take(self, now: float) -> bytes | None:
+        """The frame that leaves now, if any; at most one in `GAP_S` seconds."""
+        if now < self._free_at:
+            return None
+        for _ in range(3):
+            self._turn = (self._turn + 1) % 3
+            message = self._next(self._turn)
+            if message is not None:
+                self._free_at = now + GAP_S
+                return self.writer.frame(*message)
+        return None
+
+    def _next(self, source: int) -> tuple[int, bytes] | None:
+        if source < 2:
+            queue = self._said if source else self._answers
+            return queue.popleft() if queue else None
+        if not self._to_list:
+            return None
+        message = self._list(self._listed)
+        self._listed = (self._listed + 1) % self._size
+        self._to_list -= 1
+        return message

@@ -1,0 +1,191 @@
+"""The settings that a ground station may read and set, as MAVLink parameters (docs/ground-station.md).
+
+A parameter is a 32-bit float on the wire. The same rules that check the configuration file check what is set. A value
+that was set is kept beside the value that the file had then: if the file has another one at a later start, somebody has
+changed it since, and the file wins.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import msgspec
+
+from rass_mav.core.errors import ConfigError
+from rass_mav.core.store import Store
+
+from .loading import convert, to_plain
+from .settings import AgentSettings, PolicyName, Section
+
+_PAIR = struct.Struct("<ff")
+_META = "param."
+
+#: The numbers of the policies. They are known to ground stations and to stores: never give one another meaning.
+POLICY_NUMBERS: dict[PolicyName, int] = {"rass": 0, "rass-literal": 1, "hop-count": 2, "stigmergy": 3, "survival": 4}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter."""
+
+    name: str
+    """1 to 16 ASCII characters."""
+    read: Callable[[AgentSettings], float]
+    """The value in force."""
+    key: str = ""
+    """`section.key` of the settings, or the key of one that is in no section; empty: it cannot be set."""
+    least: float = -math.inf
+    """Lowest value that can be set from the ground, beside what the file's rules say."""
+    most: float = math.inf
+    """Highest value likewise."""
+    whole: bool = False
+    """Whole numbers only."""
+    rebirth: bool = False
+    """The node has to begin anew over its store."""
+
+
+def _of(section: str, key: str) -> Callable[[AgentSettings], float]:
+    return lambda settings: float(getattr(getattr(settings, section), key))
+
+
+def _weight(name: str) -> Callable[[AgentSettings], float]:
+    # The policy's own weight where the settings leave it open; 0 for one that has no such weight.
+    return lambda settings: float(getattr(settings.policy.make(), name, 0.0))
+
+
+#: All parameters, in the order of their index. New ones go to the end.
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter("RASS_NODE_ID", lambda settings: settings.node_id),
+    Parameter(
+        "RASS_POLICY", lambda settings: POLICY_NUMBERS[settings.policy.name], "policy.name", whole=True, rebirth=True
+    ),
+    Parameter("RASS_ALPHA", _weight("alpha"), "policy.alpha"),
+    Parameter("RASS_BETA", _weight("beta"), "policy.beta"),
+    Parameter("RASS_T", _weight("threshold"), "policy.threshold"),
+    # Shorter steps would leave no time for anything else, with longer ones the node would seem dead.
+    Parameter("RASS_STEP_S", lambda settings: settings.step_s, "step_s", 0.05, 60.0, rebirth=True),
+    Parameter("RASS_RISK_LOW", _of("risk", "low"), "risk.low"),
+    Parameter("RASS_RISK_HIGH", _of("risk", "high"), "risk.high"),
+    Parameter("RASS_RISK_GAIN", lambda settings: settings.risk.estimator(settings.policy).gain, "risk.gain"),
+    Parameter("RASS_RISK_STALE", _of("risk", "stale_s"), "risk.stale_s"),
+    Parameter("RASS_RISK_WORST", _of("risk", "worst"), "risk.worst"),
+    Parameter("RASS_DATA_STEPS", _of("data", "interval_steps"), "data.interval_steps", 0, 65535, whole=True),
+    Parameter("RASS_BANDWIDTH", _of("store", "bandwidth_items"), "store.bandwidth_items", 1, 65535, whole=True),
+    # Costs along a way add up: a routing table that was made with others has to begin anew.
+    Parameter("RASS_HOP_COST", _weight("hop_cost"), "policy.hop_cost", rebirth=True),
+)
+INDEX: dict[str, int] = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
+
+
+def single(value: float) -> float:
+    """A number as 32 bits hold it; infinite if it is too large for them."""
+    try:
+        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return rounded
+
+
+def shortest(value: float) -> float:
+    """The number with the fewest digits that is `value` in 32 bits: 0.1, not 0.10000000149011612.
+
+    So a weight set from the ground is the very number that another node has in its file, and their policies agree.
+    """
+    for digits in range(1, 9):
+        candidate = float(f"{value:.{digits}g}")
+        if single(candidate) == value:
+            return candidate
+    return float(f"{value:.9g}")
+
+
+def changed(
+    settings: AgentSettings, parameter: Parameter, value: float, *, unused: Literal["refuse", "keep"] = "refuse"
+) -> AgentSettings:
+    """The settings with one parameter set.
+
+    :param value: as it came, 32 bits.
+    :param unused: what to do with a weight that the policy does not have.
+    :raises ConfigError: not a value for it; begins with the parameter's name.
+    """
+    if not parameter.key:
+        raise ConfigError(f"{parameter.name}: cannot be set")
+    if not math.isfinite(value):
+        raise ConfigError(f"{parameter.name}: expected a finite number, got {value}")
+    if single(parameter.read(settings)) == value:
+        return settings
+    new = _replaced(settings, parameter, value)
+    try:
+        new.node_settings()
+        if new.policy.make().replicates != settings.policy.make().replicates:
+            raise ConfigError("to and from stigmergy by the file only")
+    except ConfigError as error:
+        raise ConfigError(f"{parameter.name}: {error}") from None
+    if unused == "refuse" and single(parameter.read(new)) != value:
+        raise ConfigError(f"{parameter.name}: policy {new.policy.name} has no such weight")
+    return new
+
+
+def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> AgentSettings:
+    plain: Any = shortest(value)
+    if parameter.whole:
+        if not value.is_integer():
+            raise ConfigError(f"{parameter.name}: expected a whole number, got {plain:g}")
+        plain = int(value)
+    if not parameter.least <= plain <= parameter.most:
+        raise ConfigError(f"{parameter.name}: expected {parameter.least:g} to {parameter.most:g}, got {plain:g}")
+    if parameter.name == "RASS_POLICY":
+        names = {number: name for name, number in POLICY_NUMBERS.items()}
+        if plain not in names:
+            known = ", ".join(f"{number} {name}" for number, name in names.items())
+            raise ConfigError(f"{parameter.name}: expected {known}; got {plain}")
+        plain = names[plain]
+    section_name, _, key = parameter.key.rpartition(".")
+    if not section_name:
+        return msgspec.structs.replace(settings, **{key: plain})
+    section: Section = getattr(settings, section_name)
+    try:
+        new = convert({**to_plain(section), key: plain}, type(section), parameter.name)
+    except ConfigError as error:
+        raise ConfigError(str(error).replace(f": {key}: ", ": ", 1)) from None
+    return msgspec.structs.replace(settings, **{section_name: new})
+
+
+def remember(store: Store, configured: AgentSettings, parameter: Parameter, value: float) -> None:
+    """Keep a value for later starts; durable with the store's next commit.
+
+    :param configured: the settings of the file alone.
+    """
+    pair = _PAIR.pack(single(parameter.read(configured)), value)
+    store.set_meta(_META + parameter.name, int.from_bytes(pair, "little", signed=True))
+
+
+def recall(store: Store, configured: AgentSettings) -> tuple[AgentSettings, list[str]]:
+    """The file's settings with what was set from the ground in earlier lives.
+
+    :returns: the settings, and a text for each value that no longer fits them and was left out.
+    """
+    waiting: list[tuple[Parameter, float]] = []
+    for parameter in PARAMETERS:
+        kept = store.get_meta(_META + parameter.name)
+        if kept is not None and parameter.key:
+            before, value = _PAIR.unpack(kept.to_bytes(8, "little", signed=True))
+            if before == single(parameter.read(configured)):
+                waiting.append((parameter, value))
+    settings = configured
+    # One may fit only after another: a new low is above the file's high. So they get several turns.
+    while True:
+        errors: list[str] = []
+        left: list[tuple[Parameter, float]] = []
+        for parameter, value in waiting:
+            try:
+                settings = changed(settings, parameter, value, unused="keep")
+            except ConfigError as error:
+                left.append((parameter, value))
+                errors.append(str(error))
+        if len(left) == len(waiting):
+            return settings, errors
+        waiting = left

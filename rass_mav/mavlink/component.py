@@ -1,0 +1,170 @@
+"""What a component says to a ground station besides texts and values: parameters, acknowledgements, what it is.
+
+Field definitions: https://mavlink.io/en/messages/common.html. All builders give payloads for `FrameWriter.frame`,
+trailing zeros trimmed. A number out of its field's range raises struct.error, a mistake of the caller.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+from .dialect import common, payload_of
+
+PARAM_REQUEST_READ: int = common.MAVLINK_MSG_ID_PARAM_REQUEST_READ
+PARAM_REQUEST_LIST: int = common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST
+PARAM_SET: int = common.MAVLINK_MSG_ID_PARAM_SET
+PARAM_VALUE: int = common.MAVLINK_MSG_ID_PARAM_VALUE
+COMMAND_INT: int = common.MAVLINK_MSG_ID_COMMAND_INT
+#: Newer than some versions of the dialect; None: it is not there, and is not sent.
+PARAM_ERROR: int | None = getattr(common, "MAVLINK_MSG_ID_PARAM_ERROR", None)
+PING: int = common.MAVLINK_MSG_ID_PING
+AUTOPILOT_VERSION: int = common.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+MESSAGE_INTERVAL: int = common.MAVLINK_MSG_ID_MESSAGE_INTERVAL
+ONBOARD_COMPUTER_STATUS: int = common.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS
+
+CMD_REQUEST_MESSAGE: int = common.MAV_CMD_REQUEST_MESSAGE
+CMD_SET_MESSAGE_INTERVAL: int = common.MAV_CMD_SET_MESSAGE_INTERVAL
+CMD_GET_MESSAGE_INTERVAL: int = common.MAV_CMD_GET_MESSAGE_INTERVAL
+
+ACCEPTED: int = common.MAV_RESULT_ACCEPTED
+DENIED: int = common.MAV_RESULT_DENIED
+UNSUPPORTED: int = common.MAV_RESULT_UNSUPPORTED
+
+#: MAV_PARAM_ERROR: why a PARAM_SET or PARAM_REQUEST_READ came to nothing.
+DOES_NOT_EXIST, VALUE_OUT_OF_RANGE, PERMISSION_DENIED, READ_ONLY = 1, 2, 3, 5
+#: The only type of our parameters: INT32 is read as a float by some programs and as bits by others.
+REAL32: int = common.MAV_PARAM_TYPE_REAL32
+#: The longest parameter name, in bytes.
+PARAM_NAME_SIZE = 16
+
+# C cast, not bytewise: a component must say one of the two, and with floats alone both mean the same.
+_CAPABILITIES: int = (
+    common.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | common.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+)
+_UNKNOWN_U8 = 0xFF
+_UNKNOWN_I8 = 0x7F
+_UNKNOWN_I16 = 0x7FFF
+_UNKNOWN_U32 = 0xFFFFFFFF
+
+
+def param_value(name: str, value: float, count: int, index: int) -> bytes:
+    """PARAM_VALUE of a REAL32 parameter (https://mavlink.io/en/services/parameter.html).
+
+    :param name: 1 to 16 ASCII characters.
+    :param value: rounded to 32 bits.
+    :param count: how many parameters there are.
+    :param index: of this one, from 0.
+    """
+    return payload_of(common.MAVLink_param_value_message(name.encode("ascii"), value, REAL32, count, index))
+
+
+def param_error(name: str, index: int, error: int, *, target_system: int, target_component: int) -> bytes:
+    """PARAM_ERROR, where the dialect has it: with it the asker need not ask again.
+
+    :param name: at most 16 characters; empty if it asked by index.
+    :param index: as it asked; -1 if it asked by name.
+    :param error: `DOES_NOT_EXIST`, `VALUE_OUT_OF_RANGE`, `PERMISSION_DENIED` or `READ_ONLY`.
+    """
+    encoded = name.encode("ascii", errors="replace")[:PARAM_NAME_SIZE]
+    return payload_of(common.MAVLink_param_error_message(target_system, target_component, encoded, index, error))
+
+
+def command_ack(command: int, result: int, *, target_system: int, target_component: int) -> bytes:
+    """COMMAND_ACK to the sender of a command; `result`: `ACCEPTED`, `DENIED` or `UNSUPPORTED`."""
+    return payload_of(common.MAVLink_command_ack_message(command, result, 0, 0, target_system, target_component))
+
+
+def ping(time_us: int, sequence: int, *, target_system: int, target_component: int) -> bytes:
+    """PING; as an answer, with the time and sequence of the question and its sender as the target."""
+    return payload_of(common.MAVLink_ping_message(time_us, sequence, target_system, target_component))
+
+
+def message_interval(message_id: int, interval_s: float | None) -> bytes:
+    """MESSAGE_INTERVAL: seconds between two messages; 0: never; None: this message is not available.
+
+    :param message_id: 0..65535.
+    :param interval_s: to 2147 seconds.
+    """
+    # On the wire 0 says "not available" and -1 "not sent".
+    micros = 0 if interval_s is None else round(interval_s * 1e6) or -1
+    return payload_of(common.MAVLink_message_interval_message(message_id, micros))
+
+
+def autopilot_version(version: str) -> bytes:
+    """AUTOPILOT_VERSION of a component that is no autopilot.
+
+    :param version: begins with major.minor.patch, each 0..255.
+    """
+    # The lowest byte is the type of the release: 0, a development version.
+    number = int.from_bytes([*map(int, re.findall(r"\d+", version)[:3]), common.FIRMWARE_VERSION_TYPE_DEV], "big")
+    nothing = bytes(8)
+    return payload_of(
+        common.MAVLink_autopilot_version_message(
+            _CAPABILITIES, number, 0, 0, 0, nothing, nothing, nothing, 0, 0, 0, bytes(18)
+        )
+    )
+
+
+class ComputerStatus(NamedTuple):
+    """How the computer does; None: not known."""
+
+    uptime_s: float
+    """Seconds since it was started."""
+    cores_percent: tuple[float, ...] = ()
+    """How busy each processor is, 0..100; more than 8 are left out."""
+    temperature_c: float | None = None
+    """Of the processor, degrees Celsius."""
+    ram_used_mib: float | None = None
+    ram_total_mib: float | None = None
+    storage_used_mib: float | None = None
+    """Of the disk with the store."""
+    storage_total_mib: float | None = None
+
+
+def onboard_computer_status(status: ComputerStatus, time_us: int) -> bytes:
+    """ONBOARD_COMPUTER_STATUS; values beyond their field's range are cut to it.
+
+    :param time_us: microseconds since 1970.
+    """
+    cores = [_within(value, 100, _UNKNOWN_U8) for value in status.cores_percent[:8]]
+    temperature = _UNKNOWN_I8 if status.temperature_c is None else max(-127, min(126, round(status.temperature_c)))
+    return payload_of(
+        common.MAVLink_onboard_computer_status_message(
+            time_us,
+            _within(status.uptime_s * 1000.0, _UNKNOWN_U32, 0),
+            0,
+            _filled(cores, 8, _UNKNOWN_U8),
+            [_UNKNOWN_U8] * 10,
+            [_UNKNOWN_U8] * 4,
+            [_UNKNOWN_U8] * 10,
+            _UNKNOWN_I8,
+            _filled([temperature], 8, _UNKNOWN_I8),
+            [_UNKNOWN_I16] * 4,
+            _mib(status.ram_used_mib),
+            _mib(status.ram_total_mib),
+            [_UNKNOWN_U32] * 4,
+            _filled([_mib(status.storage_used_mib)], 4, _UNKNOWN_U32),
+            _filled([_mib(status.storage_total_mib)], 4, _UNKNOWN_U32),
+            [_UNKNOWN_U32] * 6,
+            [_UNKNOWN_U32] * 6,
+            [_UNKNOWN_U32] * 6,
+            [_UNKNOWN_U32] * 6,
+            [_UNKNOWN_U32] * 6,
+        )
+    )
+
+
+def _within(value: float, most: int, unknown: int) -> int:
+    return max(0, min(most, round(value))) if math.isfinite(value) else unknown
+
+
+def _mib(value: float | None) -> int:
+    return _UNKNOWN_U32 if value is None else _within(value, _UNKNOWN_U32 - 1, _UNKNOWN_U32)
+
+
+def _filled(values: list[int], size: int, unknown: int) -> list[int]:
+    return values + [unknown] * (size - len(values))
