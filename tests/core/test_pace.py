@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from rass_mav.core.messages import Beacon, Data, Route
+import pytest
+
+from rass_mav.core.cost_routing import NO_COST
+from rass_mav.core.messages import Beacon, Committed, Corrupt, Data, Handover, Route, Word
 from rass_mav.core.routing import HOLD_LIFETIMES
 
-from .build import beacon, make_node, of
+from .build import beacon, datum, make_node, of
 from .durable import DurableStore
 
 BASE = Route(1, 11, 5, 0)
@@ -104,3 +107,73 @@ def test_after_a_restart_the_old_turn_decides_how_long_to_wait() -> None:
     # Fast for long enough: the store has forgotten the old turn, so that the next restart is quick. Not before.
     assert kept[-1] == 0
     assert set(kept[: int(hold)]) == {90}
+
+
+def test_a_cost_table_waits_for_a_slow_neighbour_and_holds_for_it() -> None:
+    node = make_node(2, policy="survival", newborn=True)
+    base = {"flags": 1, "policy": node.policy.tag, "potential": 0xFFFFFFFF}
+    node.receive(beacon(1, 1, BASE, **base)._replace(turn=90), 0.0)
+    node.step(0.0)
+    assert node.routing.next_hop == 1
+    # Nine seconds to its next beacon, and three of them may be missing.
+    node.step(31.0)
+    assert node.routing.next_hop == 1
+    node.step(32.0)
+    assert node.routing.next_hop is None
+    assert not node.routing.neighbours
+    # Whoever counts on the route that it lost may remember it for long: until then this is no shelter for others.
+    hold = HOLD_LIFETIMES * 3.5 * 9.0
+    [early] = of(Beacon, node.step(31.0 + hold - 1.0))
+    assert early.potential == NO_COST
+    [late] = of(Beacon, node.step(31.0 + hold + 1.0))
+    assert late.potential < NO_COST
+
+
+def test_a_slow_neighbour_is_as_recent_as_a_fast_one() -> None:
+    node = make_node(2, policy="survival", newborn=True)
+    near = {"policy": node.policy.tag, "potential": 1000}
+    node.receive(beacon(3, 1, Route(1, 11, 5, 1), **near)._replace(turn=90), 0.0)
+    for number in range(1, 12):
+        node.receive(beacon(4, number, Route(1, 11, 5, 1), policy=node.policy.tag, potential=5000), number)
+    node.step(11.0)
+    assert node.routing.next_hop == 3, "the cheaper one; its next beacon is hardly late"
+    node.receive(beacon(4, 12, Route(1, 11, 5, 1), policy=node.policy.tag, potential=5000), 14.0)
+    node.step(14.0)
+    assert node.routing.next_hop == 4, "half a turn late"
+
+
+@pytest.mark.parametrize("turn_s", [1.0, 9.0])
+def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
+    """Asking after a spare, offering it again, and giving a custodian up."""
+    node = make_node(2, mirror=True, newborn=True)
+    node.pace(turn_s, 3, 0.0)
+    assert node.mirrors is not None
+    number = 0
+
+    def hear(now: float) -> None:
+        nonlocal number
+        number += 1
+        about = beacon(3, number, free=50)
+        node.receive(about._replace(turn=round(turn_s * 10) if turn_s > 1 else 0), now)
+
+    hear(0.0)
+    id = node.put(b"x", 0.0)
+    [offer] = [m for m in of(Data, node.step(0.0)) if m.spare]
+    hear(turn_s)
+    assert not [m for m in of(Data, node.step(turn_s)) if m.spare], "offered, and not answered yet"
+    hear(2 * turn_s)
+    [again] = [m for m in of(Data, node.step(2 * turn_s)) if m.spare]
+    assert again.handovers[0].number != offer.handovers[0].number
+    node.receive(Committed(3, 2, ((again.handovers[0].number, again.handovers[0].datum.crc),), ()), 2 * turn_s)
+    assert node.mirrors.backer == {id: 3}
+    # A spare of somebody else's: asked after in time, and taken back when its custodian is gone.
+    node.receive(Data(3, 2, (Handover(7, datum()),), True), 2 * turn_s)
+    asked, gone = [], None
+    for turn in range(3, 30):
+        now = turn * turn_s
+        said = node.step(now)
+        asked += [now for m in of(Corrupt, said) if m.entries[0].word == Word.STILL]
+        if gone is None and datum().id in node.inventory:
+            gone = now
+    assert asked[0] == 12 * turn_s
+    assert gone == (2 + 15) * turn_s, "four lifetimes of three and a half turns after its last beacon"

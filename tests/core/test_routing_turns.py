@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 
 import pytest
 
 from rass_mav.core.messages import Beacon
 
-from .test_routing_swarm import Swarm
+from .routing_harness import Swarm
 
 
 class UnevenSwarm(Swarm):
     """Every node turns only in some of its steps."""
 
-    def __init__(self, rng: random.Random, size: int, bases: int) -> None:
-        super().__init__(rng, size, bases, seq_period=rng.choice([0, 2, 10]))
+    def __init__(self, rng: random.Random, size: int, bases: int, policies: Sequence[str] = ("rass",)) -> None:
+        super().__init__(rng, size, bases, seq_period=rng.choice([0, 2, 10]), policies=policies)
         self.turns = {i: rng.choice([1, 1, 3, 6]) for i in range(size)}
         self.wait = dict.fromkeys(range(size), 0)
 
@@ -40,11 +41,12 @@ class UnevenSwarm(Swarm):
         self.now = start + 1.0
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_no_cycle_at_any_instant(seed: int) -> None:
+@pytest.mark.parametrize("policies", [("rass",), ("survival",), ("survival", "rass")])
+@pytest.mark.parametrize("seed", range(40))
+def test_no_cycle_at_any_instant(seed: int, policies: Sequence[str]) -> None:
     rng = random.Random(seed)
     size = rng.randint(4, 10)
-    swarm = UnevenSwarm(rng, size, rng.randint(1, 2))
+    swarm = UnevenSwarm(rng, size, rng.randint(1, 2), policies)
     swarm.loss, swarm.duplicate, swarm.late = rng.choice([0.0, 0.3, 0.6]), 0.2, rng.choice([0.0, 0.5])
     down: dict[int, int] = {}
     for step in range(200):
@@ -52,6 +54,8 @@ def test_no_cycle_at_any_instant(seed: int) -> None:
             swarm.random_links(rng.choice([0.2, 0.4, 0.7]))
         if rng.random() < 0.1:
             swarm.turns[rng.randrange(size)] = rng.choice([1, 2, 6])
+        if "survival" in policies:
+            swarm.sense(rng.choice([0.0, 0.0, 0.05, 0.5]))
         if rng.random() < 0.05 and len(swarm.nodes) > 2:
             victim = rng.choice(sorted(swarm.nodes))
             swarm.kill(victim)
@@ -60,6 +64,8 @@ def test_no_cycle_at_any_instant(seed: int) -> None:
             del down[back]
             swarm.start(back)
         swarm.turn()
+    if len(policies) > 1:
+        return  # A way does not lead over a node of another policy, so not everybody finds one.
     # Peace: everybody is up, nothing is lost, and everybody finds a way.
     for i in down:
         swarm.start(i)
@@ -68,3 +74,26 @@ def test_no_cycle_at_any_instant(seed: int) -> None:
     for _ in range(400):
         swarm.turn()
     assert set(swarm.hops()) == set(range(size))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_cycle_between_shelters_either(seed: int) -> None:
+    """No base for most of the time: data gather where it is safest, and this place changes."""
+    rng = random.Random(seed)
+    size = rng.randint(4, 8)
+    swarm = UnevenSwarm(rng, size, 1, ("survival",))
+    swarm.loss = rng.choice([0.0, 0.3])
+    sheltered = 0
+    for step in range(400):
+        if step % 40 == 0:
+            swarm.random_links(rng.choice([0.4, 0.7]))
+        if step % 150 == 5:
+            swarm.kill(0)
+        elif step % 150 == 145:
+            swarm.start(0)
+        if rng.random() < 0.1:
+            swarm.turns[rng.randrange(size)] = rng.choice([1, 2, 6])
+        swarm.sense(rng.choice([0.0, 0.05, 0.3]))
+        swarm.turn()
+        sheltered += sum(n.routing.route is None and n.routing.next_hop is not None for n in swarm.nodes.values())
+    assert sheltered
