@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rass_mav.core.cost_routing import NO_COST
+from rass_mav.core.cost_routing import COST_ONE, NO_COST
 from rass_mav.core.messages import Beacon, Committed, Corrupt, Data, Handover, Route, Word
 from rass_mav.core.routing import HOLD_LIFETIMES
 
@@ -177,3 +177,22 @@ def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
             gone = now
     assert asked[0] == 12 * turn_s
     assert gone == (2 + 15) * turn_s, "four lifetimes of three and a half turns after its last beacon"
+
+
+def test_what_a_slow_node_announced_is_remembered_when_it_has_become_fast() -> None:
+    """Somebody may shelter with it because of what it said at that time; it must not shelter with them."""
+    node = make_node(2, policy="survival", newborn=True)
+    node.pace(9.0, 3, 0.0)
+    [safe] = of(Beacon, node.step(0.0))
+    node.risk.observe(0.9, 1.0)
+    moved = None
+    for t in range(1, 200):
+        node.pace(1.0, 3, t)
+        dearer = beacon(3, t, policy=node.policy.tag, potential=safe.potential + COST_ONE // 2)
+        node.receive(dearer, t)
+        node.step(t)
+        if node.routing.next_hop == 3:
+            moved = t
+            break
+    assert moved is not None
+    assert moved >= HOLD_LIFETIMES * 3.5 * 9.0
