@@ -16,7 +16,7 @@ import platform
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks import frames, handover, node, swarm
+from benchmarks import frames, handover, node, policies, swarm
 
 #: Path of a figure in the results, what it is, its bound, and whether that is the most or the least it may be.
 AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
@@ -25,6 +25,7 @@ AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
     (("frames", "fallback", "tunnel_encode", "ratio"), "TUNNEL encode / pymavlink, without", 0.2, True),
     (("frames", "fallback", "tunnel_decode", "ratio"), "TUNNEL decode / pymavlink, without", 0.2, True),
     (("swarm", "default", "per_s_100"), "robot-steps a second, 100 nodes", 20_000, False),
+    (("policies", "survival", "ratio"), "robot-step under survival / under rass", 1.3, True),
     (("swarm", "default", "ratio"), "robot-step at 1,000 nodes / at 100, demo", 1.5, True),
     (("swarm", "same load", "ratio"), "the same, as many hand-overs a robot-step", 1.5, True),
     (("swarm", "bases in proportion", "ratio"), "the same, bases in proportion", 1.5, True),
@@ -55,6 +56,7 @@ def measure() -> dict[str, Any]:
             "fallback": frames.measure_without_fastcrc(7),
         },
         "swarm": swarm.measure(5, 10_000, 50),
+        "policies": policies.measure(7, 10_000, 50),
         "handover": handover.measure(5, 2000),
         "node": node.measure(5, 2.0),
     }
@@ -86,9 +88,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(json.dumps({**results, "aims": found}))
         return
     print("  ".join(f"{key}: {value}" for key, value in results["machine"].items()))
-    for module, name in ((frames, "frames"), (swarm, "swarm"), (handover, "handover"), (node, "node")):
+    for show, name in (
+        (frames.show, "frames"),
+        (swarm.show, "swarm"),
+        (policies.show, "policies"),
+        (handover.show, "handover"),
+        (node.show, "node"),
+    ):
         print()
-        module.show(results[name])
+        show(results[name])
     print(f"\n{'aims':<44} {'measured':>10} {'aim':>12}")
     for one in found:
         aim = f"{'at most' if one['at_most'] else 'at least'} {one['aim']:g}"

@@ -26,6 +26,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SMALL, LARGE = 100, 1000
+#: One copy, one hop a step, no receipts: the paper's node. What the other ways cost beside it: `benchmarks.policies`.
+PLAIN: dict[str, Any] = {
+    "policy.name": "rass", "custody.mirror": False, "custody.receipts": False, "node.forward": "step",
+}  # fmt: skip
 
 
 class Variant(NamedTuple):
@@ -40,12 +44,12 @@ class Variant(NamedTuple):
 
 def variants() -> dict[str, Variant]:
     """The lines of the table."""
-    small, large = {"nodes": SMALL}, {"nodes": LARGE}
+    small, large = {"nodes": SMALL, **PLAIN}, {"nodes": LARGE, **PLAIN}
     # As many hand-overs in a robot-step: a datum makes so many times as many hops, so it is made so much more rarely.
     farther = _mean_hops(large) / _mean_hops(small)
     bases = LARGE // SMALL
     return {
-        "default": Variant("demo as it is; one corner base, which saturates at 1,000 nodes", small, large),
+        "default": Variant("demo with the paper's node; one corner base, which saturates at 1,000 nodes", small, large),
         "same load": Variant(
             f"data made {farther:.1f} times as rarely at 1,000 nodes, for they have so many times as many hops to go",
             small,
@@ -119,35 +123,9 @@ def measure(rounds: int, robot_steps: int, warm_up: int, names: Sequence[str] = 
 
     `robot_steps`: how many each swarm does in a round. `warm_up`: steps before the first round.
     """
-    context = multiprocessing.get_context("spawn")
     chosen = {name: variant for name, variant in variants().items() if not names or name in names}
-    swarms: dict[str, tuple[Connection, int]] = {}
-    children = []
-    for variant in chosen.values():
-        for options in (variant.small, variant.large):
-            key = json.dumps(options)
-            if key not in swarms:
-                here, there = context.Pipe()
-                child = context.Process(target=_swarm, args=(there, options, warm_up), daemon=True)
-                child.start()
-                children.append(child)
-                swarms[key] = here, options["nodes"]
-                # One after the other: two that warm up at the same time would only heat each other's cache.
-                here.send(1)
-                here.recv()
-    costs: dict[str, list[float]] = {key: [] for key in swarms}
-    frames = dict.fromkeys(swarms, 0.0)
-    for _ in range(rounds):
-        for key, (pipe, nodes) in swarms.items():
-            pipe.send(robot_steps // nodes)
-            spent, heard = pipe.recv()
-            done = robot_steps // nodes * nodes
-            costs[key].append(spent / done)
-            frames[key] += heard / done / rounds
-    for pipe, _ in swarms.values():
-        pipe.send(0)
-    for child in children:
-        child.join()
+    both = [options for variant in chosen.values() for options in (variant.small, variant.large)]
+    costs, frames = take_turns(both, rounds, robot_steps, warm_up)
     results = {}
     for name, variant in chosen.items():
         small, large = json.dumps(variant.small), json.dumps(variant.large)
@@ -162,6 +140,43 @@ def measure(rounds: int, robot_steps: int, warm_up: int, names: Sequence[str] = 
             / frames[large],
         }
     return {name: {key: round(value, 3) for key, value in result.items()} for name, result in results.items()}
+
+
+def take_turns(
+    scenarios: Sequence[dict[str, Any]], rounds: int, robot_steps: int, warm_up: int
+) -> tuple[dict[str, list[float]], dict[str, float]]:
+    """Swarms that take turns, each in a process of its own. `scenarios`: overrides of `demo`, `nodes` among them.
+
+    Returns by `json.dumps` of the overrides: processor seconds of a robot-step in each round, and frames heard in one.
+    """
+    context = multiprocessing.get_context("spawn")
+    swarms: dict[str, tuple[Connection, int]] = {}
+    children = []
+    for options in scenarios:
+        key = json.dumps(options)
+        if key not in swarms:
+            here, there = context.Pipe()
+            child = context.Process(target=_swarm, args=(there, options, warm_up), daemon=True)
+            child.start()
+            children.append(child)
+            swarms[key] = here, options["nodes"]
+            # One after the other: two that warm up at the same time would only heat each other's cache.
+            here.send(1)
+            here.recv()
+    costs: dict[str, list[float]] = {key: [] for key in swarms}
+    frames = dict.fromkeys(swarms, 0.0)
+    for _ in range(rounds):
+        for key, (pipe, nodes) in swarms.items():
+            pipe.send(robot_steps // nodes)
+            spent, heard = pipe.recv()
+            done = robot_steps // nodes * nodes
+            costs[key].append(spent / done)
+            frames[key] += heard / done / rounds
+    for pipe, _ in swarms.values():
+        pipe.send(0)
+    for child in children:
+        child.join()
+    return costs, frames
 
 
 def show(results: dict[str, dict[str, float]]) -> None:

@@ -100,10 +100,7 @@ class RiskSettings(Section, frozen=True):
 
     def estimator(self, policy: PolicySettings) -> RiskEstimator:
         """A new estimator with these settings."""
-        gain = self.gain
-        if gain is None:
-            # A cost adds up the noise of all readings on the way.
-            gain = 0.1 if policy.name == "survival" else 1.0
+        gain = policy.make().risk_gain if self.gain is None else self.gain
         return RiskEstimator(gain=gain, stale_s=self.stale_s, worst=self.worst)
 
 
@@ -285,15 +282,15 @@ class AgentSettings(Section, frozen=True):
 
     def node_settings(self) -> NodeSettings:
         """What core needs of it."""
-        replicates = self.policy.name == "stigmergy"
-        if replicates and self.data.bytes > INLINE_BYTES:
+        policy = self.policy.make()
+        if policy.replicates and self.data.bytes > INLINE_BYTES:
             raise ConfigError(
                 f"data.bytes: expected at most {INLINE_BYTES} with policy stigmergy, got {self.data.bytes}"
             )
         drop_oldest = self.store.overflow == "drop-oldest"
         if drop_oldest and self.custody.mode != "none":
             raise ConfigError("store.overflow: drop-oldest breaks custody, expected custody.mode none with it")
-        bounded = not self.base or replicates
+        bounded = not self.base or policy.replicates
         return NodeSettings(
             node_id=self.node_id,
             base=self.base,
@@ -313,14 +310,8 @@ class AgentSettings(Section, frozen=True):
             neighbour_steps=self.routing.neighbour_steps,
             max_neighbours=self.routing.max_neighbours,
             max_hops=self.routing.max_hops,
-            seq_period=self._seq_period(),
+            seq_period=policy.seq_period if self.routing.seq_period is None else self.routing.seq_period,
             lifetime_s=self.data.lifetime_s,
             scrub_items=self.store.scrub_items,
             inline_bytes=INLINE_BYTES,
         )
-
-    def _seq_period(self) -> int:
-        given = self.routing.seq_period
-        if given is not None:
-            return given
-        return 2 if self.policy.name == "survival" else 30

@@ -71,6 +71,14 @@ class Policy(Protocol):
     def costs(self) -> CostRules | None:
         """If the potential is a cost that adds up along the way, so that lower is better: how. Else None."""
 
+    @property
+    def risk_gain(self) -> float:
+        """Gain of the moving average over readings unless one is set, in (0, 1]."""
+
+    @property
+    def seq_period(self) -> int:
+        """A base raises its announcement number every so many steps unless `routing.seq_period` is set."""
+
     def potential(self, hops: int, risk: float, free: int) -> int:
         """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1.
 

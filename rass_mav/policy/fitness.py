@@ -27,6 +27,8 @@ class FitnessPolicy:
 
     replicates = False
     costs = None
+    risk_gain = 1.0
+    seq_period = 30
     #: Part of the tag: potentials are compared only within a family.
     family = "fitness"
 

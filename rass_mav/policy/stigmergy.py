@@ -19,6 +19,8 @@ class Stigmergy:
     name = "stigmergy"
     replicates = True
     costs = None
+    risk_gain = 1.0
+    seq_period = 30
     tag = policy_tag("stigmergy")
 
     def potential(self, hops: int, risk: float, free: int) -> int:

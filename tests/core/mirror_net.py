@@ -117,3 +117,25 @@ class Net:
     def of(self, kind: type) -> list[Any]:
         """What was said of a kind in the last step."""
         return [message for message in self.said if type(message) is kind]
+
+
+#: A chain down the risk: 1 gives to 2, 2 to 3; data rest at 3.
+RISKS = {1: 0.9, 2: 0.5, 3: 0.1}
+CHAIN = [(1, 2), (2, 3)]
+
+
+def handed_over(net: Net) -> DatumId:
+    """A datum that 1 has handed to 2."""
+    net.step()
+    id = net.put(1)
+    net.step()
+    assert net.custody(id) == [2]
+    return id
+
+
+def at_rest(net: Net) -> DatumId:
+    """A datum that has come from 1 over 2 to 3."""
+    id = handed_over(net)
+    net.step()
+    assert net.custody(id) == [3]
+    return id

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import itertools
-import os
-import random
 
 import pytest
 
-from rass_mav.core.datum import DatumId, Fate, make_datum
-from rass_mav.core.errors import StoreFullError
-from rass_mav.core.messages import BROADCAST, Committed, Data, LossNote, LossNoteEntry, Message, Receipt, ReceiptSpan
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import Committed, Data, LossNote, LossNoteEntry, Receipt, ReceiptSpan
 from rass_mav.core.node import Node
 from rass_mav.core.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, fate_of
-from rass_mav.core.observer import Observer
-from rass_mav.wire import decode, encode
+from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
 
-from .build import beacon, data, datum, make_node, of, talk
+from .build import data, datum, make_node, of, talk
 from .durable import DurableStore
 from .mirror_net import Net as MirrorNet
-from .test_node import ROUTE, with_base
+from .test_node import with_base
 
 ID = DatumId(9, 77, 0)
 
@@ -270,187 +266,3 @@ def test_a_spare_is_taken_into_custody_when_the_datum_is_told_lost() -> None:
     assert id in net.nodes[1].inventory
     net.nodes[1].receive(Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, id.sequence + 1, 0, 0, 0),)), net.now)
     assert not net.nodes[1].inventory.holds(id)
-
-
-# -- storms: loss, doubling, delay, restarts, corruption ---------------------------------------------------------------
-
-
-class GivenUp(Observer):
-    """Notes which copies are let go of because the datum has arrived."""
-
-    def __init__(self, given_up: list[DatumId]) -> None:
-        self.given_up = given_up
-
-    def dropped(self, id: DatumId, fate: Fate) -> None:
-        if fate is Fate.DELIVERED:
-            self.given_up.append(id)
-
-
-class Storm:
-    """A base and three drones in a line over real bytes; the driver commits, then sends; a kill takes the rest."""
-
-    NODES = 4
-
-    def __init__(self, seed: int, *, mirror: bool) -> None:
-        self.rng = random.Random(seed)
-        self.mirror = mirror
-        self.now = 0.0
-        self.lives = 0
-        self.stores = {i: DurableStore(1000 + i) for i in range(self.NODES)}
-        self.nodes: dict[int, Node] = {}
-        self.outbox: dict[int, list[bytes]] = {i: [] for i in range(self.NODES)}
-        self.air: list[tuple[int, bytes]] = []
-        self.created: set[DatumId] = set()
-        self.newborn: dict[int, set[DatumId]] = {i: set() for i in range(self.NODES)}
-        self.given_up: list[DatumId] = []
-        self.told: set[DatumId] = set()
-        """All that the base was ever told lost."""
-        for i in range(self.NODES):
-            self.start(i)
-
-    def start(self, i: int) -> None:
-        self.lives += 1
-        self.nodes[i] = make_node(
-            i, store=self.stores[i], risk=0.1 * i, now=self.now, seed=self.lives, base=i == 0, capacity_items=6,
-            receipt_steps=2, max_tries=3, mirror=self.mirror, neighbour_steps=2, observer=GivenUp(self.given_up),
-        )  # fmt: skip
-
-    def kill(self, i: int) -> None:
-        self.stores[i] = self.stores[i].crashed()
-        self.outbox[i] = []
-        self.newborn[i] = set()
-        self.start(i)
-
-    def say(self, i: int, messages: list[Message]) -> None:
-        for message in messages:
-            self.outbox[i] += encode(message, self.now)
-
-    def commit(self, i: int) -> None:
-        self.stores[i].commit()
-        self.created |= self.newborn[i]
-        self.newborn[i] = set()
-        for payload in self.outbox[i]:
-            self.air += [(j, payload) for j in (i - 1, i + 1) if 0 <= j < self.NODES]
-        self.outbox[i] = []
-        del self.air[:-300]
-
-    def hear(self, i: int, payload: bytes) -> None:
-        message = decode(payload, self.now, i)
-        if message is not None:
-            self.say(i, self.nodes[i].receive(message, self.now))
-
-    def put(self, i: int) -> None:
-        if len(self.created) < 10:
-            try:
-                self.newborn[i].add(self.nodes[i].put(self.rng.randbytes(8), self.now))
-            except StoreFullError:
-                return
-
-    def strike(self, i: int) -> None:
-        """A stored bit of one datum flips: at once, on the disk and in what is not written yet."""
-        ids = [id for id in self.stores[i].ids() if i]
-        if ids:
-            id = self.rng.choice(ids)
-            self.commit(i)
-            self.stores[i].flip_bit(id)
-            self.stores[i].disk = self.stores[i]._live.snapshot()
-
-    def check(self) -> None:
-        at_base = self.stores[0].disk.data
-        while self.given_up:
-            # Copies are let go of as delivered only when the base has the datum on its disk.
-            assert at_base[self.given_up.pop()].intact
-        self.told |= self.stores[0].disk.losses.keys()
-        for i, node in self.nodes.items():
-            if node.notes is not None:
-                assert dict(self.stores[i].losses()) == {**node.notes.waiting, **node.notes.suspected}
-                assert node.mirrors is None or node.notes.suspected.keys() <= node.mirrors.missing.keys()
-            if i:
-                assert all(id in at_base for id in self.created if id in node.archive)
-
-    def turn(self, loss: float) -> None:
-        """A step of everybody; what is said arrives or is lost, and is answered."""
-        self.now += 1.0
-        for i, node in self.nodes.items():
-            self.say(i, node.step(self.now))
-        for _ in range(12):
-            for i in self.nodes:
-                self.commit(i)
-            frames, self.air = self.air, []
-            for to, payload in frames:
-                if self.rng.random() >= loss:
-                    self.hear(to, payload)
-            if not any(self.outbox.values()):
-                break
-        self.check()
-
-    def rage(self, events: int) -> None:
-        rng = self.rng
-        for _ in range(events):
-            i = rng.randrange(self.NODES)
-            event = rng.random()
-            if event < 0.25:
-                self.now += 0.3
-                self.say(i, self.nodes[i].step(self.now))
-            elif event < 0.5:
-                self.commit(i)
-            elif event < 0.52:
-                self.kill(i)
-            elif event < 0.55:
-                self.put(rng.randrange(1, self.NODES))
-            elif event < 0.57:
-                self.strike(i)
-            elif self.air:
-                to, payload = self.air[k := rng.randrange(len(self.air))]
-                fortune = rng.random()
-                if fortune < 0.8:
-                    del self.air[k]
-                if fortune > 0.2:
-                    self.hear(to, payload)
-            self.check()
-
-    def settle(self) -> None:
-        """Once the network is good, the base comes to know what has become of each datum."""
-        self.air.clear()
-        for _ in range(250):
-            self.turn(0.0)
-            if self.settled():
-                return
-        raise AssertionError("the base does not know what has become of all data")
-
-    def settled(self) -> bool:
-        index = self.nodes[0].index
-        assert index is not None
-        losses = dict(self.stores[0].losses())
-        # What is removed, but not yet from the disk, does not count.
-        intact = {id for node in self.nodes.values() for id in node.inventory.everything() if node.load(id) is not None}
-        return all(id in index or (index.is_lost(id) and id in losses and id not in intact) for id in self.created)
-
-
-@pytest.mark.parametrize("mirror", [False, True])
-def test_notes_reach_the_base_and_never_cost_a_datum(mirror: bool) -> None:
-    """RASS_NOTE_STORMS: how many."""
-    told = rescued = 0
-    for seed in range(int(os.environ.get("RASS_NOTE_STORMS", "60"))):
-        storm = Storm(seed, mirror=mirror)
-        storm.turn(0.0)
-        storm.turn(0.0)
-        for _ in range(4):
-            storm.rage(80)
-            storm.turn(0.3)
-        storm.settle()
-        index = storm.nodes[0].index
-        assert index is not None
-        told += index.told_lost
-        rescued += len(storm.told - {id for id in storm.created if index.is_lost(id)})
-    assert rescued > 0
-    assert told > 0
-
-
-def test_make_datum_is_what_the_storm_flips() -> None:
-    d = make_datum(ID, 0, 0.0, b"x")
-    assert d.intact
-    assert not d._replace(payload=b"y").intact
-    assert BROADCAST not in range(Storm.NODES)
-    assert ROUTE.base == 0
-    assert beacon(1).digest == 0
