@@ -28,13 +28,6 @@ class Section(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=T
     """Base of all sections: unknown keys are errors."""
 
 
-def only_value(key: str, value: object, only: object) -> None:
-    """Refuse, with a ValueError, a value that belongs to a later version: this one knows just `only`."""
-    if value != only:
-        words = [str(v).lower() if isinstance(v, bool) else str(v) for v in (only, value)]
-        raise ValueError(f"{key}: expected {words[0]}, got {words[1]} (not available in this version)")
-
-
 class PolicySettings(Section, frozen=True):
     """Who is fit, and what goes to whom."""
 
@@ -136,14 +129,14 @@ class CustodySettings(Section, frozen=True):
     mirror_until: Literal["passed-on", "receipt"] = "receipt"
     """How long the giver keeps its copy: until the receiver has passed the datum on in its turn, or, while there is
     room, until a base says that it has arrived. Without `receipts` no base does: then it is the former."""
-    copies: Count | Literal["auto"] = 1
-    """How many copies of a datum there should be; only 1 in this version."""
+    copies: Literal[1, "auto"] = "auto"
+    """How many spare copies a datum gets beside that of the giver. 1: one, if it rests; auto: as many as its risk asks
+    for, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
 
     def __post_init__(self) -> None:
         """What no single key can say, and what this version cannot do yet."""
         if self.mirror and self.mode != "acknowledged":
             raise ValueError(f"custody.mirror: expected false with custody.mode {self.mode}, got true")
-        only_value("custody.copies", self.copies, 1)
 
     @property
     def mirrored(self) -> bool:
@@ -160,6 +153,9 @@ class StoreSettings(Section, frozen=True):
     """Data a drone holds at most (a base has no bound of items); null: no bound."""
     capacity_bytes: Count | None = None
     """Bytes of payload a drone holds at most; null: no bound."""
+    own_share: Fraction | None = None
+    """Part of that which others' data leave free for the node's own measurements, 0..1; null: 0.4 under survival, else
+    0."""
     overflow: Literal["refuse", "drop-oldest"] = "refuse"
     """What a full node does with one more. drop-oldest: the least recently used one is lost (without custody only)."""
     bandwidth_items: Count = 10
@@ -297,11 +293,13 @@ class AgentSettings(Section, frozen=True):
             step_s=self.step_s,
             capacity_items=self.store.capacity_items if bounded else None,
             capacity_bytes=self.store.capacity_bytes if bounded else None,
+            own_share=policy.own_share if self.store.own_share is None else self.store.own_share,
             drop_oldest=drop_oldest,
             bandwidth_items=self.store.bandwidth_items,
             acknowledged=self.custody.mode == "acknowledged",
             mirror=self.custody.mirrored,
             mirror_until_receipt=self.custody.mirror_until == "receipt" and self.custody.receipts,
+            copies_auto=self.custody.copies == "auto",
             immediate=self.forward == "immediate",
             receipts=self.custody.receipts,
             receipt_steps=self.custody.receipt_steps,

@@ -23,7 +23,7 @@ _TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
 _POLICIES = ("rass", "hop-count", "stigmergy", "rass-literal")
 _FITNESS_POLICIES = ("rass", "hop-count", "rass-literal")
 _ALL_POLICIES = ("rass", "rass-literal", "hop-count", "stigmergy", "survival")
-_VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate")
+_VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate", "copies-auto")
 
 
 def register(subparsers: Subparsers) -> None:
@@ -83,7 +83,7 @@ def register(subparsers: Subparsers) -> None:
         "--topology", nargs="+", choices=places, default=list(places), help="which (default: all five)"
     )
     policies.add_argument(
-        "--variant", nargs="+", choices=_VARIANTS, default=list(_VARIANTS), help="which (default: all four)"
+        "--variant", nargs="+", choices=_VARIANTS, default=list(_VARIANTS), help="which (default: all five)"
     )
     policies.add_argument(
         "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",

@@ -28,18 +28,31 @@ class Inventory:
         "_spare_bytes",
         "capacity_bytes",
         "capacity_items",
+        "own_bytes",
+        "own_items",
         "reserved",
         "store",
     )
 
     def __init__(
-        self, store: Store, *, capacity_items: int | None = None, capacity_bytes: int | None = None, load: bool = True
+        self,
+        store: Store,
+        *,
+        capacity_items: int | None = None,
+        capacity_bytes: int | None = None,
+        own_share: float = 0.0,
+        load: bool = True,
     ) -> None:
-        """`load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers
-        what was a spare, and a copy too many is allowed."""
+        """`own_share`, 0..1: of what is bounded, that part is kept for the node's own measurements.
+
+        `load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers what
+        was a spare, and a copy too many is allowed."""
         self.store = store
         self.capacity_items = capacity_items
         self.capacity_bytes = capacity_bytes
+        self.own_items = int(own_share * (capacity_items or 0))
+        """Places that others' data leave free."""
+        self.own_bytes = int(own_share * (capacity_bytes or 0))
         self._items: OrderedDict[DatumId, StoredInfo] = OrderedDict()
         self._active: dict[DatumId, StoredInfo] = {}
         self._onward: dict[DatumId, StoredInfo] = {}
@@ -66,18 +79,23 @@ class Inventory:
         return self._bytes
 
     def free(self) -> int:
-        """Items that can still be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
-        if self.capacity_bytes is not None and self._bytes >= self.capacity_bytes:
+        """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
+        if self.capacity_bytes is not None and self._bytes >= self.capacity_bytes - self.own_bytes:
             return 0
         if self.capacity_items is None:
             return 0xFFFF
-        return min(max(self.capacity_items - len(self._items) - self.reserved, 0), 0xFFFE)
+        return min(max(self.capacity_items - self.own_items - len(self._items) - self.reserved, 0), 0xFFFE)
 
-    def room_for(self, size: int) -> bool:
-        """Whether a datum of `size` bytes of payload fits into custody."""
-        if self.capacity_bytes is not None and self._bytes + size > self.capacity_bytes:
-            return False
-        return self.capacity_items is None or len(self._items) + self.reserved < self.capacity_items
+    def room_for(self, size: int, *, own: bool) -> bool:
+        """Whether a datum of `size` bytes of payload fits into custody. `own`: a measurement of this node."""
+        if self.capacity_bytes is not None:
+            limit = self.capacity_bytes if own else self.capacity_bytes - self.own_bytes
+            if self._bytes + size > limit:
+                return False
+        if self.capacity_items is None:
+            return True
+        limit = self.capacity_items if own else self.capacity_items - self.own_items
+        return len(self._items) + self.reserved < limit
 
     def room_to_grow(self, growth: int) -> bool:
         """Whether a held datum may be replaced by one that is `growth` bytes longer."""

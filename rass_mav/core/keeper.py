@@ -84,7 +84,11 @@ class Keeper:
         self.notes = LossNotes(store) if receipts and settings.acknowledged and not sink else None
         """Word of lost data, on its way to a base."""
         self.inventory = Inventory(
-            store, capacity_items=settings.capacity_items, capacity_bytes=settings.capacity_bytes, load=not sink
+            store,
+            capacity_items=settings.capacity_items,
+            capacity_bytes=settings.capacity_bytes,
+            own_share=settings.own_share,
+            load=not sink,
         )
         self.custody = Custody(rng)
         self.refused = 0
@@ -99,7 +103,7 @@ class Keeper:
         if self.has_custody(giver, number, id, datum.crc):
             return True
         size = len(datum.payload)
-        if self.inventory.holds(id) or not (self.may_accept(size) or self.make_room(size)):
+        if self.inventory.holds(id) or not (self.may_accept(size) or self.make_room(size, own=False)):
             self.refused += 1
             if number == 0:
                 self.observer.declined(id)
@@ -165,20 +169,22 @@ class Keeper:
                 self.mirrors.take_back(id)
             self.mirrors.took(id, giver)
 
-    def room_for(self, size: int) -> bool:
-        """Whether a new datum of `size` bytes of payload can be stored, if need be in place of spares."""
+    def room_for(self, size: int, *, own: bool) -> bool:
+        """Whether another datum of `size` bytes of payload can be stored, if need be in place of spares.
+
+        `own`: a measurement of this node."""
         inventory = self.inventory
-        return (self.sink or inventory.room_for(size)) and self.store.room_for(size - inventory.spare_bytes)
+        return (self.sink or inventory.room_for(size, own=own)) and self.store.room_for(size - inventory.spare_bytes)
 
     def may_accept(self, size: int) -> bool:
         """Whether custody of a datum of `size` bytes of payload can be taken over."""
-        return self.store.accepting and self.room_for(size)
+        return self.store.accepting and self.room_for(size, own=False)
 
-    def make_room(self, size: int) -> bool:
+    def make_room(self, size: int, *, own: bool) -> bool:
         """With `drop_oldest`: let go of the least recently used data until `size` bytes of payload fit."""
         if not self.settings.drop_oldest or self.sink or self.replica is not None or not self.store.accepting:
             return False
-        while not self.room_for(size):
+        while not self.room_for(size, own=own):
             oldest = next(iter(self.inventory), None)
             if oldest is None:
                 return False

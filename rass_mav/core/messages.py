@@ -246,6 +246,11 @@ class Word(enum.IntEnum):
     """Answer to AGAIN: custody is here, or was passed on from here."""
     STILL = 3
     """A backer asks whether the receiver still has custody. Answered, if not, by `PassedOn` or AGAIN."""
+    WANTED = 4
+    """To all neighbours: the sender lost a datum in its custody, and no backer answers for it. Who has a good copy says
+    HERE, who knows that custody is elsewhere, or that the datum has arrived, says TAKEN; others are silent."""
+    HERE = 5
+    """Answer to WANTED: a spare is here. The first one is asked AGAIN."""
 
 
 class CorruptEntry(NamedTuple):

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from .datum import Datum, DatumId, Fate
 from .messages import BEACON_BASE, Corrupt, CorruptEntry, Message, PassedOn, Word
+from .repairs import Repairs
 from .spares import SpareOffers
 
 if TYPE_CHECKING:
@@ -33,15 +34,13 @@ ASK_STEPS = 10
 #: A custodian or backer is given up after so many lifetimes of a neighbour without a beacon. The routing table forgets
 #: it after one; but a copy is made anew for each one given up, so it should be dead, and not just have missed three
 #: beacons or flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
-GONE_LIFETIMES = 4.0
+GONE_LIFETIMES = 8.0
 #: How many data a node asks for in a step, apart from those that it has just found corrupt: three frames.
 WORDS_A_STEP = 33
 #: Spares a node keeps at most, if its capacity allows more.
 MAX_SPARES = 4096
 #: How many data that were passed on a node remembers, to answer backers that ask.
 MAX_PASSED = 256
-#: How many data a node asks its backers for at a time.
-MAX_MISSING = 1024
 
 
 class Partner:
@@ -75,9 +74,9 @@ class Mirrors:
         "_words",
         "backer",
         "custodian",
-        "missing",
         "offers",
         "partners",
+        "repairs",
     )
 
     def __init__(self, node: Node, now: float) -> None:
@@ -90,8 +89,8 @@ class Mirrors:
         """Who keeps a spare of a datum in own custody. Bounded by custody."""
         self.partners: dict[int, Partner] = {}
         """By node id. Each has at least one datum of the two maps above."""
-        self.missing: dict[DatumId, tuple[int, int]] = {}
-        """Data found corrupt that a backer was asked to take back: the backer, and how often it was asked."""
+        self.repairs = Repairs(node, self)
+        """Data found corrupt that somebody was asked to take back."""
         self.offers = SpareOffers(node)
         """What is in custody without a backer."""
         self._again_at = now
@@ -122,7 +121,7 @@ class Mirrors:
             return "the partners are not those of the data"
         if wrong := self.offers.disagreement():
             return wrong
-        if inventory.spares > MAX_SPARES or len(self._passed) > MAX_PASSED or len(self.missing) > MAX_MISSING:
+        if inventory.spares > MAX_SPARES or len(self._passed) > MAX_PASSED:
             return "a table is too long"
         return ""
 
@@ -130,10 +129,11 @@ class Mirrors:
 
     def took(self, id: DatumId, giver: int | None = None) -> None:
         """A datum is in custody now. `giver`: who handed it over, and keeps its copy as a spare."""
-        self.missing.pop(id, None)
+        self.repairs.end(id)
         self._passed.pop(id, None)
         if giver is not None:
             self.backed_by(id, giver)
+            self.offers.came(id)
         elif id not in self.backer:
             self.offers.need(id)
 
@@ -161,22 +161,9 @@ class Mirrors:
             self._passed_on.setdefault(backer, {})[id] = None
 
     def repair(self, id: DatumId) -> bool:
-        """The copy in custody is corrupt. Whether a backer is asked for the datum; if not, it is lost here."""
+        """The copy in custody is corrupt. Whether others are asked for the datum; if not, it is lost here."""
         self.offers.settle(id)
-        backer = self._unback(id)
-        if backer is None:
-            return False
-        if len(self.missing) >= MAX_MISSING:
-            self._given_up(next(iter(self.missing)))
-        self.missing[id] = (backer, 0)
-        self._say(backer, id, Word.AGAIN)
-        return True
-
-    def _given_up(self, id: DatumId) -> None:
-        """The backer has no good copy, or never answers. If it has one after all, it asks for itself, or takes the
-        datum into custody when it hears that it was told lost."""
-        del self.missing[id]
-        self._node.beyond_repair(id, Fate.CORRUPTED)
+        return self.repairs.begin(id, self._unback(id))
 
     def backed_by(self, id: DatumId, backer: int) -> None:
         """Another node keeps a spare of a datum in own custody; who did so before is told."""
@@ -217,7 +204,7 @@ class Mirrors:
         if not node.store.accepting or inventory.spares >= MAX_SPARES or not self._make_way(size, active=False):
             return False
         inventory.add_spare(datum.arrived())
-        self.missing.pop(id, None)
+        self.repairs.end(id)
         self._passed.pop(id, None)
         if node.notes is not None:
             node.notes.forget(id)
@@ -243,7 +230,7 @@ class Mirrors:
         node = self._node
         custodian = self._release(id)
         if custodian is not None and fate in (Fate.CORRUPTED, Fate.OVERFLOW):
-            self._say(custodian, id, Word.NONE)
+            self.say(custodian, id, Word.NONE)
         # No loss to be noted here: custody lies elsewhere.
         node.inventory.remove(id, Fate.PASSED_ON)
         node.observer.dropped(id, fate)
@@ -302,7 +289,7 @@ class Mirrors:
         self._now = now
         if self.partners:
             self._look_after_partners(now)
-        asked, missing = self._asked, self.missing
+        asked = self._asked
         turn_s = node.routing.longest_turn_s
         due = now - (ASK_STEPS - 0.5) * turn_s
         for id, at in list(islice(asked.items(), WORDS_A_STEP)):
@@ -310,23 +297,11 @@ class Mirrors:
                 break
             asked[id] = now
             asked.move_to_end(id)
-            self._say(self.custodian[id], id, Word.STILL)
-        if missing and now >= self._again_at:
+            self.say(self.custodian[id], id, Word.STILL)
+        if now >= self._again_at:
             self._again_at = now + turn_s - 0.5 * settings.step_s
-            self._ask_again()
+            self.repairs.step(WORDS_A_STEP)
         self.offers.step(now)
-
-    def _ask_again(self) -> None:
-        """For the data that were found corrupt, of which no backer has answered yet."""
-        missing = self.missing
-        for id, (backer, tries) in list(islice(missing.items(), WORDS_A_STEP)):
-            if tries >= self._node.settings.max_tries:
-                self._given_up(id)
-            else:
-                # To the end, so that the others have their turn.
-                del missing[id]
-                missing[id] = (backer, tries + 1)
-                self._say(backer, id, Word.AGAIN)
 
     def _look_after_partners(self, now: float) -> None:
         node = self._node
@@ -385,28 +360,36 @@ class Mirrors:
     def _hear_words(self, sender: int, entries: Iterable[CorruptEntry]) -> None:
         for id, word in entries:
             if word == Word.AGAIN:
-                self._say(sender, id, Word.TAKEN if self._taken_back(id, sender) else Word.NONE)
+                taken = self._taken_back(id, sender)
+                self.say(sender, id, Word.TAKEN if taken else Word.NONE)
+                if not taken:
+                    self.repairs.help(id)
             elif word == Word.STILL:
                 self._answer_still(id, sender)
             elif word == Word.TAKEN:
-                if self.missing.pop(id, None) is not None and self._node.notes is not None:
+                if self.repairs.end(id) and self._node.notes is not None:
                     self._node.notes.forget(id)
             elif word == Word.NONE:
                 if self.backer.get(id) == sender:
                     self._unback(id)
                     self.offers.need(id)
-                elif self.missing.get(id, (None, 0))[0] == sender:
-                    self._given_up(id)
+                else:
+                    self.repairs.on_none(id, sender)
+            elif word == Word.WANTED:
+                self.repairs.on_wanted(id, sender)
+            elif word == Word.HERE:
+                self.repairs.on_here(id, sender)
 
     def _taken_back(self, id: DatumId, asker: int) -> bool:
         """A custodian's copy is corrupt: take the datum back. False: there is no good copy here, and none was given."""
         node = self._node
         if node.inventory.holds(id) and node.load(id) is not None:
-            if id not in node.inventory and self.custodian.get(id, asker) == asker:
+            # Also if the spare is another custodian's: that one may have passed the datum on to the asker.
+            if id not in node.inventory:
                 self.take_back(id)
             return True
         # Whoever it was given to has it, but for the asker, which has just lost it.
-        return id in self.missing or id in node.archive or self._passed.get(id, asker) != asker
+        return self.repairs.is_under_way(id) or id in node.archive or self._passed.get(id, asker) != asker
 
     def _answer_still(self, id: DatumId, backer: int) -> None:
         """A backer asks after a datum of which it has a spare."""
@@ -414,12 +397,15 @@ class Mirrors:
         if id in node.inventory:
             if id not in self.backer:
                 self.backed_by(id, backer)
-        elif id not in self.missing and (node.inventory.holds(id) or id in self._passed or id in node.archive):
+        elif not self.repairs.is_under_way(id) and (
+            node.inventory.holds(id) or id in self._passed or id in node.archive
+        ):
             self._passed_on.setdefault(backer, {})[id] = None
         else:
-            self._say(backer, id, Word.AGAIN)
+            self.say(backer, id, Word.AGAIN)
 
-    def _say(self, target: int, id: DatumId, word: Word) -> None:
+    def say(self, target: int, id: DatumId, word: Word) -> None:
+        """Say it with the next `flush`; to BROADCAST: to all neighbours."""
         self._words.setdefault(target, {})[id] = word
 
     def flush(self, out: list[Message]) -> None:

@@ -200,7 +200,7 @@ class Node(Keeper):
         limit = self.settings.inline_bytes if self.replica is not None else MAX_PAYLOAD
         if not 0 < len(payload) <= limit:
             raise DatumError(f"a datum holds 1 to {limit} bytes, got {len(payload)}")
-        if not (self.room_for(len(payload)) or self.make_room(len(payload))):
+        if not (self.room_for(len(payload), own=True) or self.make_room(len(payload), own=True)):
             self.store.count("overflow")
             self.observer.overflow()
             raise StoreFullError("no room for a new datum")

@@ -41,7 +41,7 @@ class LossNotes:
         """Notes to hand on, the oldest first."""
         self.suspected: dict[DatumId, Fate] = {}
         """Notes held back while another node is asked for the datum. On disk too, so that a restart does not lose them.
-        Bounded by `mirrors.MAX_MISSING`."""
+        Bounded by `repairs.MAX_SEARCHES`."""
         self._numbers: dict[int, DatumId] = {}
         """Notes that are on their way, by hand-over number."""
         self._target = 0

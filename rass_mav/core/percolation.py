@@ -12,16 +12,21 @@ from .policy import View
 if TYPE_CHECKING:
     from .node import Node
 
+#: Where data move on at once, one item in so many is kept for spares of new data, which nobody else has yet.
+KEPT_FOR_SPARES = 10
+
 
 class Percolation:
     """Retransmissions first, then what the policy plans."""
 
-    __slots__ = ("_batches", "_budget", "_node")
+    __slots__ = ("_batches", "_budget", "_node", "kept")
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._batches: dict[int, list[Handover]] = {}
         self._budget = 0
+        self.kept = 0
+        """Items of this step that hand-overs leave for spares."""
 
     @property
     def budget(self) -> int:
@@ -30,7 +35,10 @@ class Percolation:
 
     def begin_step(self) -> None:
         """The bandwidth of a new step."""
-        self._budget = self._node.bandwidth_items
+        node = self._node
+        self._budget = node.bandwidth_items
+        if node.settings.mirror and node.settings.immediate:
+            self.kept = node.bandwidth_items // KEPT_FOR_SPARES
 
     def spend(self) -> None:
         """An item is being sent."""
@@ -48,7 +56,8 @@ class Percolation:
         node = self._node
         batches = self._batches
         if self._budget > 0 and node.routing.neighbours:
-            self._percolate(now, out)
+            if self._budget > self.kept:
+                self._percolate(now, out)
             if node.mirrors is not None:
                 node.mirrors.offers.spread(now, out)
         if batches:
@@ -67,7 +76,7 @@ class Percolation:
             node.routing.distance,
             node.potential,
             node.risk.risk(now),
-            self._budget,
+            self._budget - self.kept,
             self._for_neighbour,
             node.fresh,
             node.rng,

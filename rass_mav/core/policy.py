@@ -79,6 +79,10 @@ class Policy(Protocol):
     def seq_period(self) -> int:
         """A base raises its announcement number every so many steps unless `routing.seq_period` is set."""
 
+    @property
+    def own_share(self) -> float:
+        """Part of a drone's store that is kept for its own measurements unless one is set, 0..1."""
+
     def potential(self, hops: int, risk: float, free: int) -> int:
         """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1.
 

@@ -19,6 +19,8 @@ class NodeSettings:
     """Items a drone can hold; None: no bound. A base has no bound of items (but under a replicating policy)."""
     capacity_bytes: int | None = None
     """Bytes of payload a drone can hold; None: no bound."""
+    own_share: float = 0.0
+    """0..1: others' data leave this part of the capacity free, for the node's own measurements."""
     drop_oldest: bool = False
     """A full node drops its least recently used datum for a new one; False: it refuses the new one."""
     bandwidth_items: int = 10
@@ -30,6 +32,8 @@ class NodeSettings:
     mirror_until_receipt: bool = True
     """A spare is kept, while there is room, until a base says that the datum has arrived; False: only until it has been
     passed on once more."""
+    copies_auto: bool = False
+    """As many spare copies as the risk asks for (`core.spares`); only with `mirror`."""
     immediate: bool = False
     """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True

@@ -83,6 +83,13 @@ VARIANTS = {
             "node.forward": "immediate",
         },
     ),
+    "copies-auto": Variant(
+        Look("the same, copies as the risk asks for", "P"),
+        {
+            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
+            "custody.copies": "auto", "node.forward": "immediate",
+        },
+    ),
 }  # fmt: skip
 #: Stigmergy has no variants: what is new is broadcast once, and kept by all who have room.
 EVERYWHERE = Look("copies everywhere", "X")

@@ -29,6 +29,7 @@ class FitnessPolicy:
     costs = None
     risk_gain = 1.0
     seq_period = 30
+    own_share = 0.0
     #: Part of the tag: potentials are compared only within a family.
     family = "fitness"
 

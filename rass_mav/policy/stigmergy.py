@@ -21,6 +21,7 @@ class Stigmergy:
     costs = None
     risk_gain = 1.0
     seq_period = 30
+    own_share = 0.0
     tag = policy_tag("stigmergy")
 
     def potential(self, hops: int, risk: float, free: int) -> int:

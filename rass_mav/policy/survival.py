@@ -31,6 +31,8 @@ class SurvivalPolicy:
     risk_gain = 0.1
     #: Costs change with every reading, so ways that have become dearer must be feasible again soon.
     seq_period = 2
+    #: Data gather on the safest members of an island, and fill them.
+    own_share = 0.4
 
     def __init__(self, *, hop_cost: float = 0.05, hold: float = 100.0, hysteresis: float = 0.8) -> None:
         """`hop_cost` a > 0; `hold` >= 1: staying where no base is reachable costs as much as so many hops;

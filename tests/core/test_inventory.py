@@ -41,17 +41,17 @@ def test_capacity_by_items() -> None:
     inventory = Inventory(DurableStore(1), capacity_items=2)
     assert inventory.free() == 2
     inventory.add(datum(sequence=0))
-    assert inventory.room_for(1 << 20)
+    assert inventory.room_for(1 << 20, own=False)
     inventory.add(datum(sequence=1))
     assert inventory.free() == 0
-    assert not inventory.room_for(1)
+    assert not inventory.room_for(1, own=False)
 
 
 def test_capacity_by_bytes() -> None:
     inventory = Inventory(DurableStore(1), capacity_bytes=10)
     inventory.add(datum(payload=b"123456"))
-    assert inventory.room_for(4)
-    assert not inventory.room_for(5)
+    assert inventory.room_for(4, own=False)
+    assert not inventory.room_for(5, own=False)
     assert inventory.free() == 0xFFFF
     inventory.add(datum(sequence=1, payload=b"1234"))
     assert inventory.free() == 0
@@ -82,7 +82,7 @@ def test_spares_lie_in_the_room_that_custody_leaves() -> None:
     inventory.add_spare(c)
     assert (len(inventory), inventory.spares) == (1, 2)
     assert (inventory.bytes, inventory.spare_bytes) == (7, 14)
-    assert (inventory.free(), inventory.room_for(23)) == (2, True)
+    assert (inventory.free(), inventory.room_for(23, own=False)) == (2, True)
     assert list(inventory) == [b.id]
     assert list(inventory.everything()) == [b.id, a.id, c.id]
     # Three places are taken, so a spare has to go before another datum comes.

@@ -27,10 +27,10 @@ def test_when_the_custodian_is_gone_its_data_are_taken_back() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.off.add(3)
-    net.step(10)
+    net.step(20)
     # Some lost beacons are no reason.
     assert 2 not in net.custody(id)
-    net.step(6)
+    net.step(10)
     assert 2 in net.custody(id)
     assert net.active(id) == [1]
 
@@ -51,7 +51,7 @@ def test_when_the_backer_is_gone_another_one_is_found() -> None:
     id = at_rest(net)
     assert net.backer(3, id) == 2
     net.off.add(2)
-    net.step(17)
+    net.step(31)
     assert net.backer(3, id) == 4
     assert net.active(id) == [2, 4]
 
@@ -219,7 +219,7 @@ def test_a_spare_never_takes_the_place_of_custody_or_of_a_spare_that_counts() ->
 def test_spares_yield_bytes_too() -> None:
     node = make_node(2, mirror=True, capacity_bytes=10)
     node.receive(Data(1, 2, (Handover(1, datum(payload=b"1234567")),), True), 0.0)
-    assert node.inventory.room_for(10)
+    assert node.inventory.room_for(10, own=False)
     id = node.put(b"12345", 0.0)
     assert list(node.inventory.everything()) == [id]
     node.receive(Data(1, 2, (Handover(2, datum(payload=b"12345")),), True), 0.0)

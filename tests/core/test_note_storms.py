@@ -107,7 +107,7 @@ class Storm:
         for i, node in self.nodes.items():
             if node.notes is not None:
                 assert dict(self.stores[i].losses()) == {**node.notes.waiting, **node.notes.suspected}
-                assert node.mirrors is None or node.notes.suspected.keys() <= node.mirrors.missing.keys()
+                assert node.mirrors is None or node.notes.suspected.keys() <= node.mirrors.repairs.searches.keys()
             if i:
                 assert all(id in at_base for id in self.created if id in node.archive)
 

@@ -169,14 +169,14 @@ def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
     # A spare of somebody else's: asked after in time, and taken back when its custodian is gone.
     node.receive(Data(3, 2, (Handover(7, datum()),), True), 2 * turn_s)
     asked, gone = [], None
-    for turn in range(3, 30):
+    for turn in range(3, 40):
         now = turn * turn_s
         said = node.step(now)
         asked += [now for m in of(Corrupt, said) if m.entries[0].word == Word.STILL]
         if gone is None and datum().id in node.inventory:
             gone = now
     assert asked[0] == 12 * turn_s
-    assert gone == (2 + 15) * turn_s, "four lifetimes of three and a half turns after its last beacon"
+    assert gone == (2 + 29) * turn_s, "eight lifetimes of three and a half turns after its last beacon"
 
 
 def test_what_a_slow_node_announced_is_remembered_when_it_has_become_fast() -> None:

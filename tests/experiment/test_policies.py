@@ -39,7 +39,7 @@ def test_the_command_offers_what_there_is() -> None:
 def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_one() -> None:
     planned = plan(die_fraction=0.25)
     found = {(run.world, run.policy, run.variant, run.scenario.seed) for run in planned}
-    assert len(found) == len(planned) == 2 * (4 * 4 + 1) * 2
+    assert len(found) == len(planned) == 2 * (4 * 5 + 1) * 2
     assert {variant for _, policy, variant, _ in found if policy == "stigmergy"} == {"plain"}
     assert {run.scenario.seed for run in planned} == {0, 1}
     for run in planned:
@@ -49,18 +49,19 @@ def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_o
 def test_a_variant_sets_its_keys_and_the_rest_is_the_world_paper() -> None:
     by_variant = {run.variant: run.scenario for run in plan(policies=["survival"], runs=1)}
     found = {
-        name: (s.custody.mirror, s.custody.mirror_until, s.custody.receipts, s.node.forward)
+        name: (s.custody.mirror, s.custody.mirror_until, s.custody.receipts, s.custody.copies, s.node.forward)
         for name, s in by_variant.items()
     }
     plain = by_variant["plain"].custody
     assert found == {
-        "plain": (False, plain.mirror_until, False, "step"),
-        "immediate": (False, plain.mirror_until, False, "immediate"),
-        "mirror": (True, "passed-on", False, "step"),
-        "mirror-immediate": (True, "receipt", True, "immediate"),
+        "plain": (False, plain.mirror_until, False, 1, "step"),
+        "immediate": (False, plain.mirror_until, False, 1, "immediate"),
+        "mirror": (True, "passed-on", False, 1, "step"),
+        "mirror-immediate": (True, "receipt", True, 1, "immediate"),
+        "copies-auto": (True, "receipt", True, "auto", "immediate"),
     }
     for scenario in by_variant.values():
-        assert (scenario.radiation.noise, scenario.store.capacity_items, scenario.custody.copies) == (0.05, 50, 1)
+        assert (scenario.radiation.noise, scenario.store.capacity_items) == (0.05, 50)
 
 
 def test_only_survival_averages_its_readings() -> None:

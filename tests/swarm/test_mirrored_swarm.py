@@ -54,10 +54,12 @@ def test_mirrors_save_most_of_what_radiation_takes() -> None:
     assert at_once["delay_steps"]["mean"] < 0.5 * mirrored["delay_steps"]["mean"]
 
 
-def test_an_island_keeps_its_data_until_it_is_back() -> None:
+@pytest.mark.parametrize(("custody", "forward"), [(PASSED_ON, "step"), (RECEIPT, "immediate")])
+def test_an_island_keeps_its_data_until_it_is_back(custody: Any, forward: str) -> None:
     found = run(
-        nodes=49, steps=260, topology="islands", policy={"name": "survival"}, custody=PASSED_ON,
-        mobility={"split_step": 40, "rejoin_step": 180}, data={"interval_steps": 40, "until_step": 170},
+        nodes=49, steps=260, topology="islands", policy={"name": "survival"}, custody=custody,
+        node={"forward": forward}, mobility={"split_step": 40, "rejoin_step": 180},
+        data={"interval_steps": 40, "until_step": 170},
     )  # fmt: skip
     assert found["held"] == 0
     assert found["reliability"] > 0.85
@@ -69,6 +71,8 @@ def test_an_island_keeps_its_data_until_it_is_back() -> None:
     topology=st.sampled_from(["grid", "random-walk", "scale-free", "islands"]),
     policy=st.sampled_from(["rass", "rass-literal", "hop-count", "stigmergy", "survival"]),
     custody=st.sampled_from([PASSED_ON, RECEIPT]),
+    copies=st.sampled_from([1, "auto"]),
+    own_share=st.sampled_from([None, 0.0, 0.5, 1.0]),
     forward=st.sampled_from(["step", "immediate"]),
     capacity=st.integers(1, 6),
     radio=st.sampled_from([{}, {"loss": 0.3, "reorder": 0.3, "duplicate": 0.3}, {"latency_steps": 2}]),
@@ -76,18 +80,30 @@ def test_an_island_keeps_its_data_until_it_is_back() -> None:
     reboots=st.sampled_from([0.0, 0.01]),
 )
 def test_the_invariants_hold_whatever_is_set(
-    seed: int, topology: str, policy: str, custody: Any, forward: str, capacity: int, radio: Any, lifetime: Any,
-    reboots: float,
+    seed: int, topology: str, policy: str, custody: Any, copies: Any, own_share: float | None, forward: str,
+    capacity: int, radio: Any, lifetime: Any, reboots: float,
 ) -> None:  # fmt: skip
     """Small stores, so that spares yield all the time; `run` checks each step."""
     found = run(
-        nodes=16, steps=60, seed=seed, topology=topology, policy={"name": policy}, custody=custody, radio=radio,
-        node={"forward": forward}, store={"capacity_items": capacity, "bandwidth_items": 4},
+        nodes=16, steps=60, seed=seed, topology=topology, policy={"name": policy}, radio=radio,
+        custody={**custody, "copies": copies}, node={"forward": forward},
+        store={"capacity_items": capacity, "bandwidth_items": 4, "own_share": own_share},
         data={"interval_steps": 3, "lifetime_s": lifetime}, mobility={"split_step": 20, "rejoin_step": 40},
         failures={"reboot_rate": reboots, "wipe_rate": reboots / 2, "die_fraction": 10 * reboots},
     )  # fmt: skip
     assert found["created"] == found["delivered"] + found["held"] + sum(found["lost"].values())
     assert found["altered"] == 0
+
+
+def test_where_drones_come_and_go_more_copies_save_more() -> None:
+    base: dict[str, Any] = {
+        "nodes": 60, "steps": 200, "seed": 1, "topology": "random-walk", "policy": {"name": "survival"},
+        "node": {"forward": "immediate"}, "radiation": {"random_sources": 3, "noise": 0.05},
+    }  # fmt: skip
+    one = run(**base, custody={**RECEIPT, "copies": 1})
+    auto = run(**base, custody={**RECEIPT, "copies": "auto"})
+    assert sum(auto["lost"].values()) < sum(one["lost"].values())
+    assert auto["transmissions_per_datum"] > one["transmissions_per_datum"]
 
 
 def test_mirrors_have_no_effect_under_replication() -> None:

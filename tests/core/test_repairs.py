@@ -1,0 +1,166 @@
+"""Repairs: a datum whose custodian and backer have no good copy is found with whoever had it before."""
+
+from __future__ import annotations
+
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import BROADCAST, Corrupt, CorruptEntry, Data, PassedOn, Receipt, ReceiptEntry, Word
+from rass_mav.core.mirrors import ASK_STEPS
+from rass_mav.core.repairs import MAX_SEARCHES
+
+from .build import datum, make_node, of
+from .mirror_net import CHAIN, RISKS, Net, at_rest
+
+
+def said(net: Net, word: Word) -> list[tuple[int, int]]:
+    """Who said a word in the last step, and to whom."""
+    return [(m.sender, m.target) for m in net.of(Corrupt) for entry in m.entries if entry.word == word]
+
+
+def meet(net: Net, a: int, b: int) -> None:
+    """Two nodes come into each other's range."""
+    net.links.add(frozenset((a, b)))
+    net.step()
+
+
+def test_who_had_the_datum_before_the_backer_takes_it_back() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    meet(net, 1, 3)
+    # 1 left it behind, 2 backs it, 3 has custody.
+    assert net.spares(id) == [1, 2]
+    net.strike(2, id)
+    net.strike(3, id)
+    net.step()
+    assert net.custody(id) == [1]
+    net.step(3)
+    assert net.custody(id) == [3]
+    assert list(net.stores[3].losses()) == []
+    assert "corrupted" not in net.stores[3].counters()
+
+
+def test_a_backer_that_was_asked_in_vain_asks_those_out_of_the_custodians_range() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    net.strike(2, id)
+    net.strike(3, id)
+    net.step()
+    # Only 2 hears 1.
+    assert net.custody(id) == [1]
+    net.step(3)
+    assert net.custody(id) == [3]
+
+
+def test_only_the_first_who_has_a_spare_takes_it_back() -> None:
+    net = Net({**RISKS, 4: 0.9, 5: 0.9}, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    for other in (1, 4, 5):
+        meet(net, other, 3)
+    copy = net.stores[1].get(id)
+    assert copy is not None
+    for other in (4, 5):
+        mirrors = net.nodes[other].mirrors
+        assert mirrors is not None
+        assert mirrors.keep(3, copy)
+        net.nodes[other].receive(PassedOn(3, other, (id,)), net.now)
+    assert net.spares(id) == [1, 2, 4, 5]
+    net.strike(2, id)
+    net.strike(3, id)
+    net.step()
+    assert len(net.custody(id)) == 1
+    assert {(1, 3), (4, 3), (5, 3)} <= set(said(net, Word.HERE))
+
+
+def test_a_datum_without_a_backer_is_looked_for_too() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    meet(net, 1, 3)
+    # The backer has lost its spare, and before there is another, the copy in custody is struck as well.
+    net.loses = lambda message: type(message) is Data
+    net.strike(2, id)
+    net.step()
+    assert net.backer(3, id) is None
+    net.strike(3, id)
+    net.step()
+    assert net.custody(id) == [1]
+
+
+def test_alone_with_no_backer_the_datum_is_lost_at_once() -> None:
+    net = Net({3: 0.1}, [])
+    net.step()
+    id = net.put(3)
+    net.strike(3, id)
+    net.step()
+    assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
+    assert net.stores[3].counters()["corrupted"] == 1
+
+
+def test_what_a_neighbour_says_to_a_search() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    wanted = Corrupt(9, BROADCAST, (CorruptEntry(id, Word.WANTED),))
+    # 3 has custody, 2 a spare of what 3 has. 1 was told that it is not counted on.
+    for node, word in ((3, Word.TAKEN), (2, Word.HERE), (1, Word.HERE)):
+        assert net.nodes[node].receive(wanted, net.now) == [Corrupt(node, 9, (CorruptEntry(id, word),))]
+    unknown = Corrupt(9, BROADCAST, (CorruptEntry(DatumId(7, 7, 7), Word.WANTED),))
+    assert net.nodes[1].receive(unknown, net.now) == []
+    # What has arrived is not missing.
+    net.nodes[1].receive(Receipt(0, 1, (ReceiptEntry(7, 7, 8, 0),), ()), net.now)
+    assert net.nodes[1].receive(unknown, net.now) == [
+        Corrupt(1, 9, (CorruptEntry(DatumId(7, 7, 7), Word.TAKEN),)),
+    ]
+
+
+def test_a_late_answer_to_a_search_is_ignored() -> None:
+    node = make_node(1, mirror=True)
+    assert node.receive(Corrupt(2, 1, (CorruptEntry(datum().id, Word.HERE),)), 0.0) == []
+
+
+def test_who_says_here_and_then_has_nothing_does_not_end_the_search() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    net.strike(3, id)
+    net.loses = lambda message: type(message) is Corrupt
+    net.step()
+    node = net.nodes[3]
+    node.receive(Corrupt(2, 3, (CorruptEntry(id, Word.NONE),)), net.now)
+    assert node.receive(Corrupt(8, 3, (CorruptEntry(id, Word.HERE),)), net.now) == [
+        Corrupt(3, 8, (CorruptEntry(id, Word.AGAIN),))
+    ]
+    assert node.receive(Corrupt(8, 3, (CorruptEntry(id, Word.NONE),)), net.now) == [
+        Corrupt(3, BROADCAST, (CorruptEntry(id, Word.WANTED),))
+    ]
+    net.loses = lambda message: False
+    net.step()
+    assert net.custody(id) == [2]
+
+
+def test_a_search_on_anothers_behalf_ends_without_a_loss() -> None:
+    node = make_node(1, mirror=True, max_tries=2)
+    node.receive(Corrupt(2, 1, (CorruptEntry(datum().id, Word.AGAIN),)), 0.0)
+    asked = [of(Corrupt, node.step(float(t))) for t in range(1, 5)]
+    assert [len(step) for step in asked] == [0, 1, 0, 0]
+    assert node.mirrors is not None
+    assert not node.mirrors.repairs.searches
+    assert list(node.store.losses()) == []
+
+
+def test_it_never_says_that_custody_is_where_it_only_looks_for_the_datum() -> None:
+    node = make_node(1, mirror=True)
+    ask = Corrupt(2, 1, (CorruptEntry(datum().id, Word.AGAIN),))
+    node.receive(ask, 0.0)
+    [answer] = node.receive(ask, 0.0)
+    assert answer == Corrupt(1, 2, (CorruptEntry(datum().id, Word.NONE),))
+    [still] = node.receive(Corrupt(3, 1, (CorruptEntry(datum().id, Word.STILL),)), 0.0)
+    assert still == Corrupt(1, 3, (CorruptEntry(datum().id, Word.AGAIN),))
+
+
+def test_searches_are_bounded() -> None:
+    node = make_node(1, mirror=True)
+    for s in range(MAX_SEARCHES + 5):
+        node.receive(Corrupt(2, 1, (CorruptEntry(datum(sequence=s).id, Word.AGAIN),)), 0.0)
+    assert node.mirrors is not None
+    assert len(node.mirrors.repairs.searches) == MAX_SEARCHES
+    for t in range(ASK_STEPS):
+        # Neither is what is said in a step without bound.
+        entries = sum(len(m.entries) for m in of(Corrupt, node.step(1.0 + t)))
+        assert entries <= 3 * 33
