@@ -75,7 +75,10 @@ async def compare(session: Session, system_id: int, file: ParameterFile) -> Comp
     :raises VehicleError: it is not heard, or answers nothing.
     """
     autopilot = await session.find(system_id)
-    read = await session.read(autopilot, [entry.name for entry in file.entries])
+    names = [entry.name for entry in file.entries]
+    # Of another autopilot's file it may well know nothing.
+    foreign = made_for(frozenset(names)) not in (None, autopilot.firmware)
+    read = await session.read(autopilot, names, guesses=foreign)
     others = {name: other for name in (*read.silent, *read.refused) if (other := other_name(name))}
     guesses = sorted(set(others.values()) - read.values.keys())
     found = read.values.keys() | (await session.read(autopilot, guesses, guesses=True)).values.keys()
