@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -139,6 +138,8 @@ def patience() -> Patience:
 
 def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]]) -> T:
     """The result of a conversation with the autopilot."""
+    # Not above: a running node is started without what asyncio would load of OpenSSL.
+    import asyncio
     import time
 
     from rass_mav.app.client import ControlClient
