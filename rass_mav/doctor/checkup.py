@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import sys
 import time
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
-from rass_mav.app.service import config_path
+from rass_mav.app.service import config_path, place
 from rass_mav.core.errors import ConfigError
 
 from . import computer, neighbours, network, node, ports, service, storage, vehicle
@@ -62,7 +62,7 @@ def check_up(path: str) -> Report:
             service.service(name),
         ]
         return Report(path, None, False, tuple(findings))
-    config = _as_the_service(config, path, name)
+    config = as_the_service(config, path, name)
     findings += [
         computer.packages(computer.needed_packages(config)),
         passed("configuration", f"{path} is valid (node {config.node_id}, {config.node.role})"),
@@ -99,14 +99,17 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
     return [finding for finding in found if finding is not None]
 
 
-def _as_the_service(config: RunConfig, path: str, name: str) -> RunConfig:
-    """A relative store of the service's configuration lies in the service's own folder."""
-    home = f"/var/lib/{name}"
-    if os.path.abspath(path) != config_path(name) or not os.path.isdir(home):
+def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/")) -> RunConfig:
+    """The configuration as the service `name` reads it: a relative store lies in the service's own folder.
+
+    `path`: of the configuration; another one than the service's is left as it is.
+    """
+    home = place(root, f"/var/lib/{name}")
+    if Path(path).absolute() != place(root, config_path(name)) or not home.is_dir():
         return config
     config = filled_in(config)
     return msgspec.structs.replace(
         config,
-        store=msgspec.structs.replace(config.store, path=os.path.join(home, config.store_path)),
-        control=msgspec.structs.replace(config.control, socket=os.path.join(home, config.socket_path)),
+        store=msgspec.structs.replace(config.store, path=str(home / config.store_path)),
+        control=msgspec.structs.replace(config.control, socket=str(home / config.socket_path)),
     )

@@ -17,6 +17,7 @@ from rass_mav.app.config import load_config
 from rass_mav.app.links import LinkSection, PeerSection
 from rass_mav.core.errors import ServiceError
 from rass_mav.doctor import computer, network, ports, service, storage
+from rass_mav.doctor.checkup import as_the_service
 from rass_mav.doctor.finding import Finding
 from rass_mav.store.sqlite import SqliteStore
 from tests.link.ptys import Device
@@ -226,6 +227,19 @@ def test_a_store(tmp_path: Path) -> None:
             assert "may not be written" in sound(storage.store(path)).text
         finally:
             os.seteuid(0)
+
+
+def test_the_services_configuration_has_its_store_in_the_services_folder(tmp_path: Path) -> None:
+    file = tmp_path / "etc/second/node.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text("node: {id: 7, role: base}\n")
+    config = load_config(file)
+    assert as_the_service(config, str(file), "second", tmp_path).store_path == Path("rass-7.db")
+    home = tmp_path / "var/lib/second"
+    home.mkdir(parents=True)
+    found = as_the_service(config, str(file), "second", tmp_path)
+    assert (found.store_path, found.socket_path) == (home / "rass-7.db", home / "rass-7.sock")
+    assert as_the_service(config, "drone.yaml", "second", tmp_path) is config
 
 
 def test_which_service_reads_a_configuration() -> None:

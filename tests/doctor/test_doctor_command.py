@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 
 from rass_mav.cli import main
 from rass_mav.doctor import watch
@@ -224,6 +225,20 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
     finally:
         device.pull_out()
         counter.pull_out()
+
+
+def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    device = Device(tmp_path, "ttyAMA0").plug_in()
+    node = RunningNode(
+        tmp_path, 7, node={"role": "base"}, autopilot={"url": f"serial:{device.path}:57600"}, links=[]
+    )  # fmt: skip
+    try:
+        with serial.Serial(str(device.path), 57600, exclusive=True):
+            found = examined(Path(node.config), capsys, 1)
+    finally:
+        device.pull_out()
+    assert found["autopilot"]["text"].endswith(": another program has the port")
 
 
 class Talking:

@@ -14,6 +14,7 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.firmware.exchange import Patience
+from tests.app.app_nodes import RunningNode
 from tests.link.ptys import Device
 from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
 
@@ -322,6 +323,22 @@ def test_nobody_there_is_one_line(tmp_path: Path, config: tuple[str, int], capsy
     quiet.write_text("node: {id: 7, role: base}\n")
     assert params(tmp_path, "check", FILE, "--live", str(quiet)) == 2
     assert capsys.readouterr().err == f"{quiet}: autopilot.url: missing, expected where the autopilot is\n"
+
+
+def test_the_node_that_has_the_port_is_named(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    node = RunningNode(
+        tmp_path, 7, "node", node={"role": "base"}, autopilot={"url": f"udpin:127.0.0.1:{port}"},
+        store={"path": f"{tmp_path}/n.db"},
+    ).start()  # fmt: skip
+    try:
+        assert params(tmp_path, "check", FILE, "--live", path) == 1
+    finally:
+        node.end()
+    assert capsys.readouterr().err == (
+        f"udpin:127.0.0.1:{port}: address already in use; the node of {path} runs and has the autopilot's port: "
+        "stop it first\n"
+    )
 
 
 def test_another_autopilot_than_the_configured_one(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
