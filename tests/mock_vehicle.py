@@ -1,6 +1,6 @@
 """A mock flight controller with parameters, on a thread of its own. Its frames are built and read by pymavlink alone.
 
-It behaves as FIRMWARE.md and the MAVLink pages say: ArduPilot casts whole numbers to floats, PX4 sends their bytes; a
+It behaves as the MAVLink pages and the firmware say: ArduPilot casts whole numbers to floats, PX4 sends their bytes; a
 parameter that it does not have it passes over in silence; a new system id holds at once.
 """
 

@@ -23,7 +23,7 @@ from tests.app.app_nodes import RunningNode, command, free_ports
 from tests.link.ptys import Device
 from tests.mock_vehicle import MockVehicle
 
-#: The issue asks for about this, seconds; here are also Python's start and a busy machine.
+#: Ten seconds are promised; here a busy machine is added.
 PATIENCE_S = 15.0
 
 Capture = pytest.CaptureFixture[str]
