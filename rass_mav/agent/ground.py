@@ -184,7 +184,7 @@ class Ground:
 
     def _listed(self, index: int) -> tuple[int, bytes]:
         parameter = PARAMETERS[index]
-        value = parameters.single(parameter.read(self._agent.settings))
+        value = mav.single(parameter.read(self._agent.settings))
         return mav.PARAM_VALUE, mav.param_value(parameter.name, value, len(PARAMETERS), index)
 
     def _on_ping(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:

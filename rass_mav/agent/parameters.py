@@ -17,6 +17,7 @@ import msgspec
 
 from rass_mav.core.errors import ConfigError
 from rass_mav.core.store import Store
+from rass_mav.mavlink.component import single
 
 from .loading import convert, to_plain
 from .settings import AgentSettings, PolicyName, Section
@@ -79,15 +80,6 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("RASS_HOP_COST", _weight("hop_cost"), "policy.hop_cost", rebirth=True),
 )
 INDEX: dict[str, int] = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
-
-
-def single(value: float) -> float:
-    """A number as 32 bits hold it; infinite if it is too large for them."""
-    try:
-        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
-    except OverflowError:
-        return math.copysign(math.inf, value)
-    return rounded
 
 
 def shortest(value: float) -> float:

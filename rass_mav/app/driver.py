@@ -58,17 +58,19 @@ class Driver:
         sensor: Sensor | None = None,
         *,
         ground: VehiclePort | None = None,
+        mute: bool = False,
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
         `rng`: decides how long a node listens before it speaks on a shared radio. `sensor`: the node's own; None:
-        readings are those of the autopilot. `ground`: straight to a ground station.
+        readings are those of the autopilot. `ground`: straight to a ground station. `mute`: say nothing to neighbours.
         """
         self.agent = agent
         self.links = list(links)
         self.vehicle = vehicle
         self.sensor = sensor
         self.ground = ground
+        self._mute = mute
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
         self.held_dropped = 0
@@ -278,6 +280,8 @@ class Driver:
                 self.held_dropped += 1
 
     def _send(self, outgoing: Outgoing) -> None:
+        if self._mute:
+            return
         now = self.now()
         target = outgoing.target
         self.duplicates.said(outgoing.frame, now)

@@ -169,24 +169,24 @@ def place(root: Path | None, path: str) -> Path:
     return Path(path) if root is None else root / path.lstrip("/")
 
 
-def run(*command: str) -> str:
+def run(*command: str, timeout_s: float = COMMAND_S) -> str:
     """Run one of systemd's programs; returns what it says. Raises `ServiceError` if it fails or is not there."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=COMMAND_S, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=timeout_s, check=False)
     except FileNotFoundError:
         raise ServiceError(f"{command[0]}: not found; the service needs a system with systemd") from None
     except subprocess.TimeoutExpired:
-        raise ServiceError(f"{' '.join(command)}: no answer in {COMMAND_S:g} s") from None
+        raise ServiceError(f"{' '.join(command)}: no answer in {timeout_s:g} s") from None
     if done.returncode:
         said = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[0]
         raise ServiceError(f"{' '.join(command)}: {said}")
     return done.stdout
 
 
-def state(name: str) -> dict[str, str]:
+def state(name: str, timeout_s: float = COMMAND_S) -> dict[str, str]:
     """What systemd knows of the service, property by property. Raises `ServiceError`."""
     wanted = "LoadState,UnitFileState,ActiveState,SubState,MainPID,NRestarts,StatusText"
-    text = run("systemctl", "show", f"{name}.service", f"--property={wanted}")
+    text = run("systemctl", "show", f"{name}.service", f"--property={wanted}", timeout_s=timeout_s)
     return dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
 
 

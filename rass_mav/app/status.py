@@ -58,9 +58,11 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         if heartbeat is None
         else {
             "system_id": telemetry.system_id,
+            "type": telemetry.autopilot,
             "heartbeat_age_s": round(now - heartbeat, 3),
             "armed": telemetry.armed,
             "reboots": telemetry.reboots,
+            "no_fix_age_s": None if telemetry.no_fix_at is None else round(now - telemetry.no_fix_at, 3),
         },
         "neighbours": [_neighbour(n, now, node.policy) for n in sorted(routing.neighbours.values(), key=_id)],
         "store": _store(driver),

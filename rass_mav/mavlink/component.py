@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from typing import NamedTuple
 
 from .dialect import common, payload_of
@@ -49,6 +50,15 @@ _UNKNOWN_U8 = 0xFF
 _UNKNOWN_I8 = 0x7F
 _UNKNOWN_I16 = 0x7FFF
 _UNKNOWN_U32 = 0xFFFFFFFF
+
+
+def single(value: float) -> float:
+    """The number that a 32-bit float holds in its place; infinite if it is too large for one."""
+    try:
+        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return rounded
 
 
 def param_value(name: str, value: float, count: int, index: int) -> bytes:

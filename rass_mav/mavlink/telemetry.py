@@ -95,6 +95,10 @@ class Telemetry:
         self.reading: Reading | None = None
         self.heartbeat_at: float | None = None
         """When the last heartbeat was received."""
+        self.autopilot: int | None = None
+        """MAV_AUTOPILOT of its heartbeat."""
+        self.no_fix_at: float | None = None
+        """When the last position without a fix was received."""
         self.armed = False
         self.boot_ms = 0
         """The autopilot's last time_boot_ms."""
@@ -157,6 +161,7 @@ class Telemetry:
         if boot_ms:
             self._on_boot_time(boot_ms)
         if not self._is_place(lat, lon):
+            self.no_fix_at = now
             return False
         self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, relative_alt / 1e3, now)
         return True
@@ -185,6 +190,7 @@ class Telemetry:
         if latch:
             self.system_id = latch
         self.heartbeat_at = now
+        self.autopilot = autopilot
         self.armed = bool(base_mode & _ARMED)
         return True
 

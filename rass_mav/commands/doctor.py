@@ -1,0 +1,32 @@
+"""`doctor`: is everything there that a node needs?"""
+
+from __future__ import annotations
+
+import argparse
+
+from .common import Subparsers, add_command, clean, print_json, say, start_logging
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    doctor = add_command(
+        subparsers, "doctor", _doctor,
+        help="check a node and all around it, running or not; exit code 1 if something failed",
+        example="rass-mav doctor drone.yaml",
+    )  # fmt: skip
+    doctor.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from rass_mav.doctor.checkup import check_up
+
+    # What goes wrong is what this command tells; logs would say it twice.
+    start_logging(options.verbose, "critical")
+    report = check_up(options.config)
+    if options.json:
+        print_json(report.plain())
+    else:
+        for finding in report.findings:
+            say(clean(finding.line()))
+        say(f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed")
+    return 1 if report.count("fail") else 0

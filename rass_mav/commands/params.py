@@ -1,0 +1,224 @@
+"""`params`: parameter files for the autopilot; compared with a vehicle, and written to it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rass_mav.core.errors import ConfigError, LinkError
+
+from .common import HelpFormatter, Subparsers, add_command, clean, print_json, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.app.config import RunConfig
+    from rass_mav.firmware.comparison import Comparison, Row
+    from rass_mav.firmware.exchange import Patience
+    from rass_mav.firmware.session import Session
+
+T = TypeVar("T")
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    params = subparsers.add_parser(
+        "params",
+        help="parameter files for the autopilot: check, write",
+        description="Parameter files for the autopilot, such as those in firmware_params/.",
+        epilog="example: rass-mav params check firmware_params/ardupilot-4.7.parm --live drone.yaml",
+        formatter_class=HelpFormatter,
+    )
+    actions = params.add_subparsers(dest="action", metavar="ACTION", required=True)
+    check = add_command(
+        actions, "check", _check,
+        help="check a file; with --live, say how the vehicle differs from it (exit code 1 if it does)",
+        example="rass-mav params check firmware_params/px4.params --live drone.yaml",
+    )  # fmt: skip
+    write = add_command(
+        actions, "write", _write, help="set on the vehicle what differs from a file, after asking",
+        example="rass-mav params write firmware_params/px4.params --live drone.yaml",
+    )  # fmt: skip
+    for parser in (check, write):
+        parser.add_argument("file", metavar="FILE", help=".parm (NAME VALUE) or .params (QGroundControl)")
+        parser.add_argument(
+            "--live", metavar="CONFIG.yaml", required=parser is write, help="the node's configuration: its autopilot"
+        )
+    write.add_argument("--yes", action="store_true", help="do not ask")
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rass_mav.firmware.files import read_file
+
+    start_logging(options.verbose)
+    file = read_file(options.file)
+    if options.live is None:
+        if options.json:
+            print_json({"file": options.file, "format": file.format, "parameters": len(file.entries)})
+        else:
+            say(f"{options.file}: ok, {len(file.entries)} parameters")
+        return 0
+    found = _compared(options)
+    if options.json:
+        print_json(_plain(options.file, found, found.rows))
+    else:
+        for line in _lines(found):
+            say(line)
+    return 0 if all(row.state == "same" for row in found.rows) else 1
+
+
+def _write(options: argparse.Namespace) -> int:
+    start_logging(options.verbose)
+    found = _compared(options)
+    # The list comes before the question; with --json, stdout is for the result alone.
+    tell = _tell if options.json else say
+    for line in _lines(found):
+        tell(line)
+    rows = list(found.rows)
+    due = [row for row in rows if row.state == "differs"]
+    refusal = ""
+    if found.misfit:
+        refusal = found.misfit
+    elif due and found.autopilot.armed:
+        refusal = f"vehicle {found.autopilot.system_id} is armed"
+    elif due and not options.yes and not _agreed(f"Write {len(due)} to vehicle {found.autopilot.system_id}?"):
+        refusal = "not confirmed (--yes does not ask)"
+    if refusal:
+        tell(f"nothing written: {refusal}")
+    elif due:
+        written = {row.entry.name: row for row in _applied(options, found)}
+        rows = [written.get(row.entry.name, row) for row in rows]
+        for row in written.values():
+            tell(_line(row))
+        tell(_counts(rows))
+        if any(row.state == "written" and row.entry.reboot for row in rows):
+            tell("reboot the autopilot: some of these take effect then only")
+    if options.json:
+        print_json(_plain(options.file, found, rows))
+    return 0 if not refusal and all(row.state in ("same", "written") for row in rows) else 1
+
+
+def _agreed(question: str) -> bool:
+    sys.stderr.write(f"{question} [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _compared(options: argparse.Namespace) -> Comparison:
+    from rass_mav.firmware.comparison import compare
+    from rass_mav.firmware.files import read_file
+
+    file = read_file(options.file)
+    config = _config(options.live)
+    return _held(options.live, config, lambda session: compare(session, config.mavlink.autopilot_id, file))
+
+
+def _applied(options: argparse.Namespace, found: Comparison) -> list[Row]:
+    from rass_mav.firmware.comparison import apply
+
+    config = _config(options.live)
+    return _held(options.live, config, lambda session: apply(session, found.autopilot.system_id, found.rows))
+
+
+def _config(path: str) -> RunConfig:
+    from rass_mav.app.config import load_config
+
+    config = load_config(path)
+    if config.autopilot.url is None:
+        raise ConfigError(f"{path}: autopilot.url: missing, expected where the autopilot is")
+    return config
+
+
+def patience() -> Patience:
+    """How long the autopilot has for its answers."""
+    from rass_mav.firmware.exchange import Patience
+
+    return Patience()
+
+
+def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]]) -> T:
+    """The result of a conversation with the autopilot."""
+    # Not above: a running node is started without what asyncio would load of OpenSSL.
+    import asyncio
+    import time
+
+    from rass_mav.app.client import ControlClient
+    from rass_mav.core.errors import ControlError
+    from rass_mav.firmware.exchange import VehicleError
+    from rass_mav.firmware.session import Session
+    from rass_mav.link.address import parse_vehicle_url
+    from rass_mav.link.vehicle_stream import open_vehicle
+
+    assert config.autopilot.url is not None
+    url = parse_vehicle_url(config.autopilot.url)
+    mavlink = config.mavlink
+    system_id = mavlink.system_id or mavlink.autopilot_id or (config.node_id - 1) % 255 + 1
+
+    async def hold() -> T:
+        port = open_vehicle(url)
+        try:
+            session = Session(
+                port, time.monotonic, system_id=system_id, component_id=mavlink.component_id, patience=patience()
+            )
+            return await talk(session)
+        finally:
+            port.close()
+
+    try:
+        return asyncio.run(hold())
+    except (LinkError, VehicleError) as error:
+        try:
+            ControlClient(config.socket_path, timeout_s=1.0).close()
+        except ControlError:
+            raise error from None
+        raise type(error)(f"{error}; the node of {path} runs and has the autopilot's port: stop it first") from None
+
+
+def _lines(found: Comparison) -> list[str]:
+    lines = [found.vehicle()]
+    lines += [_line(row) for row in found.rows if row.state != "same"]
+    if found.misfit:
+        lines.append(f"WARNING: {found.misfit}")
+    return [*lines, _counts(found.rows)]
+
+
+def _line(row: Row) -> str:
+    entry, live = row.entry, row.live
+    reboot = ", needs a reboot" if entry.reboot else ""
+    if live is None:
+        text = f"missing: {row.note}"
+    elif row.state == "differs":
+        text = f"{live.value:.9g} -> {entry.value:.9g}{reboot}"
+    elif row.state == "written":
+        text = f"written: {live.value:.9g}{reboot}"
+    else:
+        text = f"{row.state}: {live.value:.9g}, not {entry.value:.9g}: {row.note}"
+    return clean(f"  {entry.name:16} {text}")
+
+
+def _counts(rows: Sequence[Row]) -> str:
+    words = {"same": "the same", "differs": "different", "unfit": "of another type"}
+    states = [row.state for row in rows]
+    return ", ".join(f"{states.count(state)} {words.get(state, state)}" for state in dict.fromkeys(sorted(states)))
+
+
+def _plain(path: str, found: Comparison, rows: Sequence[Row]) -> dict[str, Any]:
+    from rass_mav.firmware.names import firmware_name
+
+    autopilot = found.autopilot
+    return {
+        "file": path,
+        "vehicle": {
+            "system_id": autopilot.system_id,
+            "firmware": firmware_name(autopilot.firmware),
+            "version": found.version,
+            "armed": autopilot.armed,
+        },
+        "fitting_file": found.fitting,
+        "misfit": found.misfit or None,
+        "parameters": [row.plain() for row in rows],
+    }
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(text + "\n")

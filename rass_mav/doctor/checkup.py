@@ -1,0 +1,115 @@
+"""All checks, in the order in which a person would look."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from rass_mav.app.config import RunConfig, filled_in, load_config
+from rass_mav.app.service import config_path, place
+from rass_mav.core.errors import ConfigError
+
+from . import computer, neighbours, network, node, ports, service, storage, vehicle
+from .finding import Finding, failed, passed
+from .trial import try_out
+from .watch import Evidence
+
+
+class Report(NamedTuple):
+    """What all checks found."""
+
+    config: str
+    node_id: int | None
+    """None: the configuration could not be read."""
+    running: bool
+    """The node was running, and was asked."""
+    findings: tuple[Finding, ...]
+
+    def count(self, level: str) -> int:
+        """How many findings of this level."""
+        return sum(finding.level == level for finding in self.findings)
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "config": self.config,
+            "node_id": self.node_id,
+            "running": self.running,
+            "checks": [
+                {"name": f.name, "level": f.level, "text": f.text, "remedy": f.remedy or None} for f in self.findings
+            ],
+            "passed": self.count("pass"),
+            "warned": self.count("warn"),
+            "failed": self.count("fail"),
+        }
+
+
+def check_up(path: str) -> Report:
+    """Check a node, whether it runs or not. `path`: of its configuration. Takes ten seconds at most."""
+    name = service.name_of(path)
+    findings = [computer.python(sys.version_info[:3], sys.executable)]
+    try:
+        config = load_config(path)
+    except ConfigError as error:
+        findings += [
+            computer.packages(computer.needed_packages(None)),
+            failed("configuration", str(error), "rass-mav check says the same; docs/configuration.md has all keys"),
+            service.service(name),
+        ]
+        return Report(path, None, False, tuple(findings))
+    config = as_the_service(config, path, name)
+    findings += [
+        computer.packages(computer.needed_packages(config)),
+        passed("configuration", f"{path} is valid (node {config.node_id}, {config.node.role})"),
+        service.service(name),
+        computer.clock(time.time(), config.store_path),
+        storage.store(config.store_path),
+        *map(ports.serial_port, ports.serial_ports(config)),
+    ]
+    interfaces = network.interfaces()
+    findings += [
+        network.link_address(index, link, interfaces) for index, link in enumerate(config.links) if link.type == "udp"
+    ]
+    found, evidence, free = node.look(config)
+    findings.append(found)
+    if evidence is None and free:
+        evidence = asyncio.run(try_out(config))
+    findings += (neighbours.hops(config, index) for index in range(len(config.links)))
+    if evidence is not None:
+        findings += _seen(config, evidence, path)
+    return Report(path, config.node_id, evidence is not None and evidence.running, tuple(findings))
+
+
+def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
+    found = [
+        vehicle.autopilot(config, evidence),
+        vehicle.position(config, evidence),
+        vehicle.reading(config, evidence),
+        vehicle.parameters(config, evidence, path),
+        *(neighbours.link(config, index, evidence) for index in range(len(config.links))),
+        neighbours.neighbours(config, evidence),
+        neighbours.loops(evidence),
+        neighbours.identity(config, evidence),
+    ]
+    return [finding for finding in found if finding is not None]
+
+
+def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/")) -> RunConfig:
+    """The configuration as the service `name` reads it: a relative store lies in the service's own folder.
+
+    `path`: of the configuration; another one than the service's is left as it is.
+    """
+    home = place(root, f"/var/lib/{name}")
+    if Path(path).absolute() != place(root, config_path(name)) or not home.is_dir():
+        return config
+    config = filled_in(config)
+    return msgspec.structs.replace(
+        config,
+        store=msgspec.structs.replace(config.store, path=str(home / config.store_path)),
+        control=msgspec.structs.replace(config.control, socket=str(home / config.socket_path)),
+    )

@@ -1,0 +1,119 @@
+"""The computer: Python, packages, the clock."""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+
+from rass_mav.app.config import RunConfig
+from rass_mav.mavlink.crc import HAVE_FASTCRC
+from rass_mav.sensor.kinds import SERIAL_KINDS
+
+from .finding import Finding, failed, passed, warned
+
+#: What the source needs (pyproject.toml, requires-python).
+LEAST_PYTHON = (3, 10)
+#: Always needed; pyserial comes with a serial port.
+PACKAGES = ("pymavlink", "msgspec", "pyyaml")
+#: No clock that is right is before this: 2025-01-01.
+_BUILT_S = 1_735_689_600.0
+#: Files may be this much in the future before the clock is doubted, seconds.
+_SLACK_S = 60.0
+
+
+def python(version: tuple[int, ...], executable: str) -> Finding:
+    """Is Python new enough? `version`: of the interpreter, at least two numbers."""
+    text = f"{'.'.join(map(str, version))} on {platform.machine()} ({executable})"
+    if version[:2] < LEAST_PYTHON:
+        least = ".".join(map(str, LEAST_PYTHON))
+        return failed("python", text, f"install Python {least} or newer, and rass-mav with it")
+    return passed("python", text)
+
+
+def needed_packages(config: RunConfig | None) -> list[str]:
+    """What this configuration imports; None: not known."""
+    names = list(PACKAGES)
+    if config is not None and serial_wanted(config):
+        names.append("pyserial")
+    return names
+
+
+def serial_wanted(config: RunConfig) -> bool:
+    """Whether a serial port is configured."""
+    urls = (config.autopilot.url, config.ground.url)
+    return (
+        any(url is not None and url.startswith(("serial:", "/")) for url in urls)
+        or any(link.type == "serial" for link in config.links)
+        or config.sensor.type in SERIAL_KINDS
+    )
+
+
+def packages(
+    names: Iterable[str],
+    version: Callable[[str], str] = metadata.version,
+    least: Mapping[str, str] | None = None,
+) -> Finding:
+    """Are they installed, and new enough?
+
+    :param version: of an installed package; raises `PackageNotFoundError`.
+    :param least: lowest version by name; None: what the installed rass-mav demands.
+    """
+    least = demanded() if least is None else least
+    found, wrong = [], []
+    for name in names:
+        try:
+            installed = version(name)
+        except metadata.PackageNotFoundError:
+            wrong.append(f"{name} is missing")
+            continue
+        if _numbers(installed) < _numbers(least.get(name, "0")):
+            wrong.append(f"{name} is {installed}, needs {least[name]}")
+        found.append(f"{name} {installed}")
+    if wrong:
+        return failed("packages", ", ".join(wrong), "pip install 'rass-mav[drone]' into the same environment")
+    extra = "" if HAVE_FASTCRC else "; without fastcrc, frames take somewhat longer to read"
+    return passed("packages", ", ".join(found) + extra)
+
+
+def demanded() -> dict[str, str]:
+    """The lowest versions that the installed rass-mav demands; empty if it runs from its source."""
+    try:
+        requirements = metadata.requires("rass-mav") or []
+    except metadata.PackageNotFoundError:
+        return {}
+    matches = (re.match(r"([A-Za-z0-9_.-]+)\s*>=\s*([0-9.]+)", requirement) for requirement in requirements)
+    return {match[1].lower(): match[2] for match in matches if match}
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(map(int, re.findall(r"\d+", version)[:3]))
+
+
+def clock(now: float, store: Path, root: Path = Path("/")) -> Finding:
+    """Can the date be right? A Raspberry Pi has no clock that goes on without power.
+
+    :param now: seconds since 1970.
+    :param store: the store's file; it was written before now.
+    :param root: where `run` and `sys` are.
+    """
+    said = datetime.fromtimestamp(now, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    remedy = "data would bear a wrong date: connect to a time server, or add a clock module (RTC)"
+    if now < _BUILT_S:
+        return warned("clock", f"says {said}, which cannot be", remedy)
+    try:
+        written = store.stat().st_mtime
+    except OSError:
+        written = 0.0
+    if written > now + _SLACK_S:
+        later = datetime.fromtimestamp(written, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+        return warned("clock", f"says {said}, but the store was written at {later}", remedy)
+    if (root / "run/systemd/timesync/synchronized").exists():
+        return passed("clock", f"{said}, set by a time server")
+    rtc = root / "sys/class/rtc"
+    if rtc.is_dir() and any(rtc.iterdir()):
+        return passed("clock", f"{said}, from a clock chip")
+    return warned("clock", f"says {said}, with no clock chip and no time server seen", remedy)

@@ -1,0 +1,92 @@
+"""The links to the neighbours, and who is heard on them."""
+
+from __future__ import annotations
+
+from rass_mav.app.config import RunConfig
+
+from .finding import Finding, failed, passed, warned
+from .watch import Evidence
+
+#: So many own frames back in the few seconds of a look are a loop, not an accident.
+LOOP = 5
+
+
+def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
+    """Is it open?"""
+    section = config.links[index]
+    name = f"links[{index}]"
+    if why := evidence.troubles.get(name):
+        in_use = "in use" in why
+        remedy = "another program has it (ss -ulnp), or a second node: give one of them another port"
+        return failed(name, why, remedy if in_use else f"correct {name}")
+    state = evidence.link(index)
+    if state is None:
+        return failed(name, "the running node does not have it", "restart the node")
+    if trouble := state["trouble"]:
+        return failed(name, f"{state['name']}: {trouble.lower()}", "see the port above")
+    text = f"{section.type} {state['name']}: open, {state['received']} frames or pieces received"
+    if evidence.running:
+        text += f", {state['sent']} sent"
+        if state["dropped_out"] > state["sent"]:
+            return warned(name, f"{text}, {state['dropped_out']} could not be sent", "is the network there?")
+    return passed(name, text)
+
+
+def hops(config: RunConfig, index: int) -> Finding:
+    """Does "heard" mean "one hop away" on this link?"""
+    section = config.links[index]
+    name = f"links[{index}] hops"
+    one_hop = section.type != "autopilot" if section.one_hop is None else section.one_hop
+    if one_hop:
+        return passed(name, "who is heard is one hop away")
+    if section.only is not None:
+        return passed(name, f"frames are forwarded; only nodes {', '.join(map(str, section.only))} are neighbours")
+    return warned(
+        name, "frames are forwarded on it, so who is heard may be many hops away",
+        f"name the neighbours in links[{index}].only; or one_hop: true if all share one radio channel (docs/links.md)",
+    )  # fmt: skip
+
+
+def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
+    """Who is heard? None: there are no links."""
+    if not config.links:
+        return None
+    known = evidence.last["neighbours"]
+    if not known:
+        return warned(
+            "neighbours", "nobody heard while we looked",
+            "is another node running, with the same port, network or radio channel? (links on slow radios take longer)",
+        )  # fmt: skip
+    names = ", ".join(f"{n['node_id']}{' (base)' if n['base'] else ''}" for n in known)
+    other = [str(n["node_id"]) for n in known if not n["same_policy"]]
+    if other:
+        return warned(
+            "neighbours", f"{names}; nodes {', '.join(other)} have another policy or other weights",
+            "set the same section policy on all nodes",
+        )  # fmt: skip
+    if not config.base and not any(n["base"] or n["hops"] is not None for n in known):
+        return warned("neighbours", f"{names}, but nobody knows a way to a base", "start the base")
+    return passed("neighbours", names)
+
+
+def identity(config: RunConfig, evidence: Evidence) -> Finding:
+    """Has somebody else the same node id?"""
+    rivals = evidence.last["rivals"]
+    if rivals:
+        return failed(
+            "node id", f"another node with the id {config.node_id} is heard (epoch {rivals[0]['epoch']})",
+            "give one of them another node.id",
+        )  # fmt: skip
+    return passed("node id", f"{config.node_id}, nobody else with it was heard")
+
+
+def loops(evidence: Evidence) -> Finding:
+    """Do frames go round through two forwarders?"""
+    first, last = evidence.samples[0]["copies"], evidence.last["copies"]
+    echoes, copies = last["echoes"] - first["echoes"], last["heard_twice"] - first["heard_twice"]
+    remedy = "turn forwarding off on one of the ports between the autopilots (docs/links.md)"
+    if echoes >= LOOP:
+        return failed("loops", f"{echoes} own frames came back while we looked", remedy)
+    if copies >= LOOP:
+        return warned("loops", f"{copies} frames were heard twice while we looked", remedy)
+    return passed("loops", "no frames come twice")

@@ -1,0 +1,59 @@
+"""The store: may it be written, is there room, is it sound?"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from rass_mav.core.datum import MAX_PAYLOAD
+from rass_mav.core.errors import StoreError
+from rass_mav.store.reader import SqliteReader
+
+from .finding import Finding, failed, passed, warned
+
+_MIB = 1 << 20
+#: Below this nothing can be stored that is worth it: a few of the largest data, and the log that goes before them.
+LEAST_BYTES = 4 * MAX_PAYLOAD
+#: Below this somebody should tidy up.
+LOW_BYTES = 64 * _MIB
+
+
+def free_bytes(folder: Path) -> int:
+    """What a user may still write there. Raises OSError."""
+    disk = os.statvfs(folder)
+    return disk.f_bavail * disk.f_frsize
+
+
+def store(path: Path, free: int | None = None) -> Finding:
+    """The store's file and folder. `free`: bytes on the disk; None: what the disk says."""
+    folder = path.absolute().parent
+    effective = os.access in os.supports_effective_ids
+    if not folder.is_dir():
+        return failed("store", f"{folder}: no such folder", "make it, or change store.path")
+    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
+        return failed("store", f"{folder}: may not be written", "give it to the node's user, or change store.path")
+    if path.exists():
+        if not os.access(path, os.R_OK | os.W_OK, effective_ids=effective):
+            return failed("store", f"{path}: may not be written", "give it to the node's user (chown)")
+        try:
+            with SqliteReader(path) as reader:
+                held = f"{len(reader.ids())} data"
+        except StoreError as error:
+            return warned(
+                "store", str(error), "the node will set it aside and begin anew; copy it first if its data matter"
+            )
+    else:
+        held = "not made yet"
+    free = free_bytes(folder) if free is None else free
+    room = f"{free / _MIB:.0f} MiB free"
+    if free < LEAST_BYTES:
+        return failed("store", f"{path}: {room}", "make room on the disk")
+    if free < LOW_BYTES:
+        return warned("store", f"{path}: {room}", "make room on the disk")
+    aside = sorted(folder.glob(f"{path.name}.damaged-[0-9]*"))
+    if aside:
+        return warned(
+            "store", f"{path}: {held}, {room}; {aside[-1].name} was set aside as damaged",
+            "look after the card or disk; delete the file when its data are not needed",
+        )  # fmt: skip
+    return passed("store", f"{path}: {held}, {room}")

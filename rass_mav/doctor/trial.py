@@ -1,0 +1,182 @@
+"""A trial: the node's own agent with its configured ports, for a few seconds, when the node does not run.
+
+It stores nothing and says nothing to the neighbours, who must not take it for the node. To the autopilot it says what
+the node says: its heartbeat, without which an autopilot sends nothing, and its requests for messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+import secrets
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
+
+import msgspec
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.rates import MessageRates, message_ids
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.app.clock import Clock
+from rass_mav.app.config import RunConfig
+from rass_mav.app.driver import Driver
+from rass_mav.app.status import status
+from rass_mav.core.errors import ConfigError, LinkError, LogError, MalformedError, StoreError
+from rass_mav.link.address import parse_address, parse_vehicle_url
+from rass_mav.link.base import Link
+from rass_mav.link.vehicle import VehiclePort
+from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.mavlink.component import AUTOPILOT_VERSION
+from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
+from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, parse
+from rass_mav.mavlink.vehicle_parameters import read_version, request_message
+from rass_mav.sensor.base import Sensor
+from rass_mav.store.memory import MemoryStore
+from rass_mav.store.reader import SqliteReader
+
+from .network import is_known
+from .watch import LOOK_S, MOST_S, Ear, Evidence, Status, seen_enough
+
+_NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
+#: The version is asked for again after so long, seconds.
+_ASK_S = 1.0
+
+
+class Listener:
+    """A service of the agent: notes which autopilots are heard, and asks the own one for its version."""
+
+    def __init__(self, agent: Agent) -> None:
+        self.ear = Ear()
+        self._agent = agent
+        self._ask_at = -math.inf
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """Heartbeats and the version."""
+        self.ear.frames += 1
+        if frame.component_id != AUTOPILOT_COMPONENT:
+            return
+        if frame.message_id == HEARTBEAT:
+            autopilot = parse(frame).autopilot
+            if autopilot != _NO_AUTOPILOT:
+                self.ear.autopilots[frame.system_id] = autopilot
+        elif frame.message_id == AUTOPILOT_VERSION and frame.system_id == self._agent.telemetry.system_id:
+            try:
+                self.ear.version = read_version(frame).version
+            except MalformedError:
+                return
+
+    def step(self, now: float) -> None:
+        """Once a step."""
+        telemetry = self._agent.telemetry
+        if telemetry.heartbeat_at is None or any(self.ear.version) or now < self._ask_at:
+            return
+        self._ask_at = now + _ASK_S
+        payload = request_message(
+            AUTOPILOT_VERSION, target_system=telemetry.system_id, target_component=telemetry.component_id
+        )
+        self._agent.to_vehicle.append(self._agent.vehicle_writer.frame(COMMAND_LONG, payload))
+
+
+async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
+    """Open what the configuration names, look for at most so many seconds, and close it again. Opens no store."""
+    clock = Clock()
+    troubles: dict[str, str] = {}
+    async with AsyncExitStack() as stack:
+        vehicle = _open_vehicle(config, troubles)
+        if vehicle is not None:
+            stack.callback(vehicle.close)
+        links: list[Link] = []
+        opened: list[int] = []
+        for index in range(len(config.links)):
+            link = _open_link(config, index, vehicle, troubles)
+            if link is not None:
+                links.append(link)
+                opened.append(index)
+                stack.callback(link.close)
+        sensor = _open_sensor(config, clock, troubles)
+        if sensor is not None:
+            stack.callback(sensor.close)
+        executor = stack.enter_context(ThreadPoolExecutor(1, "trial"))
+        rng = random.Random(secrets.randbits(128))
+        agent = Agent(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
+        listener = Listener(agent)
+        if vehicle is not None:
+            agent.services += [MessageRates(agent, message_ids(config.autopilot.messages)), listener]
+        driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, mute=True)
+        started = clock.now()
+        task = asyncio.create_task(driver.run())
+        samples: list[Status] = []
+        while not samples or (clock.now() - started < most_s and not seen_enough(config, samples)):
+            # A bug that ends the driver comes out here.
+            await asyncio.wait({task}, timeout=LOOK_S)
+            if task.done():
+                break
+            samples.append(status(driver, started))
+        driver.stop()
+        await task
+        return Evidence(False, samples, troubles, opened, listener.ear)
+
+
+def _settings(config: RunConfig) -> AgentSettings:
+    settings = config.agent_settings()
+    mavlink = settings.mavlink
+    if mavlink.system_id is None and not mavlink.autopilot_id:
+        # As the node does: autopilots never forget a sender, so the right id from the first frame on.
+        try:
+            with SqliteReader(config.store_path) as reader:
+                mavlink = msgspec.structs.replace(mavlink, system_id=reader.meta().get("system_id"))
+        except StoreError:
+            pass  # there is no store yet, or a damaged one, which another check tells
+    return msgspec.structs.replace(
+        settings,
+        ground=None,
+        mavlink=mavlink,
+        data=msgspec.structs.replace(settings.data, interval_steps=0),
+        # Shorter ones would find out no more; in longer ones the heartbeat would be late.
+        step_s=min(settings.step_s, 1.0),
+    )
+
+
+def _open_vehicle(config: RunConfig, troubles: dict[str, str]) -> VehiclePort | None:
+    if config.autopilot.url is None:
+        return None
+    url = parse_vehicle_url(config.autopilot.url)
+    if url.mode != "serial" and not is_known(url.address[0]):
+        troubles["autopilot.url"] = f"the name {url.address[0]} is not known"
+        return None
+    try:
+        return open_vehicle(url)
+    except LinkError as error:
+        troubles["autopilot.url"] = str(error)
+        return None
+
+
+def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, troubles: dict[str, str]) -> Link | None:
+    section = config.links[index]
+    key = f"links[{index}]"
+    if section.type == "autopilot" and vehicle is None:
+        troubles[key] = "the autopilot's port is not open"
+        return None
+    if section.type == "udp":
+        texts = [section.listen, section.broadcast, *(peer.address for peer in section.peers)]
+        for text in filter(None, texts):
+            host = parse_address(text, any_port=True)[0]
+            if not is_known(host):
+                troubles[key] = f"the name {host} is not known"
+                return None
+    try:
+        return section.open(vehicle)
+    except LinkError as error:
+        troubles[key] = str(error)
+        return None
+
+
+def _open_sensor(config: RunConfig, clock: Clock, troubles: dict[str, str]) -> Sensor | None:
+    try:
+        return config.sensor.open(clock.now)
+    except (ConfigError, LogError) as error:
+        troubles["sensor"] = str(error)
+        return None

@@ -1,0 +1,152 @@
+"""The autopilot, what it sends, and the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rass_mav.app.config import RunConfig
+from rass_mav.firmware.names import firmware_name, fitting_file
+
+from .finding import Finding, failed, passed, warned
+from .watch import Evidence, heartbeats, positions, rate, readings, unfixed
+
+#: An autopilot is heard if its last heartbeat is not older than this, seconds.
+SILENT_S = 3.0
+#: Slower than asked for by this factor is too slow.
+_SLACK = 2.0
+
+
+def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
+    """Is it heard? Which one is it?"""
+    url = config.autopilot.url
+    if url is None:
+        if config.base:
+            return passed("autopilot", "none configured, a base needs none")
+        return warned("autopilot", "none configured, so data bear no position", "set autopilot.url")
+    if why := evidence.troubles.get("autopilot.url"):
+        return failed("autopilot", why, "another program may have the port; see ss -ulnp, and docs/installation.md")
+    port = evidence.last["vehicle"] or {}
+    if trouble := port.get("trouble"):
+        busy = "temporarily unavailable" in trouble.lower()
+        why = "another program has the port" if busy else trouble.lower()
+        return failed(
+            "autopilot", f"{url}: {why}",
+            "stop the other program or put a router between (docs/installation.md)" if busy else "see the port above",
+        )  # fmt: skip
+    known = evidence.last["autopilot"]
+    if known is None or known["heartbeat_age_s"] > SILENT_S:
+        return _not_heard(url, config, evidence)
+    words = [firmware_name(known["type"])]
+    if evidence.ear is not None and any(evidence.ear.version):
+        words[0] += " " + ".".join(map(str, evidence.ear.version))
+    words += [f"system {known['system_id']}", "armed" if known["armed"] else "disarmed"]
+    per_second = rate(heartbeats(evidence.samples))
+    if per_second is not None:
+        words.append(f"{per_second:.1f} heartbeats/s")
+    text = ", ".join(words)
+    others = sorted((evidence.ear.autopilots.keys() if evidence.ear else set()) - {known["system_id"]})
+    if others and not config.mavlink.autopilot_id:
+        return warned(
+            "autopilot", f"{text}; systems {_list(others)} are heard on its port too, and the first one was taken",
+            "set mavlink.autopilot_id to the system id of this drone's autopilot",
+        )  # fmt: skip
+    if known["reboots"]:
+        return warned("autopilot", f"{text}; it has restarted {known['reboots']} times", "look at its power supply")
+    return passed("autopilot", text)
+
+
+def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
+    heard = sorted(evidence.ear.autopilots) if evidence.ear is not None else []
+    wanted = config.mavlink.autopilot_id
+    if heard and wanted:
+        return failed(
+            "autopilot", f"no system {wanted} on {url}, but {_list(heard)}",
+            "correct mavlink.autopilot_id, or the autopilot's system id (firmware_params/)",
+        )  # fmt: skip
+    received = (evidence.last["vehicle"] or {}).get("received", 0)
+    if received and (evidence.ear.frames == 0 if evidence.ear else evidence.last["vehicle_malformed"]):
+        return failed(
+            "autopilot", f"what comes from {url} is no MAVLink",
+            "set the same speed in autopilot.url and on the autopilot's port; look at wires and ground",
+        )  # fmt: skip
+    if received:
+        return failed("autopilot", f"MAVLink comes from {url}, but no autopilot's heartbeat", "connect an autopilot")
+    return failed(
+        "autopilot", f"nothing heard on {url}",
+        "is it on? TX to RX, RX to TX (docs/wiring.md)? MAVLink 2 and the same speed on its port (firmware_params/)?",
+    )  # fmt: skip
+
+
+def position(config: RunConfig, evidence: Evidence) -> Finding | None:
+    """Do positions come, and often enough? None: there is no autopilot to ask."""
+    if config.autopilot.url is None or "autopilot.url" in evidence.troubles:
+        return None
+    times = positions(evidence.samples)
+    per_second = rate(times)
+    remedy = "see autopilot.messages, and SR2_POSITION or MAV3_POSITION on the autopilot"
+    if not times:
+        if unfixed(evidence.samples):
+            return warned("position", "no fix yet", "wait, or go where the sky is seen")
+        return warned("position", "none comes", remedy)
+    if per_second is None:
+        return warned("position", "one came while we looked", remedy)
+    asked = config.autopilot.messages.get("GLOBAL_POSITION_INT")
+    if asked is not None and per_second * asked * _SLACK < 1.0:
+        return warned("position", f"{per_second:.1f}/s, asked for {1 / asked:.1f}/s", remedy)
+    at = evidence.last["position"]
+    return passed("position", f"{at['latitude']:.5f} {at['longitude']:.5f}, {per_second:.1f}/s")
+
+
+def reading(config: RunConfig, evidence: Evidence) -> Finding:
+    """Does the sensor answer, here or at the autopilot?"""
+    if config.base:
+        return passed("sensor", "a base needs none")
+    own = config.sensor.type != "autopilot"
+    source = f"sensor {config.sensor.type}" if own else f"NAMED_VALUE_FLOAT {config.mavlink.reading_name}"
+    if why := evidence.troubles.get("sensor"):
+        return failed("sensor", why, "see docs/sensors.md")
+    last = evidence.last
+    known = last["reading"]
+    if known is None or known["age_s"] > config.risk.stale_s:
+        what = "so the risk counts as the worst"
+        if own:
+            state = last["sensor"] or {}
+            trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
+            return failed(
+                "sensor", f"no reading of {source}, {what}: {trouble}",
+                "is it on, and are sensor.type and sensor.baud right (docs/sensors.md)?",
+            )  # fmt: skip
+        if config.autopilot.url is None:
+            return failed("sensor", f"no sensor and no autopilot, {what}", "set sensor.type or autopilot.url")
+        return failed(
+            "sensor", f"no {source} from the autopilot, {what}",
+            "a script sends it: SCR_ENABLE 1 and rass_rad.lua (firmware_params/); or set sensor.type",
+        )  # fmt: skip
+    per_second = rate(readings(evidence.samples))
+    text = f"{source}: {known['value']:g}, {known['age_s']:.1f} s old"
+    if per_second is None:
+        return warned(
+            "sensor", text, f"it seldom speaks; risk.stale_s ({config.risk.stale_s:g}) must be twice its pause"
+        )
+    if per_second * config.risk.stale_s < _SLACK:
+        return warned("sensor", f"{text}, {per_second:.2f}/s: less than two in risk.stale_s", "raise risk.stale_s")
+    state = last["sensor"] or {}
+    if state.get("malformed", 0) > state.get("readings", 0):
+        return warned("sensor", f"{text}; most of what it says is not understood", "check sensor.baud and the wire")
+    return passed("sensor", f"{text}, {per_second:.1f}/s")
+
+
+def parameters(config: RunConfig, evidence: Evidence, path: str) -> Finding | None:
+    """Which file of parameters fits this autopilot? None: cannot be told. `path`: of the configuration."""
+    known = evidence.last["autopilot"]
+    if known is None or known["type"] is None:
+        return None
+    file = fitting_file(known["type"], evidence.ear.version if evidence.ear else (0, 0, 0))
+    if file is None:
+        return None
+    stop = "with the node stopped, " if evidence.running else ""
+    return passed("parameters", f"not compared; {stop}rass-mav params check firmware_params/{file} --live {path}")
+
+
+def _list(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers))

@@ -1,0 +1,111 @@
+"""Looking at a node for a few seconds: how often things arrive, and when enough has been seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from rass_mav.app.config import RunConfig
+
+#: What `rass-mav status` tells (docs/configuration.md).
+Status: TypeAlias = Mapping[str, Any]
+
+#: Seconds to look at least and at most, and between two looks.
+LEAST_S = 2.0
+MOST_S = 6.0
+LOOK_S = 0.1
+#: So many arrivals make a rate.
+ENOUGH = 3
+# Two looks at the same arrival, rounded to milliseconds, differ by less than this, seconds.
+_SAME_S = 0.005
+
+
+@dataclass
+class Ear:
+    """What a trial heard on the autopilot's port besides what the node takes from it."""
+
+    autopilots: dict[int, int] = field(default_factory=dict)
+    """MAV_AUTOPILOT by system id, of all autopilots whose heartbeat was heard."""
+    frames: int = 0
+    """Frames of whatever kind."""
+    version: tuple[int, int, int] = (0, 0, 0)
+    """Of the node's own autopilot; all 0: not told."""
+
+
+@dataclass
+class Evidence:
+    """What was seen of a node."""
+
+    running: bool
+    """It is the node that runs; False: a trial with its ports."""
+    samples: list[Status]
+    """One look after the other, at least one."""
+    troubles: dict[str, str] = field(default_factory=dict)
+    """What could not be opened in a trial, by key of the configuration: why."""
+    opened: list[int] = field(default_factory=list)
+    """The links that are in the samples, by their number in the configuration."""
+    ear: Ear | None = None
+    """None: a running node does not tell."""
+
+    @property
+    def last(self) -> Status:
+        """The last look."""
+        return self.samples[-1]
+
+    def link(self, index: int) -> Mapping[str, Any] | None:
+        """The last look at a link; None: it could not be opened."""
+        links: Sequence[Mapping[str, Any]] = self.last["links"]
+        return links[self.opened.index(index)] if index in self.opened else None
+
+
+def heartbeats(samples: Sequence[Status]) -> list[float]:
+    """When heartbeats of the autopilot arrived, seconds since the node's start."""
+    return arrivals(samples, lambda s: s["autopilot"] and s["autopilot"]["heartbeat_age_s"])
+
+
+def positions(samples: Sequence[Status]) -> list[float]:
+    """Likewise positions with a fix."""
+    return arrivals(samples, lambda s: s["position"] and s["position"]["age_s"])
+
+
+def unfixed(samples: Sequence[Status]) -> list[float]:
+    """Likewise positions without a fix."""
+    return arrivals(samples, lambda s: s["autopilot"] and s["autopilot"]["no_fix_age_s"])
+
+
+def readings(samples: Sequence[Status]) -> list[float]:
+    """Likewise readings, of the autopilot or of the node's own sensor."""
+    return arrivals(samples, lambda s: s["reading"] and s["reading"]["age_s"])
+
+
+def arrivals(samples: Sequence[Status], age: Callable[[Status], float | None]) -> list[float]:
+    """When something arrived while we looked, seconds since the node's start. `age`: of the last one; None: none."""
+    times: list[float] = []
+    begin = samples[0]["uptime_s"] - LOOK_S
+    for sample in samples:
+        old = age(sample)
+        if old is None:
+            continue
+        at = sample["uptime_s"] - old
+        if at > begin and (not times or at - times[-1] > _SAME_S):
+            times.append(at)
+    return times
+
+
+def rate(times: Sequence[float]) -> float | None:
+    """Arrivals a second; None: fewer than two. Those that come closer together than the looks are not told apart."""
+    return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None
+
+
+def seen_enough(config: RunConfig, samples: Sequence[Status]) -> bool:
+    """Whether to look on would tell no more."""
+    if not samples or samples[-1]["uptime_s"] - samples[0]["uptime_s"] < LEAST_S:
+        return False
+    wanted = []
+    if config.autopilot.url is not None:
+        wanted += [heartbeats(samples), positions(samples) or unfixed(samples)]
+    if not config.base:
+        wanted.append(readings(samples))
+    neighbours = samples[-1]["neighbours"] or not config.links
+    return bool(neighbours) and all(len(times) >= ENOUGH for times in wanted)

@@ -1,0 +1,146 @@
+"""A parameter file beside a vehicle: what is the same, what differs, what the firmware does not have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+from rass_mav.mavlink.component import PERMISSION_DENIED, READ_ONLY, VALUE_OUT_OF_RANGE
+from rass_mav.mavlink.vehicle_parameters import PX4, ParameterValue, fits, same
+
+from .exchange import Autopilot, Exchange, VehicleError
+from .files import Entry, ParameterFile
+from .names import firmware_name, fitting_file, made_for, other_name, replaced_in_px4
+from .session import Session
+
+_REASONS = {
+    VALUE_OUT_OF_RANGE: "the value is out of its range",
+    PERMISSION_DENIED: "setting it is not permitted",
+    READ_ONLY: "it is read-only",
+}
+
+
+class Row(NamedTuple):
+    """One parameter of the file."""
+
+    entry: Entry
+    live: ParameterValue | None
+    """What the vehicle has; None: it does not have it."""
+    state: Literal["same", "differs", "unfit", "missing", "written", "refused"]
+    """unfit: the vehicle's parameter cannot hold the file's value; written, refused: after `apply`."""
+    note: str = ""
+    """For people; empty: nothing to say."""
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "name": self.entry.name,
+            "line": self.entry.line,
+            "file": self.entry.value,
+            "vehicle": None if self.live is None else self.live.value,
+            "state": self.state,
+            "reboot": self.entry.reboot,
+            "note": self.note or None,
+        }
+
+
+class Comparison(NamedTuple):
+    """A file and a vehicle."""
+
+    autopilot: Autopilot
+    rows: tuple[Row, ...]
+    """In the order of the file."""
+    fitting: str | None
+    """The file of firmware_params/ that fits this vehicle; None: cannot be told."""
+    misfit: str
+    """Why the file is not for this vehicle; empty: it is."""
+
+    def vehicle(self) -> str:
+        """The vehicle for people."""
+        autopilot = self.autopilot
+        words = [firmware_name(autopilot.firmware), self.version or "", "armed" if autopilot.armed else "disarmed"]
+        return f"vehicle {autopilot.system_id}: {' '.join(filter(None, words))}"
+
+    @property
+    def version(self) -> str | None:
+        """Of the firmware, major.minor.patch; None: it did not tell."""
+        version = self.autopilot.version.version
+        return ".".join(map(str, version)) if any(version) else None
+
+
+async def compare(session: Session, system_id: int, file: ParameterFile) -> Comparison:
+    """Ask the vehicle for each parameter of the file, and for what other versions call those that it does not have.
+
+    :param system_id: of the autopilot; 0: the first one heard.
+    :raises VehicleError: it is not heard, or answers nothing.
+    """
+    autopilot = await session.find(system_id)
+    names = [entry.name for entry in file.entries]
+    # Of another autopilot's file it may well know nothing.
+    foreign = made_for(frozenset(names)) not in (None, autopilot.firmware)
+    read = await session.read(autopilot, names, guesses=foreign)
+    others = {name: other for name in (*read.silent, *read.refused) if (other := other_name(name))}
+    guesses = sorted(set(others.values()) - read.values.keys())
+    found = read.values.keys() | (await session.read(autopilot, guesses, guesses=True)).values.keys()
+    renamed = {name: other for name, other in others.items() if other in found}
+    rows = tuple(_row(entry, read, renamed, autopilot) for entry in file.entries)
+    fitting = fitting_file(autopilot.firmware, autopilot.version.version, frozenset(found))
+    return Comparison(autopilot, rows, fitting, _misfit(autopilot, rows, renamed, fitting))
+
+
+def _row(entry: Entry, read: Exchange, renamed: dict[str, str], autopilot: Autopilot) -> Row:
+    live = read.values.get(entry.name)
+    if live is None:
+        return Row(entry, None, "missing", _why_missing(entry.name, renamed, autopilot))
+    if not fits(entry.value, live.kind):
+        return Row(entry, live, "unfit", f"its type there is {live.kind}, which does not hold {entry.value:.9g}")
+    equal = same(entry.value, live.value, live.kind, bytewise=autopilot.bytewise)
+    return Row(entry, live, "same" if equal else "differs")
+
+
+def _why_missing(name: str, renamed: dict[str, str], autopilot: Autopilot) -> str:
+    if name in renamed and replaced_in_px4(name):
+        return f"this firmware has {renamed[name]} instead, whose values mean something else"
+    if name in renamed:
+        return f"this firmware calls it {renamed[name]}"
+    if autopilot.firmware == PX4:
+        return "this firmware does not have it, or shows it after a reboot only"
+    return "this firmware or board does not have it"
+
+
+def _misfit(autopilot: Autopilot, rows: Sequence[Row], renamed: dict[str, str], fitting: str | None) -> str:
+    firmware = made_for(frozenset(row.entry.name for row in rows))
+    use = f"; use {fitting}" if fitting else ""
+    if firmware is not None and firmware != autopilot.firmware:
+        return f"the file is for {firmware_name(firmware)}, this is {firmware_name(autopilot.firmware)}{use}"
+    names = [name for name in renamed if not replaced_in_px4(name)]
+    if names:
+        return f"the file is for another version of {firmware_name(autopilot.firmware)}{use}"
+    return ""
+
+
+async def apply(session: Session, system_id: int, rows: Sequence[Row]) -> list[Row]:
+    """Set what differs, in the order of the file, and read it back.
+
+    :param rows: those of a comparison with the same vehicle.
+    :returns: the rows that differed, as they are now: written or refused.
+    :raises VehicleError: the vehicle is not heard, or is armed: then nothing was set. Or it fell silent.
+    """
+    autopilot = await session.find(system_id)
+    if autopilot.armed:
+        raise VehicleError(f"vehicle {autopilot.system_id} is armed: nothing was written")
+    due = [row for row in rows if row.state == "differs"]
+    wanted = [row.live._replace(value=row.entry.value) for row in due if row.live is not None]
+    told, held = await session.write(autopilot, wanted)
+    return [_written(row, told, held, autopilot) for row in due]
+
+
+def _written(row: Row, told: Exchange, held: Exchange, autopilot: Autopilot) -> Row:
+    name, value = row.entry.name, row.entry.value
+    live = held.values.get(name)
+    if live is None:
+        return row._replace(state="refused", note="no answer when it was read back")
+    if same(value, live.value, live.kind, bytewise=autopilot.bytewise):
+        return row._replace(state="written", live=live)
+    note = _REASONS.get(told.refused.get(name, 0), "the vehicle keeps its value")
+    return row._replace(state="refused", live=live, note=note)

@@ -1,0 +1,141 @@
+"""Holding conversations with an autopilot over its port, on an event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+from rass_mav.link.vehicle import VehiclePort
+from rass_mav.mavlink.dialect import payload_of
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.vehicle_parameters import ParameterValue
+
+from .exchange import Autopilot, Exchange, Introduction, Patience, Talk, VehicleError, reading, setting
+from .names import SYSTEM_ID_NAMES
+
+_HEARTBEAT_S = 1.0
+_HEARTBEAT = payload_of(companion_heartbeat())
+
+
+class Session:
+    """Speaks to the autopilot as the node does: same system id, same component. The node itself must not run."""
+
+    def __init__(
+        self,
+        port: VehiclePort,
+        clock: Callable[[], float],
+        *,
+        system_id: int,
+        component_id: int,
+        patience: Patience,
+    ) -> None:
+        """:param clock: seconds on any timeline that does not jump.
+        :param system_id: what to speak as until the autopilot is known.
+        """
+        self.port = port
+        self._clock = clock
+        self._patience = patience
+        self._writer = FrameWriter(system_id, component_id)
+        self._reader = FrameReader()
+        self._wake = asyncio.Event()
+        self._generation = 0
+        self._beat_at = -math.inf
+
+    async def find(self, system_id: int) -> Autopilot:
+        """The autopilot with this system id; 0: the first one heard. Raises `VehicleError` saying what was heard."""
+        self.port.start(self._wake.set)
+        talk = Introduction(system_id, self._patience)
+        await self._hold(talk, lambda: talk.autopilot is not None, self._patience.heartbeat_s)
+        if talk.autopilot is None:
+            raise VehicleError(f"{self.port.name}: {self._why_nobody(talk, system_id)}")
+        self._writer.system_id = talk.autopilot.system_id
+        await self._hold(talk, lambda: talk.done, math.inf)
+        return talk.autopilot
+
+    def _why_nobody(self, talk: Introduction, system_id: int) -> str:
+        if self.port.trouble:
+            return self.port.trouble.lower()
+        if talk.others:
+            heard = ", ".join(map(str, sorted(talk.others)))
+            return f"no autopilot with system id {system_id} heard, but {heard} (mavlink.autopilot_id)"
+        if self._reader.frames:
+            return "MAVLink is heard, but no autopilot's heartbeat"
+        if self._reader.malformed or self._reader.garbage_bytes:
+            return "what is heard is no MAVLink (wrong speed, or another device)"
+        return "nothing heard"
+
+    async def read(self, autopilot: Autopilot, names: Iterable[str], *, guesses: bool = False) -> Exchange:
+        """Ask for parameters by name. Raises `VehicleError` if it answers nothing at all, unless these are guesses."""
+        talk = Exchange(autopilot, {name: reading(autopilot, name) for name in names}, self._patience)
+        await self._hold(talk, lambda: talk.done, math.inf)
+        if not guesses and talk.silent and not talk.values and not talk.refused:
+            raise VehicleError(f"{self.port.name}: system {autopilot.system_id} answers no question about parameters")
+        return talk
+
+    async def write(self, autopilot: Autopilot, wanted: Sequence[ParameterValue]) -> tuple[Exchange, Exchange]:
+        """Set parameters, one after the other and in this order, and read each back.
+
+        :returns: what was answered when they were set, and when they were read back; the latter is what holds.
+        :raises VehicleError: nothing was answered when they were read back.
+        """
+        before = autopilot.system_id
+        new = next((int(value.value) for value in wanted if value.name in SYSTEM_ID_NAMES), 0)
+        talk = Exchange(
+            autopilot,
+            {value.name: setting(autopilot, value) for value in wanted},
+            self._patience._replace(window=1),
+            new_system_id=new,
+        )
+        await self._hold(talk, lambda: talk.done, math.inf)
+        names = [value.name for value in wanted]
+        if new and new != before:
+            # It may answer a while under the old id, and then go over to the new one.
+            for system_id in (autopilot.system_id, new if autopilot.system_id == before else before):
+                autopilot.system_id = system_id
+                try:
+                    return talk, await self.read(autopilot, names)
+                except VehicleError:
+                    continue
+        return talk, await self.read(autopilot, names)
+
+    async def _hold(self, talk: Talk, until: Callable[[], bool], timeout_s: float) -> None:
+        give_up = self._clock() + timeout_s
+        while True:
+            self._take_in(talk)
+            now = self._clock()
+            if until() or now >= give_up:
+                return
+            self._beat(now)
+            for message_id, payload in talk.say(now):
+                self.port.send(self._writer.frame(message_id, payload))
+            if until():
+                return
+            pause = min(give_up, talk.next_at, self._beat_at) - self._clock()
+            if pause > 0:
+                try:
+                    await asyncio.wait_for(self._wake.wait(), pause)
+                except asyncio.TimeoutError:
+                    continue
+                self._wake.clear()
+
+    def _take_in(self, talk: Talk) -> None:
+        arrived = self.port.receive()
+        if self.port.generation != self._generation:
+            # An autopilot says nothing on a port on which it has heard nobody: the heartbeat comes first.
+            self._generation = self.port.generation
+            self._reader.flush()
+            self._beat_at = -math.inf
+        for data in arrived:
+            frames = self._reader.feed(data)
+            if not self.port.stream and self._reader.pending:
+                frames += self._reader.flush()
+            for frame in frames:
+                talk.hear(frame, self._clock())
+
+    def _beat(self, now: float) -> None:
+        if now >= self._beat_at:
+            self._beat_at = now + _HEARTBEAT_S
+            self.port.send(self._writer.frame(HEARTBEAT, _HEARTBEAT))

@@ -1,0 +1,160 @@
+"""An autopilot's parameters as MAVLink carries them, seen from the asker's side.
+
+The protocol: https://mavlink.io/en/services/parameter.html. A value always travels in a field for a 32-bit float.
+ArduPilot converts whole numbers to floats ("C cast"); PX4 puts the bytes of the whole number there ("bytewise").
+What our own node answers about its parameters is in `component`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import NamedTuple
+
+from rass_mav.core.errors import MalformedError
+
+from .component import CMD_REQUEST_MESSAGE, PARAM_NAME_SIZE, REAL32, single
+from .dialect import common, payload_of
+from .frames import Frame
+from .messages import parse
+
+ARDUPILOT: int = common.MAV_AUTOPILOT_ARDUPILOTMEGA
+PX4: int = common.MAV_AUTOPILOT_PX4
+INT32: int = common.MAV_PARAM_TYPE_INT32
+
+_BYTEWISE: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+_C_CAST: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST | common.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+#: The types that fit into the field, with their layout in its four bytes (bytewise).
+_LAYOUTS: dict[int, str] = {
+    common.MAV_PARAM_TYPE_UINT8: "<B3x",
+    common.MAV_PARAM_TYPE_INT8: "<b3x",
+    common.MAV_PARAM_TYPE_UINT16: "<H2x",
+    common.MAV_PARAM_TYPE_INT16: "<h2x",
+    common.MAV_PARAM_TYPE_UINT32: "<I",
+    common.MAV_PARAM_TYPE_INT32: "<i",
+    common.MAV_PARAM_TYPE_REAL32: "<f",
+}
+TYPES: frozenset[int] = frozenset(_LAYOUTS)
+# Sizes, for the whole numbers that a type can hold.
+_RANGES = {
+    kind: (-(1 << bits - 1), (1 << bits - 1) - 1) if layout[1].islower() else (0, (1 << bits) - 1)
+    for kind, layout in _LAYOUTS.items()
+    if (bits := 8 * struct.calcsize(layout[:2])) and kind != REAL32
+}
+
+
+class ParameterValue(NamedTuple):
+    """What PARAM_VALUE says."""
+
+    name: str
+    value: float
+    """A whole number for all types but REAL32."""
+    kind: int
+    """MAV_PARAM_TYPE."""
+
+
+class AutopilotVersion(NamedTuple):
+    """What AUTOPILOT_VERSION says."""
+
+    capabilities: int
+    version: tuple[int, int, int]
+    """Major, minor and patch of the firmware; all 0: not told."""
+
+
+def is_bytewise(capabilities: int, autopilot: int) -> bool:
+    """How this autopilot encodes whole numbers.
+
+    :param capabilities: of its AUTOPILOT_VERSION; 0: not known.
+    :param autopilot: MAV_AUTOPILOT of its heartbeat, which decides where the capabilities do not.
+    """
+    if capabilities & _BYTEWISE:
+        return True
+    if capabilities & _C_CAST:
+        return False
+    return autopilot == PX4
+
+
+def fits(value: float, kind: int) -> bool:
+    """Whether a parameter of this type can hold the number."""
+    if kind not in _RANGES:
+        return math.isfinite(single(value))
+    least, most = _RANGES[kind]
+    return value == int(value) and least <= value <= most
+
+
+def same(a: float, b: float, kind: int, *, bytewise: bool) -> bool:
+    """Whether two numbers are the same for a parameter of this type, as far as the wire can tell them apart."""
+    return a == b if bytewise and kind != REAL32 else single(a) == single(b)
+
+
+def read_value(frame: Frame, *, bytewise: bool) -> ParameterValue:
+    """What a PARAM_VALUE frame says.
+
+    :raises MalformedError: a type that the field cannot hold, or a name that is none.
+    """
+    message = parse(frame)
+    kind = message.param_type
+    if kind not in _LAYOUTS:
+        raise MalformedError(f"PARAM_VALUE: parameter type {kind}")
+    name = _name(message.param_id)
+    if kind == REAL32:
+        return ParameterValue(name, message.param_value, kind)
+    if bytewise:
+        # From the frame itself: Python may change the bits of what is not a number on its way through a float.
+        (value,) = struct.unpack(_LAYOUTS[kind], frame.payload[:4].ljust(4, b"\0"))
+        return ParameterValue(name, value, kind)
+    if not math.isfinite(message.param_value):
+        raise MalformedError(f"PARAM_VALUE: {name} is {message.param_value}")
+    return ParameterValue(name, round(message.param_value), kind)
+
+
+def read_error(frame: Frame) -> tuple[str, int]:
+    """The name and MAV_PARAM_ERROR of a PARAM_ERROR frame. Raises `MalformedError`."""
+    message = parse(frame)
+    return _name(message.param_id), message.error
+
+
+def read_version(frame: Frame) -> AutopilotVersion:
+    """What an AUTOPILOT_VERSION frame says. Raises `MalformedError`."""
+    message = parse(frame)
+    number = message.flight_sw_version
+    return AutopilotVersion(message.capabilities, (number >> 24, number >> 16 & 0xFF, number >> 8 & 0xFF))
+
+
+def param_request_read(name: str, *, target_system: int, target_component: int) -> bytes:
+    """Payload of PARAM_REQUEST_READ by name; `name`: 1 to 16 ASCII characters."""
+    return payload_of(
+        common.MAVLink_param_request_read_message(target_system, target_component, name.encode("ascii"), -1)
+    )
+
+
+def param_set(
+    name: str, value: float, kind: int, *, bytewise: bool, target_system: int, target_component: int
+) -> bytes:
+    """Payload of PARAM_SET.
+
+    :param name: 1 to 16 ASCII characters.
+    :param value: fits the type (`fits`).
+    :param kind: MAV_PARAM_TYPE, as the vehicle said it.
+    """
+    layout = _LAYOUTS[kind if bytewise else REAL32]
+    field = struct.pack(layout, int(value) if layout != _LAYOUTS[REAL32] else value)
+    message = common.MAVLink_param_set_message(target_system, target_component, name.encode("ascii"), 1.0, kind)
+    # The value comes first on the wire. Packed by hand: as a float, some whole numbers would be no numbers.
+    return field + payload_of(message)[len(field) :]
+
+
+def request_message(message_id: int, *, target_system: int, target_component: int) -> bytes:
+    """Payload of COMMAND_LONG with MAV_CMD_REQUEST_MESSAGE: asks for a message once."""
+    return payload_of(
+        common.MAVLink_command_long_message(
+            target_system, target_component, CMD_REQUEST_MESSAGE, 0, message_id, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        )
+    )
+
+
+def _name(field: str | bytes) -> str:
+    text = (field if isinstance(field, str) else field.decode("ascii", errors="replace")).split("\0", 1)[0]
+    if not (0 < len(text) <= PARAM_NAME_SIZE and text.isascii() and text.isprintable()):
+        raise MalformedError(f"a parameter's name: {text!r}")
+    return text

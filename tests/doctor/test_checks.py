@@ -1,0 +1,272 @@
+"""Each check of the computer alone, seen passing and failing, with real files, devices and networks."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+
+import pytest
+
+from rass_mav.app.config import load_config
+from rass_mav.app.links import LinkSection, PeerSection
+from rass_mav.core.errors import ServiceError
+from rass_mav.doctor import computer, network, ports, service, storage
+from rass_mav.doctor.checkup import as_the_service
+from rass_mav.doctor.finding import Finding
+from rass_mav.store.sqlite import SqliteStore
+from tests.link.ptys import Device
+
+NOW = 1_790_000_000.0
+
+
+def sound(finding: Finding) -> Finding:
+    """What holds for all of them: one line, and a remedy where there is something to do."""
+    assert "\n" not in finding.line()
+    assert finding.line().startswith(f"{finding.level}  {finding.name}: ")
+    assert bool(finding.remedy) == (finding.level != "pass")
+    return finding
+
+
+def test_python() -> None:
+    assert sound(computer.python(sys.version_info[:3], sys.executable)).level == "pass"
+    old = sound(computer.python((3, 9, 2), "/usr/bin/python3"))
+    assert (old.level, "3.10 or newer" in old.remedy) == ("fail", True)
+
+
+def test_packages() -> None:
+    here = sound(computer.packages(["pymavlink", "msgspec", "pyyaml", "pyserial"]))
+    assert here.level == "pass"
+    assert "pyserial" in here.text
+
+    def installed(name: str) -> str:
+        if name == "pyserial":
+            raise PackageNotFoundError(name)
+        return {"pymavlink": "2.4.9"}[name]
+
+    lacking = sound(computer.packages(["pymavlink", "pyserial"], installed, {"pymavlink": "2.4.48"}))
+    assert (lacking.level, lacking.text) == ("fail", "pymavlink is 2.4.9, needs 2.4.48, pyserial is missing")
+    assert "rass-mav[drone]" in lacking.remedy
+
+
+@pytest.mark.parametrize(
+    ("yaml", "serial"),
+    [
+        ("node: {id: 1, role: base}\n", False),
+        ("node: {id: 1, role: base}\nautopilot: {url: '/dev/ttyAMA0,57600'}\n", True),
+        ("node: {id: 1, role: base}\nsensor: {type: gmc, port: /dev/ttyUSB0}\n", True),
+        ("node: {id: 1}\nlinks: [{type: serial, device: '/dev/ttyUSB0,57600'}]\n", True),
+        ("node: {id: 1}\nlinks: [{broadcast: '192.168.4.255:1'}]\n", False),
+    ],
+)
+def test_pyserial_is_needed_where_a_serial_port_is(yaml: str, serial: bool, tmp_path: Path) -> None:
+    (tmp_path / "n.yaml").write_text(yaml)
+    config = load_config(tmp_path / "n.yaml")
+    assert ("pyserial" in computer.needed_packages(config)) is serial
+    assert bool(list(ports.serial_ports(config))) is serial
+
+
+def test_clock(tmp_path: Path) -> None:
+    store = tmp_path / "n.db"
+    chip = tmp_path / "chip"
+    (chip / "sys/class/rtc/rtc0").mkdir(parents=True)
+    assert sound(computer.clock(NOW, store, chip)).level == "pass"
+    net = tmp_path / "net"
+    (net / "run/systemd/timesync").mkdir(parents=True)
+    assert sound(computer.clock(NOW, store, net)).level == "warn"
+    (net / "run/systemd/timesync/synchronized").touch()
+    assert "time server" in sound(computer.clock(NOW, store, net)).text
+    assert "cannot be" in sound(computer.clock(12.0, store, chip)).text
+    store.touch()
+    os.utime(store, (NOW, NOW))
+    behind = sound(computer.clock(NOW - 3600.0, store, chip))
+    assert (behind.level, "was written at" in behind.text) == ("warn", True)
+    assert computer.clock(NOW + 1.0, store, chip).level == "pass"
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Iterator[Device]:
+    device = Device(tmp_path, "serial0").plug_in()
+    yield device
+    device.pull_out()
+
+
+def port(device: Device, baud: int = 57600) -> ports.SerialPort:
+    return ports.SerialPort("autopilot.url", str(device.path), baud)
+
+
+def test_a_serial_port_that_is_there_and_one_that_is_not(device: Device, tmp_path: Path) -> None:
+    assert sound(ports.serial_port(port(device), tmp_path)).level == "pass"
+    gone = sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/ttyUSB7"), tmp_path))
+    assert (gone.level, gone.text) == ("fail", "not there (autopilot.url)")
+    assert "by-id" in gone.remedy
+    uart = sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/ttyAMA9"), tmp_path))
+    assert "raspi-config" in uart.remedy
+    (tmp_path / "file").touch()
+    assert (
+        sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/file"))).text == "no device (autopilot.url)"
+    )
+
+
+@pytest.mark.parametrize("file", ["consoles", "cmdline"])
+def test_a_console_on_the_port(file: str, device: Device, tmp_path: Path) -> None:
+    (tmp_path / "proc").mkdir()
+    real = device.path.resolve().name
+    text = (
+        f"tty0 -WU (EC p) 4:7\n{real} -W- (E) 4:64\n" if file == "consoles" else "quiet console=serial0,115200 root=x"
+    )
+    (tmp_path / "proc" / file).write_text(text)
+    taken = sound(ports.serial_port(port(device), tmp_path))
+    assert (taken.level, "console" in taken.text) == ("fail", True)
+    (tmp_path / "proc" / file).write_text("tty0 console=tty1")
+    assert ports.serial_port(port(device), tmp_path).level == "pass"
+
+
+def test_a_port_of_another_group(device: Device, tmp_path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("needs root, to be somebody else for a moment")
+    nobody = pwd.getpwnam("nobody").pw_uid
+    device.path.resolve().chmod(0o600)
+    # pytest's folders are closed to others.
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
+    os.seteuid(nobody)
+    try:
+        closed = sound(ports.serial_port(port(device), tmp_path))
+    finally:
+        os.seteuid(0)
+    assert closed.level == "fail"
+    assert "may not open it" in closed.text
+    assert "sudo usermod -aG" in closed.remedy
+
+
+def test_the_mini_uart_is_too_slow(tmp_path: Path) -> None:
+    shared = Path("/dev/ttyS0")
+    if not shared.exists():
+        # A device under that name, on a disk of its own: any character device will do.
+        shared = tmp_path / "ttyS0"
+        shared.symlink_to("/dev/null")
+    link = tmp_path / "serial0"
+    link.symlink_to(shared)
+    found = ports.serial_port(ports.SerialPort("autopilot.url", str(link), 921600), tmp_path)
+    if link.resolve().name.startswith("ttyS"):
+        assert (found.level, "mini UART" in found.text) == ("warn", True)
+    slow = ports.serial_port(ports.SerialPort("autopilot.url", str(link), 57600), tmp_path)
+    assert slow.level == "pass"
+
+
+WLAN = network.Interface("wlan0", "192.168.4.7", "192.168.4.255")
+WIRE = network.Interface("eth0", "10.0.0.7", "10.0.0.255")
+LOOP = network.Interface("lo", "127.0.0.1", "0.0.0.0")
+
+
+def test_interfaces_are_those_of_this_computer() -> None:
+    known = {interface.name: interface for interface in network.interfaces()}
+    assert known["lo"].address == "127.0.0.1"
+    assert set(known) <= {name for _, name in socket.if_nameindex()}
+
+
+@pytest.mark.parametrize(
+    ("link", "known", "level", "said"),
+    [
+        (LinkSection(broadcast="192.168.4.255:1"), [LOOP, WLAN], "pass", "broadcast to 192.168.4.255 on wlan0"),
+        (LinkSection(broadcast="192.168.5.255:1"), [LOOP, WLAN], "fail", "of no interface"),
+        (LinkSection(broadcast="192.168.4.255:1"), [], "fail", "there are none"),
+        (LinkSection(broadcast="255.255.255.255:1"), [LOOP, WLAN], "pass", "broadcast to 255.255.255.255"),
+        (LinkSection(broadcast="255.255.255.255:1"), [LOOP, WLAN, WIRE], "warn", "on one of 2 networks only"),
+        (LinkSection(multicast="239.255.82.83:1", interface="127.0.0.1"), [LOOP], "pass", "group 239.255.82.83"),
+        (
+            LinkSection(multicast="239.255.82.83:1", interface="203.0.113.9"),
+            [LOOP],
+            "fail",
+            "203.0.113.9 is no address",
+        ),
+        (LinkSection(listen="203.0.113.9:1", broadcast="192.168.4.255:1"), [WLAN], "fail", "is no address"),
+        (LinkSection(peers=(PeerSection(address="127.0.0.1:1"),)), [LOOP], "pass", "1 peers"),
+        (LinkSection(peers=(PeerSection(address="no-such-host.invalid:1"),)), [LOOP], "fail", "is not known"),
+    ],
+)
+def test_addresses_of_links(link: LinkSection, known: list[network.Interface], level: str, said: str) -> None:
+    found = sound(network.link_address(0, link, known))
+    assert (found.level, said in found.text) == (level, True), found
+
+
+def test_a_name_service_that_hangs_does_not_hold_us_up() -> None:
+    began = time.monotonic()
+    assert not network.is_known("another-host.invalid")
+    assert time.monotonic() - began < 2 * network.LOOKUP_S
+
+
+def test_a_store(tmp_path: Path) -> None:
+    path = tmp_path / "n.db"
+    fresh = sound(storage.store(path))
+    assert (fresh.level, "not made yet" in fresh.text) == ("pass", True)
+    assert sound(storage.store(tmp_path / "nowhere/n.db")).level == "fail"
+    store = SqliteStore.open(path, draw_epoch=lambda: 1)
+    # A node may be using it.
+    assert "0 data" in sound(storage.store(path)).text
+    store.close()
+    assert sound(storage.store(path, free=3_000_000)).level == "fail"
+    assert sound(storage.store(path, free=30_000_000)).level == "warn"
+    path.with_name("n.db.damaged-1").touch()
+    aside = sound(storage.store(path))
+    assert (aside.level, "n.db.damaged-1" in aside.text) == ("warn", True)
+    path.write_bytes(b"no database, for sure" * 100)
+    damaged = sound(storage.store(path))
+    assert (damaged.level, "set it aside" in damaged.remedy) == ("warn", True)
+    if os.geteuid() == 0:
+        for folder in (tmp_path, *tmp_path.parents[:2]):
+            folder.chmod(0o755)
+        os.seteuid(pwd.getpwnam("nobody").pw_uid)
+        try:
+            assert "may not be written" in sound(storage.store(path)).text
+        finally:
+            os.seteuid(0)
+
+
+def test_the_services_configuration_has_its_store_in_the_services_folder(tmp_path: Path) -> None:
+    file = tmp_path / "etc/second/node.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text("node: {id: 7, role: base}\n")
+    config = load_config(file)
+    assert as_the_service(config, str(file), "second", tmp_path).store_path == Path("rass-7.db")
+    home = tmp_path / "var/lib/second"
+    home.mkdir(parents=True)
+    found = as_the_service(config, str(file), "second", tmp_path)
+    assert (found.store_path, found.socket_path) == (home / "rass-7.db", home / "rass-7.sock")
+    assert as_the_service(config, "drone.yaml", "second", tmp_path) is config
+
+
+def test_which_service_reads_a_configuration() -> None:
+    assert service.name_of("/etc/second/node.yaml") == "second"
+    assert service.name_of("drone.yaml") == service.name_of("/etc/second/other.yaml") == "rass-mav"
+
+
+@pytest.mark.parametrize(
+    ("known", "level", "said"),
+    [
+        ({"ActiveState": "active", "UnitFileState": "enabled", "NRestarts": "0"}, "pass", "starts at boot"),
+        ({"ActiveState": "active", "UnitFileState": "enabled", "NRestarts": "3"}, "warn", "started again 3 times"),
+        ({"ActiveState": "active", "UnitFileState": "disabled"}, "warn", "does not start at boot"),
+        ({"ActiveState": "failed", "UnitFileState": "enabled"}, "fail", "is failed"),
+    ],
+)
+def test_a_service_that_is_installed(known: dict[str, str], level: str, said: str, tmp_path: Path) -> None:
+    assert (
+        sound(service.service("rass-mav", lambda name, timeout_s: known, tmp_path)).text == "rass-mav is not installed"
+    )
+    unit = tmp_path / "etc/systemd/system/rass-mav.service"
+    unit.parent.mkdir(parents=True)
+    unit.touch()
+    found = sound(service.service("rass-mav", lambda name, timeout_s: known, tmp_path))
+    assert (found.level, said in found.text) == (level, True)
+
+    def silent(name: str, timeout_s: float) -> dict[str, str]:
+        raise ServiceError("systemctl: no answer in 2 s")
+
+    assert sound(service.service("rass-mav", silent, tmp_path)).level == "warn"

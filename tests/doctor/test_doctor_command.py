@@ -1,0 +1,349 @@
+"""`rass-mav doctor` on real nodes, ports and a mock flight controller: with the node running, and without it."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import serial
+
+from rass_mav.cli import main
+from rass_mav.doctor import watch
+from tests.app.app_nodes import RunningNode, command, free_ports
+from tests.link.ptys import Device
+from tests.mock_vehicle import MockVehicle
+
+#: Ten seconds are promised; here a busy machine is added.
+PATIENCE_S = 15.0
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def tidy() -> Iterator[Callable[[RunningNode], RunningNode]]:
+    """Ends what a test has left running."""
+    with ExitStack() as stack:
+
+        def remember(node: RunningNode) -> RunningNode:
+            stack.callback(node.end)
+            return node
+
+        yield remember
+
+
+Tidy = Callable[[RunningNode], RunningNode]
+
+
+def examined(path: Path, capsys: Capture, code: int) -> dict[str, dict[str, Any]]:
+    """The checks by name; the command ends in time, with this exit code."""
+    began = time.monotonic()
+    assert main(["doctor", str(path), "--json"]) == code
+    assert time.monotonic() - began < PATIENCE_S
+    said = capsys.readouterr()
+    assert said.err == ""
+    report = json.loads(said.out)
+    levels = [check["level"] for check in report["checks"]]
+    assert [report[key] for key in ("passed", "warned", "failed")] == [
+        levels.count(level) for level in ("pass", "warn", "fail")
+    ]
+    assert code == (1 if "fail" in levels else 0), [c for c in report["checks"] if c["level"] == "fail"]
+    assert all((check["remedy"] is None) == (check["level"] == "pass") for check in report["checks"])
+    names = [check["name"] for check in report["checks"]]
+    assert len(names) == len(set(names))
+    return {check["name"]: check for check in report["checks"]} | {"report": report}
+
+
+def levels(found: dict[str, dict[str, Any]], *names: str) -> list[str]:
+    return [found[name]["level"] for name in names]
+
+
+def drone(directory: Path, vehicle: int, listen: int, peer: int, **sections: Any) -> RunningNode:
+    return RunningNode(
+        directory, 7,
+        autopilot={"url": f"udpin:127.0.0.1:{vehicle}"},
+        links=[{"listen": f"127.0.0.1:{listen}", "peers": [{"address": f"127.0.0.1:{peer}"}]}],
+        risk={"low": 0, "high": 100},
+        **sections,
+    )  # fmt: skip
+
+
+def base(directory: Path, listen: int, peer: int, node_id: int = 1, name: str | None = None) -> RunningNode:
+    links = [{"listen": f"127.0.0.1:{listen}", "peers": [{"address": f"127.0.0.1:{peer}"}]}]
+    return RunningNode(directory, node_id, name, node={"role": "base"}, links=links)
+
+
+@pytest.mark.parametrize("running", [False, True], ids=["trial", "running"])
+def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    vehicle_port, listen, peer = free_ports(3)
+    node = drone(tmp_path, vehicle_port, listen, peer)
+    other = tidy(base(tmp_path, peer, listen)).start()
+    vehicle = MockVehicle(42)
+    vehicle.reading = 25.0
+    with vehicle.on_udp(vehicle_port):
+        if running:
+            tidy(node).start()
+            node.until(lambda: node.status()["neighbours"] != [])
+        found = examined(Path(node.config), capsys, 0)
+    assert found["report"]["running"] is running
+    assert found["report"]["node_id"] == 7
+    needed = ("python", "packages", "configuration", "store", "node", "autopilot", "position", "sensor", "links[0]",
+              "links[0] address", "links[0] hops", "neighbours", "loops", "node id")  # fmt: skip
+    assert set(levels(found, *needed)) == {"pass"}, found
+    assert "system 42, disarmed" in found["autopilot"]["text"]
+    assert "ArduPilot" in found["autopilot"]["text"]
+    # The mock flight controller speaks five times a second.
+    for name in ("position", "sensor"):
+        per_second = float(found[name]["text"].rsplit(" ", 1)[1].removesuffix("/s"))
+        assert 2.0 < per_second < 8.0
+    assert found["neighbours"]["text"] == "1 (base)"
+    if running:
+        assert "process" in found["node"]["text"]
+        node.signal(signal.SIGTERM)
+    else:
+        assert "4.6.3" in found["autopilot"]["text"]
+        assert "ardupilot-4.6.parm --live" in found["parameters"]["text"]
+        # The neighbour has heard nothing of it, and nothing was stored.
+        assert other.status()["neighbours"] == []
+        assert not (tmp_path / "n7.db").exists()
+    other.signal(signal.SIGTERM)
+
+
+@pytest.mark.parametrize("running", [False, True], ids=["trial", "running"])
+def test_a_node_with_nothing(running: bool, tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    vehicle_port, listen, peer = free_ports(3)
+    node = drone(tmp_path, vehicle_port, listen, peer)
+    if running:
+        tidy(node).start()
+    found = examined(Path(node.config), capsys, 1)
+    assert levels(found, "autopilot", "sensor", "position", "neighbours") == ["fail", "fail", "warn", "warn"]
+    assert found["autopilot"]["text"] == f"nothing heard on udpin:127.0.0.1:{vehicle_port}"
+    assert "NAMED_VALUE_FLOAT RAD" in found["sensor"]["text"]
+    assert "parameters" not in found
+
+
+def test_for_people_each_check_is_a_line(tmp_path: Path) -> None:
+    RunningNode(tmp_path, 1, node={"role": "base"}, links=[])
+    said = command(tmp_path, "doctor", "n1.yaml")
+    assert (said.returncode, said.stderr) == (0, b"")
+    *lines, last = said.stdout.decode().splitlines()
+    assert all(line.split("  ")[0] in ("pass", "warn") and ": " in line for line in lines)
+    count = {level: sum(line.startswith(level) for line in lines) for level in ("pass", "warn")}
+    assert last == f"{count['pass']} passed, {count['warn']} warned, 0 failed"
+
+
+@pytest.mark.parametrize(
+    "yaml", [None, "node: {id: 7}\npolicy: {alpha: ten}\n", "links: [\n"], ids=["none", "wrong", "no yaml"]
+)
+def test_a_wrong_configuration_is_a_finding(yaml: str | None, tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "n7.yaml"
+    if yaml is not None:
+        path.write_text(yaml)
+    found = examined(path, capsys, 1)
+    assert levels(found, "configuration", "python", "packages") == ["fail", "pass", "pass"]
+    assert str(path) in found["configuration"]["text"]
+    assert found["report"]["node_id"] is None
+
+
+def test_no_fix_yet(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    vehicle_port, listen, peer = free_ports(3)
+    node = drone(tmp_path, vehicle_port, listen, peer)
+    vehicle = MockVehicle()
+    vehicle.position, vehicle.reading = None, 1.0
+    with vehicle.on_udp(vehicle_port):
+        found = examined(Path(node.config), capsys, 0)
+    assert (found["position"]["level"], found["position"]["text"]) == ("warn", "no fix yet")
+
+
+def test_another_autopilot_and_several(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    vehicle_port, listen, peer = free_ports(3)
+    meant = drone(tmp_path, vehicle_port, listen, peer, mavlink={"autopilot_id": 9})
+    with MockVehicle(3).on_udp(vehicle_port):
+        found = examined(Path(meant.config), capsys, 1)
+    assert found["autopilot"]["text"] == f"no system 9 on udpin:127.0.0.1:{vehicle_port}, but 3"
+    first = drone(tmp_path, vehicle_port, listen, peer)
+    with MockVehicle(3).on_udp(vehicle_port), MockVehicle(4).on_udp(vehicle_port):
+        found = examined(Path(first.config), capsys, 1)
+    assert found["autopilot"]["level"] == "warn"
+    assert "heard on its port too" in found["autopilot"]["text"]
+
+
+def test_a_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    vehicle_port, listen, peer = free_ports(3)
+    node = drone(tmp_path, vehicle_port, listen, peer)
+    with ExitStack() as stack:
+        for port in (vehicle_port, listen):
+            sock = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            sock.bind(("127.0.0.1", port))
+        found = examined(Path(node.config), capsys, 1)
+    for name in ("autopilot", "links[0]"):
+        assert found[name]["level"] == "fail"
+        assert "address already in use" in found[name]["text"]
+    assert "position" not in found
+
+
+def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    device, counter = Device(tmp_path, "ttyAMA0"), Device(tmp_path, "ttyUSB0")
+    node = RunningNode(
+        tmp_path, 7, node={"role": "drone"},
+        autopilot={"url": f"{device.path},57600"},
+        sensor={"type": "mightyohm", "port": str(counter.path)},
+        links=[{"type": "autopilot"}],
+        mavlink={"autopilot_id": 1},
+    )  # fmt: skip
+    found = examined(Path(node.config), capsys, 1)
+    assert levels(found, f"serial port {device.path}", f"serial port {counter.path}", "autopilot", "sensor",
+                  "links[0]") == 5 * ["fail"]  # fmt: skip
+    device.plug_in()
+    counter.plug_in()
+    try:
+        with MockVehicle().on_pty(device.far), Talking(counter.far, b"CPS, 1, CPM, 60, uSv/hr, 0.35, SLOW\r\n"):
+            found = examined(Path(node.config), capsys, 0)
+        assert levels(found, f"serial port {device.path}", f"serial port {counter.path}", "autopilot", "sensor",
+                      "links[0]") == 5 * ["pass"]  # fmt: skip
+        # Who is heard through an autopilot may be far away.
+        assert (found["links[0] hops"]["level"], "links[0].only" in found["links[0] hops"]["remedy"]) == ("warn", True)
+        with Talking(device.far, bytes(range(1, 200))), Talking(counter.far, b"\xff\xfe\r\n"):
+            found = examined(Path(node.config), capsys, 1)
+        assert "is no MAVLink" in found["autopilot"]["text"]
+        assert found["sensor"]["level"] == "fail"
+    finally:
+        device.pull_out()
+        counter.pull_out()
+
+
+def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    device = Device(tmp_path, "ttyAMA0").plug_in()
+    node = RunningNode(
+        tmp_path, 7, node={"role": "base"}, autopilot={"url": f"serial:{device.path}:57600"}, links=[]
+    )  # fmt: skip
+    try:
+        with serial.Serial(str(device.path), 57600, exclusive=True):
+            found = examined(Path(node.config), capsys, 1)
+    finally:
+        device.pull_out()
+    assert found["autopilot"]["text"].endswith(": another program has the port")
+
+
+class Talking:
+    """Says the same thing again and again at the far end of a pseudo-terminal."""
+
+    def __init__(self, descriptor: int, data: bytes) -> None:
+        self._stop = threading.Event()
+
+        def talk() -> None:
+            while not self._stop.wait(0.2):
+                try:
+                    os.write(descriptor, data)
+                except OSError:
+                    continue  # nobody reads
+
+        self._thread = threading.Thread(target=talk)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+def test_only_on_a_link_that_forwards(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    listen, peer = free_ports(2)
+    link = {"listen": f"127.0.0.1:{listen}", "peers": [{"address": f"127.0.0.1:{peer}"}], "one_hop": False}
+    node = RunningNode(tmp_path, 7, node={"role": "base"}, links=[link])
+    assert examined(Path(node.config), capsys, 0)["links[0] hops"]["level"] == "warn"
+    node = RunningNode(tmp_path, 7, node={"role": "base"}, links=[{**link, "only": [3, 4]}])
+    assert "only nodes 3, 4" in examined(Path(node.config), capsys, 0)["links[0] hops"]["text"]
+
+
+def test_the_same_node_id_twice(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    mine, theirs = free_ports(2)
+    tidy(base(tmp_path, theirs, mine, 5, "rival")).start()
+    node = base(tmp_path, mine, theirs, 5)
+    found = examined(Path(node.config), capsys, 1)
+    assert found["node id"]["level"] == "fail"
+    tidy(node).start()
+    node.until(lambda: node.status()["rivals"] != [])
+    assert examined(Path(node.config), capsys, 1)["node id"]["level"] == "fail"
+
+
+def test_a_loop_that_brings_everything_back(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
+    """A forwarder at the neighbour's address sends back what it hears."""
+    monkeypatch.chdir(tmp_path)
+    (mine,) = free_ports(1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as forwarder:
+        forwarder.bind(("127.0.0.1", 0))
+        node = tidy(base(tmp_path, mine, forwarder.getsockname()[1])).start()
+        stop, stopped = socket.socketpair()
+
+        def forward() -> None:
+            while stopped not in select.select([forwarder, stopped], [], [])[0]:
+                forwarder.sendto(forwarder.recv(2048), ("127.0.0.1", mine))
+
+        thread = threading.Thread(target=forward)
+        thread.start()
+        try:
+            found = examined(Path(node.config), capsys, 1)
+        finally:
+            stop.send(b"x")
+            thread.join()
+            stop.close()
+            stopped.close()
+    assert (found["loops"]["level"], "came back" in found["loops"]["text"]) == ("fail", True)
+
+
+def test_a_node_that_does_not_answer_and_one_that_was_killed(
+    tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
+    assert node.process is not None
+    node.process.send_signal(signal.SIGSTOP)
+    found = examined(Path(node.config), capsys, 1)
+    assert (found["node"]["level"], "does not answer" in found["node"]["text"]) == ("fail", True)
+    # Its ports are not free, so they are not tried.
+    assert "autopilot" not in found
+    node.process.send_signal(signal.SIGCONT)
+    node.signal(signal.SIGKILL)
+    found = examined(Path(node.config), capsys, 0)
+    assert "was killed" in found["node"]["text"]
+
+
+def test_a_running_node_of_another_configuration(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
+    RunningNode(tmp_path, 2, "n1", node={"role": "base"}, links=[])
+    found = examined(Path(node.config), capsys, 1)
+    assert "runs: node 1 (base)" in found["node"]["text"]
+    assert found["node"]["level"] == "fail"
+
+
+def test_rates() -> None:
+    def sample(uptime: float, at: float | None) -> dict[str, Any]:
+        return {"uptime_s": uptime, "reading": None if at is None else {"age_s": round(uptime - at, 3)}}
+
+    looks = [sample(0.0, None), sample(0.1, 0.05), sample(0.2, 0.05), sample(1.1, 1.05), sample(2.1, 2.05)]
+    assert watch.readings(looks) == pytest.approx([0.05, 1.05, 2.05])
+    assert watch.rate(watch.readings(looks)) == pytest.approx(1.0)
+    # What came long before we looked tells nothing about now.
+    assert watch.readings([sample(100.0, 50.0), sample(101.0, 50.0)]) == []
+    assert watch.rate([1.0]) is None

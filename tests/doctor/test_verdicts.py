@@ -1,0 +1,213 @@
+"""What is made of a node's status: each verdict that no port or neighbour brings about at will.
+
+The status is a real one, of a trial; what the test is about is changed in it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.app.config import RunConfig, load_config
+from rass_mav.doctor import neighbours, node, vehicle
+from rass_mav.doctor.finding import Finding
+from rass_mav.doctor.trial import try_out
+from rass_mav.doctor.watch import Ear, Evidence
+from tests.app.app_nodes import free_ports
+
+Change = Callable[[dict[str, Any]], Any]
+AUTOPILOT = {
+    "system_id": 3, "type": 3, "heartbeat_age_s": 0.2, "armed": False, "reboots": 0, "no_fix_age_s": None,
+}  # fmt: skip
+NEIGHBOUR = {
+    "node_id": 4, "base": False, "hops": 1, "risk": 0.0, "cost": 0.1, "free_items": 9, "same_policy": True, "age_s": 1,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, Evidence]:
+    """A drone's configuration, and two looks at it."""
+    folder: Path = tmp_path_factory.mktemp("verdicts")
+    vehicle_port, listen, peer = free_ports(3)
+    (folder / "n7.yaml").write_text(
+        f"node: {{id: 7}}\nautopilot: {{url: 'udpin:127.0.0.1:{vehicle_port}'}}\nstore: {{path: {folder}/n7.db}}\n"
+        f"links: [{{listen: '127.0.0.1:{listen}', peers: [{{address: '127.0.0.1:{peer}'}}]}}]\n"
+    )
+    config = load_config(folder / "n7.yaml")
+    seen = asyncio.run(try_out(config, 0.5))
+    return config, seen
+
+
+def evidence(scene: tuple[RunConfig, Evidence], change: Change, *, running: bool = True) -> Evidence:
+    """Three looks, a second after another; the last ones are changed."""
+    first = copy.deepcopy(dict(scene[1].samples[-1]))
+    first["uptime_s"] = 10.0
+    first["autopilot"] = dict(AUTOPILOT)
+    samples = [first]
+    for number in (1, 2):
+        sample = copy.deepcopy(first)
+        sample["uptime_s"] = 10.0 + number
+        change(sample)
+        samples.append(sample)
+    return Evidence(running, samples, opened=[0])
+
+
+def put(path: str, value: Any) -> Change:
+    """Sets `a.b.0.c` in a status."""
+
+    def change(status: dict[str, Any]) -> None:
+        *way, last = path.split(".")
+        place: Any = status
+        for step in way:
+            place = place[int(step) if step.isdecimal() else step]
+        place[last] = value
+
+    return change
+
+
+def nothing(status: dict[str, Any]) -> None:
+    """Leaves it as it is."""
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "said"),
+    [
+        (nothing, "pass", "runs: node 7 (drone)"),
+        (put("commits.failed", 2), "fail", "disk does not take"),
+        (put("skipped_steps", 5), "warn", "skips steps"),
+        (put("links", []), "fail", "with 0 links, not as configured"),
+        (put("node_id", 8), "fail", "but the configuration is of node 7"),
+    ],
+)
+def test_a_running_node(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
+    found = node.health(scene[0], evidence(scene, change))
+    assert (found.level, said in found.text) == (level, True), found
+
+
+def test_commits_that_failed_long_ago(scene: tuple[RunConfig, Evidence]) -> None:
+    seen = evidence(scene, nothing)
+    for sample in seen.samples:
+        put("commits.failed", 3)(sample)
+    found = node.health(scene[0], seen)
+    assert (found.level, "3 commits failed earlier" in found.text) == ("warn", True)
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "said"),
+    [
+        (nothing, "pass", "ArduPilot, system 3, disarmed"),
+        (put("autopilot.reboots", 2), "warn", "has restarted 2 times"),
+        (put("autopilot.heartbeat_age_s", 30.0), "fail", "nothing heard"),
+        (put("autopilot", None), "fail", "nothing heard"),
+        (put("autopilot.type", 12), "pass", "PX4"),
+        (put("autopilot.type", 5), "pass", "autopilot of type 5"),
+        (put("vehicle.trouble", "No such file or directory"), "fail", "no such file or directory"),
+    ],
+)
+def test_an_autopilot(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
+    found = vehicle.autopilot(scene[0], evidence(scene, change))
+    assert (found.level, said in found.text) == (level, True), found
+
+
+@pytest.mark.parametrize(
+    ("heard", "malformed", "said"), [(9, 0, "no autopilot's heartbeat"), (9, 4, "no MAVLink"), (0, 0, "nothing heard")]
+)
+def test_what_comes_from_a_silent_autopilots_port(
+    scene: tuple[RunConfig, Evidence], heard: int, malformed: int, said: str
+) -> None:
+    def change(status: dict[str, Any]) -> None:
+        status["autopilot"] = None
+        status["vehicle"]["received"] = heard
+        status["vehicle_malformed"] = malformed
+
+    assert said in vehicle.autopilot(scene[0], evidence(scene, change)).text
+    if heard:
+        # In a trial each frame was counted.
+        seen = evidence(scene, change, running=False)
+        seen.ear = Ear(frames=0 if malformed else 9)
+        assert said in vehicle.autopilot(scene[0], seen).text
+
+
+def test_a_position_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> None:
+    def at(*times: float) -> Finding | None:
+        seen = evidence(scene, nothing)
+        for sample, arrived in zip(seen.samples, times, strict=True):
+            place = {"latitude": 1.0, "longitude": 2.0, "altitude": 3.0, "age_s": sample["uptime_s"] - arrived}
+            put("position", place)(sample)
+        return vehicle.position(scene[0], seen)
+
+    often, once, never = at(9.95, 10.9, 11.9), at(10.5, 10.5, 10.5), at(5.0, 5.0, 5.0)
+    assert often is not None
+    assert once is not None
+    assert never is not None
+    assert [often.level, once.level, never.level] == ["pass", "warn", "warn"]
+    assert (once.text, never.text) == ("one came while we looked", "none comes")
+
+
+def test_an_autopilot_without_positions_asked_for_is_a_warning(scene: tuple[RunConfig, Evidence]) -> None:
+    found = vehicle.position(scene[0], evidence(scene, nothing))
+    assert found is not None
+    assert (found.level, found.text) == ("warn", "none comes")
+
+
+def test_a_reading_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> None:
+    def reading(*ages: float) -> Finding:
+        seen = evidence(scene, nothing)
+        for sample, age in zip(seen.samples, ages, strict=True):
+            put("reading", {"value": 2.5, "age_s": age})(sample)
+        return vehicle.reading(scene[0], seen)
+
+    assert reading(0.05, 0.05, 0.05).level == "pass"
+    assert reading(1.0, 2.0, 3.0).level == "warn"
+    assert reading(29.0, 30.0, 31.0).level == "fail"
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "said"),
+    [
+        (put("neighbours", []), "warn", "nobody heard"),
+        (put("neighbours", [NEIGHBOUR]), "pass", "4"),
+        (put("neighbours", [{**NEIGHBOUR, "base": True}]), "pass", "4 (base)"),
+        (put("neighbours", [{**NEIGHBOUR, "same_policy": False}]), "warn", "nodes 4 have another policy"),
+        (put("neighbours", [{**NEIGHBOUR, "hops": None}]), "warn", "nobody knows a way to a base"),
+    ],
+)
+def test_neighbours(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
+    found = neighbours.neighbours(scene[0], evidence(scene, change))
+    assert found is not None
+    assert (found.level, said in found.text) == (level, True), found
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "said"),
+    [
+        (nothing, "pass", "open"),
+        (put("links.0.trouble", "No such device"), "fail", "no such device"),
+        (put("links.0.dropped_out", 50), "warn", "50 could not be sent"),
+    ],
+)
+def test_a_link(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
+    found = neighbours.link(scene[0], 0, evidence(scene, change))
+    assert (found.level, said in found.text) == (level, True), found
+
+
+@pytest.mark.parametrize(
+    ("change", "level"),
+    [(nothing, "pass"), (put("copies.echoes", 9), "fail"), (put("copies.heard_twice", 9), "warn")],
+)
+def test_frames_that_come_twice(scene: tuple[RunConfig, Evidence], change: Change, level: str) -> None:
+    assert neighbours.loops(evidence(scene, change)).level == level
+
+
+def test_which_file_of_parameters_fits(scene: tuple[RunConfig, Evidence]) -> None:
+    seen = evidence(scene, put("autopilot.type", 12))
+    found = vehicle.parameters(scene[0], seen, "drone.yaml")
+    assert found is not None
+    assert "with the node stopped, rass-mav params check firmware_params/px4.params --live drone.yaml" in found.text
+    # The version of ArduPilot is not known of a running node.
+    assert vehicle.parameters(scene[0], evidence(scene, nothing), "drone.yaml") is None

@@ -1,0 +1,364 @@
+"""`rass-mav params` against a mock flight controller over real UDP and a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.cli import main
+from rass_mav.firmware.exchange import Patience
+from tests.app.app_nodes import RunningNode
+from tests.link.ptys import Device
+from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
+
+FOLDER = Path(__file__).parents[2] / "firmware_params"
+FILE = """\
+# Ground station.
+SYSID_MYGCS 255
+# Takes effect after a reboot.
+SERIAL2_PROTOCOL 2
+SR2_POSITION 0.1
+SYSID_THISMAV 1
+"""
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers come in a millisecond here; what never comes need not take four seconds."""
+    impatient = Patience(heartbeat_s=1.0, answer_s=0.15, tries=3)
+    monkeypatch.setattr("rass_mav.commands.params.patience", lambda: impatient)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> tuple[str, int]:
+    """A configuration whose autopilot speaks to a port of this host; and that port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        port = int(sock.getsockname()[1])
+    file = tmp_path / "drone.yaml"
+    file.write_text(
+        f"node: {{id: 7, role: base}}\nautopilot: {{url: 'udpin:127.0.0.1:{port}'}}\nstore: {{path: {tmp_path}/n.db}}\n"
+    )
+    return str(file), port
+
+
+def ardupilot(**parameters: tuple[float, int]) -> MockVehicle:
+    vehicle = MockVehicle()
+    vehicle.parameters = {
+        "SYSID_MYGCS": (255, INT16),
+        "SERIAL2_PROTOCOL": (1, INT8),
+        # As 32 bits hold it.
+        "SR2_POSITION": (0.10000000149011612, REAL32),
+        "SYSID_THISMAV": (1, INT16),
+        **parameters,
+    }
+    return vehicle
+
+
+def params(tmp_path: Path, action: str, text: str, *options: str, name: str = "file.parm") -> int:
+    file = tmp_path / name
+    file.write_text(text)
+    return main(["params", action, str(file), *options])
+
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_a_file_without_a_vehicle(tmp_path: Path, capsys: Capture) -> None:
+    assert params(tmp_path, "check", FILE) == 0
+    assert capsys.readouterr().out == f"{tmp_path}/file.parm: ok, 4 parameters\n"
+    assert params(tmp_path, "check", FILE, "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "file": f"{tmp_path}/file.parm", "format": "ardupilot", "parameters": 4,
+    }  # fmt: skip
+    assert params(tmp_path, "check", "A b\n") == 2
+    assert capsys.readouterr().err == f"{tmp_path}/file.parm: line 1: expected a number that 32 bits hold, got 'b'\n"
+
+
+def test_check_says_what_differs_and_changes_nothing(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    with ardupilot().on_udp(port) as vehicle:
+        assert params(tmp_path, "check", FILE, "--live", path) == 1
+        assert vehicle.sets == []
+        # The node's own identity, and its heartbeat before anything else.
+        assert vehicle.heard[0].get_type() == "HEARTBEAT"
+        assert {message.get_srcComponent() for message in vehicle.heard} == {191}
+    assert capsys.readouterr().out.splitlines() == [
+        "vehicle 1: ArduPilot 4.6.3 disarmed",
+        "  SERIAL2_PROTOCOL 1 -> 2, needs a reboot",
+        "1 different, 3 the same",
+    ]
+
+
+def test_all_the_same_is_exit_code_0(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    with ardupilot(SERIAL2_PROTOCOL=(2, INT8)).on_udp(port):
+        assert params(tmp_path, "check", FILE, "--live", path, "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["vehicle"] == {"system_id": 1, "firmware": "ArduPilot", "version": "4.6.3", "armed": False}
+    assert (said["fitting_file"], said["misfit"]) == ("ardupilot-4.6.parm", None)
+    assert [parameter["state"] for parameter in said["parameters"]] == 4 * ["same"]
+
+
+def test_lost_questions_are_asked_again(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = ardupilot(SERIAL2_PROTOCOL=(2, INT8))
+    seen: dict[str, int] = {}
+
+    def every_first(message: Any) -> bool:
+        if message.get_type() != "PARAM_REQUEST_READ":
+            return False
+        seen[message.param_id] = seen.get(message.param_id, 0) + 1
+        return seen[message.param_id] == 1
+
+    vehicle.lose = every_first
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "check", FILE, "--live", path) == 0
+    assert min(seen.values()) >= 2
+
+
+def test_write_shows_the_list_first_and_reads_back(
+    tmp_path: Path, config: tuple[str, int], capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, port = config
+    vehicle = ardupilot()
+
+    class Person(io.StringIO):
+        def readline(self, *_: Any) -> str:
+            self.shown = capsys.readouterr()
+            assert vehicle.sets == []
+            return "y\n"
+
+    person = Person()
+    monkeypatch.setattr(sys, "stdin", person)
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "write", FILE, "--live", path) == 0
+    assert "  SERIAL2_PROTOCOL 1 -> 2, needs a reboot\n" in person.shown.out
+    assert person.shown.err == "Write 1 to vehicle 1? [y/N] "
+    assert vehicle.sets == ["SERIAL2_PROTOCOL"]
+    assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
+    out = capsys.readouterr().out
+    assert "  SERIAL2_PROTOCOL written: 2, needs a reboot\n" in out
+    assert out.endswith("3 the same, 1 written\nreboot the autopilot: some of these take effect then only\n")
+
+
+@pytest.mark.parametrize("answer", ["", "\n", "n\n", "yesterday\n"])
+def test_without_a_yes_nothing_is_written(
+    answer: str, tmp_path: Path, config: tuple[str, int], capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, port = config
+    monkeypatch.setattr(sys, "stdin", io.StringIO(answer))
+    with ardupilot().on_udp(port) as vehicle:
+        assert params(tmp_path, "write", FILE, "--live", path) == 1
+    assert vehicle.sets == []
+    assert capsys.readouterr().out.endswith("nothing written: not confirmed (--yes does not ask)\n")
+
+
+def test_scripts_get_one_object_and_the_list_on_stderr(
+    tmp_path: Path, config: tuple[str, int], capsys: Capture
+) -> None:
+    path, port = config
+    with ardupilot().on_udp(port):
+        assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--json") == 0
+    said = capsys.readouterr()
+    assert {p["name"]: (p["state"], p["vehicle"]) for p in json.loads(said.out)["parameters"]} == {
+        "SYSID_MYGCS": ("same", 255), "SERIAL2_PROTOCOL": ("written", 2),
+        "SR2_POSITION": ("same", pytest.approx(0.1)), "SYSID_THISMAV": ("same", 1),
+    }  # fmt: skip
+    assert "SERIAL2_PROTOCOL 1 -> 2" in said.err
+
+
+def test_a_refused_value_is_told_with_its_reason(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = ardupilot(SYSID_MYGCS=(250, INT16))
+    vehicle.refusing = {"SERIAL2_PROTOCOL": 5, "SYSID_MYGCS": None}
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "write", FILE, "--live", path, "--yes") == 1
+    out = capsys.readouterr().out
+    assert "  SERIAL2_PROTOCOL refused: 1, not 2: it is read-only\n" in out
+    assert "  SYSID_MYGCS      refused: 250, not 255: the vehicle keeps its value\n" in out
+    assert vehicle.parameters["SERIAL2_PROTOCOL"] == (1, INT8)
+
+
+def test_lost_answers_do_not_matter_since_it_is_read_back(tmp_path: Path, config: tuple[str, int]) -> None:
+    path, port = config
+    vehicle = ardupilot()
+    lost: list[str] = []
+
+    def first_set(message: Any) -> bool:
+        if message.get_type() == "PARAM_SET" and not lost:
+            lost.append(message.param_id)
+            return True
+        return False
+
+    vehicle.lose = first_set
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "write", FILE, "--live", path, "--yes") == 0
+    assert lost == ["SERIAL2_PROTOCOL"]
+    assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
+
+
+@pytest.mark.parametrize("at_once", [True, False], ids=["at once", "after a reboot"])
+def test_the_system_id_changes_under_our_feet(
+    at_once: bool, tmp_path: Path, config: tuple[str, int], capsys: Capture
+) -> None:
+    path, port = config
+    vehicle = ardupilot()
+    vehicle.id_changes = at_once
+    with vehicle.on_udp(port):
+        text = FILE.replace("SYSID_THISMAV 1", "SYSID_THISMAV 12")
+        assert params(tmp_path, "write", text, "--live", path, "--yes") == 0
+    assert vehicle.sets == ["SERIAL2_PROTOCOL", "SYSID_THISMAV"]
+    assert vehicle.system_id == (12 if at_once else 1)
+    assert "  SYSID_THISMAV    written: 12\n" in capsys.readouterr().out
+
+
+def test_an_armed_vehicle_is_left_alone(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = ardupilot()
+    vehicle.armed = True
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "write", FILE, "--live", path, "--yes") == 1
+    assert vehicle.sets == []
+    assert capsys.readouterr().out.endswith("nothing written: vehicle 1 is armed\n")
+
+
+def values_of(file: str, kind: Callable[[str], int]) -> dict[str, tuple[float, int]]:
+    from rass_mav.firmware.files import read_file
+
+    return {entry.name: (entry.value, kind(entry.name)) for entry in read_file(FOLDER / file).entries}
+
+
+def test_a_file_of_another_version_says_which_to_use_and_is_not_written(
+    config: tuple[str, int], capsys: Capture
+) -> None:
+    path, port = config
+    vehicle = MockVehicle(version=(4, 8, 0))
+    vehicle.parameters = values_of("ardupilot-4.7.parm", lambda _: INT16)
+    vehicle.parameters["SERIAL2_BAUD"] = (57, INT16)
+    vehicle.parameters["SERIAL2_OPTIONS"] = (0, INT16)
+    with vehicle.on_udp(port):
+        assert main(["params", "write", str(FOLDER / "ardupilot-4.6.parm"), "--live", path, "--yes"]) == 1
+    out = capsys.readouterr().out
+    assert "  SYSID_THISMAV    missing: this firmware calls it MAV_SYSID\n" in out
+    assert "  SR2_POSITION     missing: this firmware calls it MAV3_POSITION\n" in out
+    assert "nothing written: the file is for another version of ArduPilot; use ardupilot-4.7.parm\n" in out
+    assert vehicle.sets == []
+
+
+def test_what_a_board_does_not_have_is_told_and_the_rest_is_written(config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = MockVehicle(version=(4, 7, 0))
+    vehicle.parameters = values_of("ardupilot-4.7.parm", lambda _: INT16)
+    del vehicle.parameters["BRD_SER2_RTSCTS"]
+    vehicle.parameters["SERIAL2_BAUD"] = (57, INT16)
+    with vehicle.on_udp(port):
+        assert main(["params", "write", str(FOLDER / "ardupilot-4.7.parm"), "--live", path, "--yes"]) == 1
+    assert "  BRD_SER2_RTSCTS  missing: this firmware or board does not have it\n" in capsys.readouterr().out
+    assert vehicle.sets == ["SERIAL2_BAUD"]
+
+
+def test_px4_gets_whole_numbers_as_their_bytes(config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = MockVehicle(firmware=PX4, version=(1, 15, 2))
+    vehicle.parameters = values_of("px4.params", lambda _: INT32)
+    vehicle.parameters |= {"SER_TEL2_BAUD": (57600, INT32), "MAV_1_RATE": (-1, INT32)}
+    del vehicle.parameters["MAV_1_CONFIG"]
+    vehicle.parameters["SER_TEL2_PROTO"] = (1, INT32)
+    with vehicle.on_udp(port):
+        assert main(["params", "write", str(FOLDER / "px4.params"), "--live", path, "--yes"]) == 1
+    assert vehicle.parameters["SER_TEL2_BAUD"] == (921600, INT32)
+    assert vehicle.parameters["MAV_1_RATE"] == (0, INT32)
+    out = capsys.readouterr().out
+    assert out.startswith("vehicle 1: PX4 1.15.2 disarmed\n")
+    assert "  SER_TEL2_BAUD    57600 -> 921600, needs a reboot\n" in out
+    # There it is another parameter with other values: told, but nothing to hold the rest back for.
+    assert "MAV_1_CONFIG     missing: this firmware has SER_TEL2_PROTO instead, whose values mean something else" in out
+
+
+def test_px4_is_known_by_its_heartbeat_where_it_does_not_tell_its_version(config: tuple[str, int]) -> None:
+    path, port = config
+    vehicle = MockVehicle(firmware=PX4)
+    vehicle.capabilities = None
+    vehicle.parameters = values_of("px4.params", lambda _: INT32)
+    with vehicle.on_udp(port):
+        assert main(["params", "check", str(FOLDER / "px4.params"), "--live", path]) == 0
+
+
+def test_a_file_for_another_autopilot(config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    with ardupilot(SCR_ENABLE=(1, INT8)).on_udp(port) as vehicle:
+        assert main(["params", "write", str(FOLDER / "px4.params"), "--live", path, "--yes"]) == 1
+        assert vehicle.sets == []
+    out = capsys.readouterr().out
+    assert "WARNING: the file is for PX4, this is ArduPilot; use ardupilot-4.6.parm" in out
+
+
+def test_a_type_that_cannot_hold_the_value_is_told_and_not_set(
+    tmp_path: Path, config: tuple[str, int], capsys: Capture
+) -> None:
+    path, port = config
+    with ardupilot().on_udp(port) as vehicle:
+        assert params(tmp_path, "write", "SERIAL2_PROTOCOL 1.5\n", "--live", path, "--yes") == 1
+    assert "SERIAL2_PROTOCOL unfit: 1, not 1.5: its type there is 2" in capsys.readouterr().out
+    assert vehicle.sets == []
+
+
+def test_nobody_there_is_one_line(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    assert params(tmp_path, "check", FILE, "--live", path) == 1
+    assert capsys.readouterr().err == f"udpin:127.0.0.1:{port}: nothing heard\n"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", port))
+        assert params(tmp_path, "check", FILE, "--live", path) == 1
+    assert capsys.readouterr().err == f"udpin:127.0.0.1:{port}: address already in use\n"
+    quiet = tmp_path / "quiet.yaml"
+    quiet.write_text("node: {id: 7, role: base}\n")
+    assert params(tmp_path, "check", FILE, "--live", str(quiet)) == 2
+    assert capsys.readouterr().err == f"{quiet}: autopilot.url: missing, expected where the autopilot is\n"
+
+
+def test_the_node_that_has_the_port_is_named(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    node = RunningNode(
+        tmp_path, 7, "node", node={"role": "base"}, autopilot={"url": f"udpin:127.0.0.1:{port}"},
+        store={"path": f"{tmp_path}/n.db"},
+    ).start()  # fmt: skip
+    try:
+        assert params(tmp_path, "check", FILE, "--live", path) == 1
+    finally:
+        node.end()
+    assert capsys.readouterr().err == (
+        f"udpin:127.0.0.1:{port}: address already in use; the node of {path} runs and has the autopilot's port: "
+        "stop it first\n"
+    )
+
+
+def test_another_autopilot_than_the_configured_one(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    with Path(path).open("a") as file:
+        file.write("mavlink: {autopilot_id: 9}\n")
+    with ardupilot().on_udp(port):
+        assert params(tmp_path, "check", FILE, "--live", path) == 1
+    assert "no autopilot with system id 9 heard, but 1 (mavlink.autopilot_id)" in capsys.readouterr().err
+
+
+def test_over_a_serial_port(tmp_path: Path, capsys: Capture) -> None:
+    device = Device(tmp_path).plug_in()
+    file = tmp_path / "drone.yaml"
+    file.write_text(f"node: {{id: 7, role: base}}\nautopilot: {{url: '{device.path},921600'}}\n")
+    try:
+        with ardupilot().on_pty(device.far) as vehicle:
+            assert params(tmp_path, "write", FILE, "--live", str(file), "--yes") == 0
+        assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
+    finally:
+        device.pull_out()
+    assert params(tmp_path, "check", FILE, "--live", str(file)) == 1
+    assert capsys.readouterr().err.endswith(f"serial:{device.path}:921600: no such file or directory\n")

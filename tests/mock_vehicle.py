@@ -1,0 +1,163 @@
+"""A mock flight controller with parameters, on a thread of its own. Its frames are built and read by pymavlink alone.
+
+It behaves as the MAVLink pages and the firmware say: ArduPilot casts whole numbers to floats, PX4 sends their bytes; a
+parameter that it does not have it passes over in silence; a new system id holds at once.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from pymavlink.dialects.v20 import common
+
+INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
+ARDUPILOT, PX4 = 3, 12
+LAYOUTS = {INT8: "<b3x", INT16: "<h2x", INT32: "<i", REAL32: "<f"}
+PERIOD_S = 0.2
+
+
+class MockVehicle:
+    """Speaks over a UDP socket that is connected to the node's port, or over the far end of a pseudo-terminal."""
+
+    def __init__(self, system_id: int = 1, *, firmware: int = ARDUPILOT, version: tuple[int, int, int] = (4, 6, 3)):
+        self.system_id = system_id
+        self.firmware = firmware
+        self.version = version
+        self.capabilities: int | None = 16 if firmware == PX4 else 131072
+        """None: it does not tell its version."""
+        self.parameters: dict[str, tuple[float, int]] = {}
+        """Value and MAV_PARAM_TYPE."""
+        self.refusing: dict[str, int | None] = {}
+        """Names that cannot be set: the MAV_PARAM_ERROR that it says, None: it says the old value only."""
+        self.armed = False
+        self.beats = True
+        self.position: tuple[float, float] | None = (48.8584, 2.2945)
+        """None: no fix yet."""
+        self.reading: float | None = None
+        self.lose: Callable[[Any], bool] = lambda message: False
+        """Which of the messages that it gets are lost on the way."""
+        self.id_changes = True
+        self.heard: list[Any] = []
+        self.sets: list[str] = []
+        self._mav = common.MAVLink(None, system_id, 1)
+        self._mav.robust_parsing = True
+        self._stop_read, self._stop_write = os.pipe()
+
+    @contextmanager
+    def on_udp(self, port: int) -> Iterator[MockVehicle]:
+        """Connected to 127.0.0.1:`port`, where the node listens."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            sock.connect(("127.0.0.1", port))
+            sock.setblocking(False)
+            with self._running(sock.fileno(), sock.send):
+                yield self
+
+    @contextmanager
+    def on_pty(self, descriptor: int) -> Iterator[MockVehicle]:
+        """At the far end of a pseudo-terminal."""
+        with self._running(descriptor, lambda data: os.write(descriptor, data)):
+            yield self
+
+    @contextmanager
+    def _running(self, descriptor: int, send: Callable[[bytes], int]) -> Iterator[None]:
+        thread = threading.Thread(target=self._run, args=(descriptor, send), name="mock vehicle")
+        thread.start()
+        try:
+            yield
+        finally:
+            os.write(self._stop_write, b"x")
+            thread.join()
+            os.close(self._stop_read)
+            os.close(self._stop_write)
+
+    def _run(self, descriptor: int, send: Callable[[bytes], int]) -> None:
+        began = beat = time.monotonic()
+
+        def say(message: Any) -> None:
+            self._mav.srcSystem = self.system_id
+            try:
+                send(bytes(message.pack(self._mav)))
+            except (ConnectionRefusedError, BlockingIOError):
+                return  # nobody has opened the port yet, or nobody reads it
+
+        while True:
+            now = time.monotonic()
+            if now >= beat:
+                beat = now + PERIOD_S
+                for message in self._telemetry(int((now - began) * 1000) + 1):
+                    say(message)
+            ready, _, _ = select.select([descriptor, self._stop_read], [], [], max(0.0, beat - now))
+            if self._stop_read in ready:
+                return
+            if descriptor in ready:
+                try:
+                    data = os.read(descriptor, 4096)
+                except (ConnectionRefusedError, BlockingIOError, OSError):
+                    # The other end is not open: a pseudo-terminal says so at once, again and again.
+                    select.select([self._stop_read], [], [], 0.02)
+                    continue
+                for message in self._mav.parse_buffer(data) or []:
+                    self.heard.append(message)
+                    if not self.lose(message):
+                        for answer in self._answers(message):
+                            say(answer)
+
+    def _telemetry(self, boot_ms: int) -> Iterator[Any]:
+        if not self.beats:
+            return
+        yield common.MAVLink_heartbeat_message(2, self.firmware, 128 if self.armed else 0, 0, 3, 3)
+        latitude, longitude = self.position or (0.0, 0.0)
+        yield common.MAVLink_global_position_int_message(
+            boot_ms, round(latitude * 1e7), round(longitude * 1e7), 1000, 0, 0, 0, 0, 0
+        )
+        if self.reading is not None:
+            yield common.MAVLink_named_value_float_message(boot_ms, b"RAD", self.reading)
+
+    def _answers(self, message: Any) -> Iterator[Any]:
+        kind = message.get_type()
+        if getattr(message, "target_system", self.system_id) != self.system_id:
+            return
+        if kind == "COMMAND_LONG" and message.command == 512 and message.param1 == 148:
+            if self.capabilities is not None:
+                number = int.from_bytes([*self.version, 255], "big")
+                yield common.MAVLink_autopilot_version_message(
+                    self.capabilities, number, 0, 0, 0, bytes(8), bytes(8), bytes(8), 0, 0, 0
+                )
+        elif kind == "PARAM_REQUEST_READ" and message.param_id in self.parameters:
+            yield self._value(message.param_id)
+        elif kind == "PARAM_SET" and message.param_id in self.parameters:
+            yield from self._set(message)
+
+    def _value(self, name: str) -> Any:
+        value, kind = self.parameters[name]
+        if self.firmware == PX4:
+            (value,) = struct.unpack("<f", struct.pack(LAYOUTS[kind], value if kind == REAL32 else int(value)))
+        return common.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0)
+
+    def _set(self, message: Any) -> Iterator[Any]:
+        name = message.param_id
+        self.sets.append(name)
+        _, kind = self.parameters[name]
+        if name in self.refusing:
+            error = self.refusing[name]
+            if error is not None:
+                yield common.MAVLink_param_error_message(message.get_srcSystem(), 191, name.encode(), -1, error)
+                return
+        else:
+            value = message.param_value
+            if self.firmware == PX4:
+                (value,) = struct.unpack(LAYOUTS[kind], struct.pack("<f", value))
+            elif kind != REAL32:
+                value = round(value)
+            self.parameters[name] = (value, kind)
+            if name in ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID") and self.id_changes:
+                self.system_id = int(value)
+        yield self._value(name)
