@@ -56,7 +56,8 @@ def find_firmware(
         if found is None:
             continue
         if (kind or ("px4" if "px4" in Path(name).name else "arducopter")) == "px4":
-            return Firmware("px4", (str(Path(found).absolute()),))
+            # It looks for its modules beside itself, not beside a link to it.
+            return Firmware("px4", (str(Path(found).resolve()),))
         return Firmware("arducopter", (str(Path(found).absolute()),), _shipped_script())
     if binary is not None:
         raise ConfigError(f"--binary {binary}: no such program, or it may not be executed")
@@ -157,7 +158,7 @@ def made_up_readings(script: str, scenario: FlightScenario, node: int) -> str:
 def _px4(command: Sequence[str], scenario: FlightScenario, node: int, directory: Path) -> list[str]:
     if node > MAX_PX4:
         raise ConfigError(f"nodes: expected at most {MAX_PX4 + 1} with PX4, whose later vehicles share a port")
-    files = Path(command[0]).resolve().parents[1] / "etc"
+    files = Path(command[0]).parents[1] / "etc"
     if not files.is_dir():
         raise ConfigError(f"{command[0]}: expected PX4's files in {files}")
     latitude, longitude = to_earth(*scenario.places[node])

@@ -36,10 +36,12 @@ from rass_mav.mavlink.messages import (
     GLOBAL_POSITION_INT,
     HEARTBEAT,
     HOME_POSITION,
+    LOCAL_POSITION_NED,
     MavlinkMessage,
     autopilot_heartbeat,
     global_position_int,
     home_position,
+    local_position_ned,
     parse,
 )
 from rass_mav.mavlink.mission import (
@@ -71,6 +73,8 @@ FIX_S = 1.0
 MAX_ITEMS = 700
 #: Bit of SERIALn_OPTIONS: nothing is passed on from or to the port.
 NO_FORWARD = 1 << 10
+#: What can be asked for.
+STREAMS = (HEARTBEAT, SIM_STATE, GLOBAL_POSITION_INT, LOCAL_POSITION_NED, HOME_POSITION, MISSION_CURRENT)
 _TICK_S = 0.05
 _HEARTBEAT_S = 1.0
 
@@ -203,7 +207,7 @@ class MockCopter:
     def _command(self, port: SerialPort, message: MavlinkMessage) -> int:
         if message.command == CMD_SET_MESSAGE_INTERVAL:
             message_id, interval_s = int(message.param1), message.param2 / 1e6
-            if message_id not in (HEARTBEAT, SIM_STATE, GLOBAL_POSITION_INT, HOME_POSITION, MISSION_CURRENT):
+            if message_id not in STREAMS:
                 return UNSUPPORTED
             if interval_s > 0:
                 port.streams[message_id] = [interval_s, self._now]
@@ -236,6 +240,9 @@ class MockCopter:
         if message_id == HOME_POSITION:
             return home_position(*flight.home) if self._fix else None
         boot_ms = int(self._now * 1000)
+        if message_id == LOCAL_POSITION_NED:
+            north_east_down = (flight.y, flight.x, -flight.height)
+            return local_position_ned(*north_east_down, boot_ms, velocity=flight.velocity) if self._fix else None
         if not self._fix:
             # What autopilots say before they know.
             return global_position_int(0.0, 0.0, 0.0, 0.0, boot_ms)
