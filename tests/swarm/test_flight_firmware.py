@@ -18,6 +18,7 @@ from rass_mav.swarm.sitl.air import AirPorts
 from rass_mav.swarm.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
 from rass_mav.swarm.sitl.mock_copter import NO_FORWARD, read_defaults
 from rass_mav.swarm.sitl.mock_flight import GUIDED
+from rass_mav.swarm.sitl.pilot import need_mavsdk
 from rass_mav.swarm.sitl.scenario import FlightScenario, load_flight
 
 ROOT = Path(__file__).parents[2]
@@ -204,6 +205,13 @@ def test_levels_count_the_height_in() -> None:
     scenario: FlightScenario = load_flight(FILE)
     assert scenario.level(50, -40, 0) == 200
     assert scenario.level(50, -40, 10) == scenario.level(60, -40, 0) == 100
+
+
+def test_without_mavsdk_it_says_what_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "mavsdk.asyncio", raising=False)
+    monkeypatch.setitem(sys.modules, "mavsdk", None)
+    with pytest.raises(ConfigError, match=r"needs MAVSDK 4 to fly: pip install 'rass-mav\[sitl\]'"):
+        need_mavsdk()
 
 
 # -- the guard ---------------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ REAL_DEADLINE_S = 420.0
 #: A base, a relay that hovers, and a vehicle that flies out of the base's range and back; small and quick.
 QUICK = """# made by a test
 nodes: 3
-steps: 90
+steps: 100
 topology: positions
 arena_m: 200
 mobility: {positions: [[0, 0], [3, 0], [3, 3]]}
@@ -145,7 +145,7 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     tape = tmp_path / "air.tlog"
     path = f"{place}{os.pathsep}{os.environ['PATH']}"
     # A telemetry radio is slower: with longer steps there are fewer beacons on it.
-    pace = ("--set", "node.step_s=0.2", "--steps", "45")
+    pace = ("--set", "node.step_s=0.2", "--steps", "50")
     summary, said = fly(quick, "--through-autopilots", *pace, "--record", str(tape), path=path)
     assert said == ""
     check_delivery(summary)
@@ -176,7 +176,7 @@ def test_without_a_binary_it_says_how_to_get_one_and_flies_mock_ones(quick: str,
 
 
 def test_a_node_that_is_killed_in_flight_comes_back(quick: str) -> None:
-    summary, _ = fly(quick, "--mock", "--set", "failures.kill_every_s=2.5")
+    summary, _ = fly(quick, "--mock", "--set", "failures.kill_every_s=3")
     check_delivery(summary)
     assert summary["transport"]["kills"] == 3
 
