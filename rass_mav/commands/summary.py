@@ -54,3 +54,23 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
 def _count(count: int, what: str, whole: int | None = None) -> str:
     share = f"{100 * count / whole:5.1f} %" if whole else " " * 7
     return f"  {count:>9,} {share}  {what}"
+
+
+def flight_lines(flight: dict[str, Any]) -> Iterator[str]:
+    """The part `sitl` of the summary of `sitl` in lines."""
+    f = flight
+    yield ""
+    yield f"firmware {f['firmware']}, {f['wiring'].replace('-', ' ')}, readings {f['readings']}"
+    for v in f["vehicles"]:
+        state = "mission finished" if v["finished"] else f"at mission item {v['item']} of {v['items'] - 1}"
+        yield (
+            f"  vehicle {v['node_id']}: {state}; flew {v['flew_m']:.0f} m, at most {v['farthest_m']:.0f} m away and "
+            f"{v['highest_m']:.0f} m high"
+        )
+    m = f["measurements"]
+    yield (
+        f"measurements at the base: {m['delivered']:,}, with position {m['with_position']:,}, "
+        f"with reading {m['with_reading']:,}"
+    )
+    if m["error_m"]["mean"] is not None:
+        yield f"their positions are {m['error_m']['mean']:.1f} m off on average, {m['error_m']['max']:.1f} m at most"

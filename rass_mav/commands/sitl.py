@@ -1,0 +1,83 @@
+"""`sitl`: vehicles with real or mock flight control firmware, that fly."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from rass_mav.core.errors import ConfigError
+
+from .common import Subparsers, add_command, add_set, print_json, progress, say, start_logging
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    parser = add_command(
+        subparsers, "sitl", _sitl,
+        help="fly simulated vehicles (ArduCopter or PX4, or mock ones) with a node each",
+        example="rass-mav sitl sitl/three-copters.yaml --binary ~/ardupilot/build/sitl/bin/arducopter",
+    )  # fmt: skip
+    parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file; sitl/three-copters.yaml is one")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--binary", metavar="PATH", help="the firmware; else arducopter or px4 on PATH, else mock ones")
+    which.add_argument("--mock", action="store_true", help="mock flight controllers")
+    parser.add_argument("--firmware", choices=("arducopter", "px4"), help="what --binary is, or what to look for")
+    parser.add_argument(
+        "--through-autopilots", action="store_true", dest="through",
+        help="frames between nodes go over TELEM1, through the autopilots",
+    )  # fmt: skip
+    parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N of the scenario's drones")
+    parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1, from take-off")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
+    parser.add_argument("--policy", metavar="NAME", help="survival, rass, rass-literal, hop-count or stigmergy")
+    parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
+    parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
+    parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--keep", metavar="DIR", help="keep configurations, stores, logs and the true tracks here")
+    add_set(parser)
+
+
+def _sitl(options: argparse.Namespace) -> int:
+    start_logging(options.verbose, "error")
+    from rass_mav.swarm.scenario import OPTION_KEYS
+    from rass_mav.swarm.sitl.firmware import HOW_TO_GET, find_firmware
+    from rass_mav.swarm.sitl.fleet import run
+    from rass_mav.swarm.sitl.scenario import load_flight
+
+    given = {OPTION_KEYS[name]: getattr(options, name) for name in ("steps", "seed", "policy", "range", "loss")}
+    keys = {key: value for key, value in given.items() if value is not None}
+    scenario = load_flight(options.scenario, keys, options.assignments, options.vehicles)
+    if options.mock and options.firmware:
+        raise ConfigError("--firmware: not with --mock")
+    firmware = find_firmware(options.binary, options.firmware, mock=options.mock)
+    if firmware is None:
+        if options.firmware:
+            raise ConfigError(f"--firmware {options.firmware}: {HOW_TO_GET}")
+        sys.stderr.write(f"{HOW_TO_GET}. Flying with mock flight controllers instead.\n")
+        firmware = find_firmware(mock=True)
+        assert firmware is not None
+    done = 0
+
+    def show(step: int) -> None:
+        nonlocal done
+        advance(step - done)
+        done = step
+
+    with progress(scenario.steps, "steps", quiet=options.json) as advance:
+        summary = run(
+            scenario,
+            firmware,
+            through=options.through,
+            keep=None if options.keep is None else Path(options.keep),
+            record=None if options.record is None else Path(options.record),
+            progress=show,
+        )
+    if options.json:
+        print_json(summary)
+        return 0
+    from .summary import flight_lines, summary_lines
+
+    for line in [*summary_lines(summary), *flight_lines(summary["sitl"])]:
+        say(line)
+    return 0

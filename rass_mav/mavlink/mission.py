@@ -1,0 +1,139 @@
+"""Missions, and what a simulator knows of its vehicle: what a mock flight controller and its harness need.
+
+Field definitions: https://mavlink.io/en/messages/common.html and https://mavlink.io/en/services/mission.html.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from rass_mav.core.errors import MalformedError
+
+from .dialect import MavlinkMessage, common
+from .frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame
+from .messages import parse
+from .reader import FrameReader
+from .signing import SIGNATURE_SIZE
+
+MISSION_COUNT: int = common.MAVLINK_MSG_ID_MISSION_COUNT
+MISSION_ITEM_INT: int = common.MAVLINK_MSG_ID_MISSION_ITEM_INT
+MISSION_ACK: int = common.MAVLINK_MSG_ID_MISSION_ACK
+MISSION_CURRENT: int = common.MAVLINK_MSG_ID_MISSION_CURRENT
+SIM_STATE: int = common.MAVLINK_MSG_ID_SIM_STATE
+HIL_STATE_QUATERNION: int = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+
+CMD_WAYPOINT: int = common.MAV_CMD_NAV_WAYPOINT
+CMD_TAKEOFF: int = common.MAV_CMD_NAV_TAKEOFF
+CMD_RETURN: int = common.MAV_CMD_NAV_RETURN_TO_LAUNCH
+CMD_SPEED: int = common.MAV_CMD_DO_CHANGE_SPEED
+CMD_SET_MODE: int = common.MAV_CMD_DO_SET_MODE
+CMD_START: int = common.MAV_CMD_MISSION_START
+CMD_ARM: int = common.MAV_CMD_COMPONENT_ARM_DISARM
+TEMPORARILY_REJECTED: int = common.MAV_RESULT_TEMPORARILY_REJECTED
+
+#: Frames of mission items: degrees and metres above sea level; above home; no place at all.
+FRAME_GLOBAL: int = common.MAV_FRAME_GLOBAL
+FRAME_RELATIVE: int = common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+FRAME_NO_PLACE: int = common.MAV_FRAME_MISSION
+
+_HEADERS = {MAGIC_V1: 6, MAGIC_V2: 10}
+
+
+class MissionItem(NamedTuple):
+    """What MISSION_ITEM_INT says, but for its number."""
+
+    command: int
+    """MAV_CMD."""
+    frame: int
+    """MAV_FRAME: what `altitude` counts from."""
+    latitude: float = 0.0
+    """Degrees."""
+    longitude: float = 0.0
+    """Degrees."""
+    altitude: float = 0.0
+    """Metres."""
+    param1: float = 0.0
+    param2: float = 0.0
+
+
+def mission_item(frame: Frame) -> tuple[int, MissionItem]:
+    """Number and contents of a MISSION_ITEM_INT. Raises `MalformedError`."""
+    m = parse(frame)
+    return m.seq, MissionItem(m.command, m.frame, m.x / 1e7, m.y / 1e7, m.z, m.param1, m.param2)
+
+
+def mission_request(number: int, *, target_system: int, target_component: int) -> MavlinkMessage:
+    """MISSION_REQUEST_INT: asks who uploads a mission for its item `number`, from 0."""
+    return common.MAVLink_mission_request_int_message(target_system, target_component, number)
+
+
+def mission_ack(*, target_system: int, target_component: int) -> MavlinkMessage:
+    """MISSION_ACK: the whole mission has been accepted."""
+    return common.MAVLink_mission_ack_message(target_system, target_component, common.MAV_MISSION_ACCEPTED)
+
+
+def mission_current(number: int, total: int) -> MavlinkMessage:
+    """MISSION_CURRENT: the item being flown, and the number of the last one."""
+    return common.MAVLink_mission_current_message(number, max(total - 1, 0))
+
+
+def mission_reached(number: int) -> MavlinkMessage:
+    """MISSION_ITEM_REACHED."""
+    return common.MAVLink_mission_item_reached_message(number)
+
+
+def sim_state(
+    latitude: float, longitude: float, altitude: float, velocity: tuple[float, float, float]
+) -> MavlinkMessage:
+    """SIM_STATE: where a simulated vehicle truly is, level and without acceleration.
+
+    Degrees, degrees, metres above sea level; metres per second to north, east and down.
+    """
+    level = (1.0, 0.0, 0.0, 0.0)
+    still = (0.0,) * 9
+    place = (latitude, longitude, altitude, 0.0, 0.0, *velocity)
+    return common.MAVLink_sim_state_message(*level, *still, *place, round(latitude * 1e7), round(longitude * 1e7))
+
+
+def true_place(frame: Frame) -> tuple[float, float, float] | None:
+    """Where a simulator says that its vehicle truly is: latitude and longitude in degrees, metres above sea level.
+
+    From SIM_STATE (ArduPilot) or HIL_STATE_QUATERNION (PX4); None for other messages and for those that do not parse.
+    """
+    try:
+        if frame.message_id == SIM_STATE:
+            m = parse(frame)
+            # Newer senders say degrees times 1e7 as well: a 32-bit float is good to half a metre only.
+            if m.lat_int or m.lon_int:
+                return m.lat_int / 1e7, m.lon_int / 1e7, m.alt
+            return m.lat, m.lon, m.alt
+        if frame.message_id == HIL_STATE_QUATERNION:
+            m = parse(frame)
+            return m.lat / 1e7, m.lon / 1e7, m.alt / 1e3
+    except MalformedError:
+        pass
+    return None
+
+
+def whole_frames(data: bytes, reader: FrameReader) -> Iterator[tuple[bytes, Frame]]:
+    """The frames of a datagram, each as its bytes and as what they say; `reader` checks and counts them.
+
+    For who passes frames on as they are. What is no whole frame ends it: a datagram holds whole frames only.
+    """
+    start = 0
+    while start < len(data):
+        header = _HEADERS.get(data[start])
+        if header is None or start + header > len(data):
+            break
+        size = header + data[start + 1] + 2
+        if header == _HEADERS[MAGIC_V2] and data[start + 2] & FLAG_SIGNED:
+            size += SIGNATURE_SIZE
+        raw = data[start : start + size]
+        for frame in reader.feed(raw) + reader.flush():
+            yield raw, frame
+        start += size
+    else:
+        return
+    reader.feed(data[start:])
+    reader.flush()

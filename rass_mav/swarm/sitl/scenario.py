@@ -1,0 +1,146 @@
+"""Scenarios that are flown: a mock swarm's, with `positions` as take-off places, and missions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from rass_mav.agent.loading import convert, read_yaml, set_key
+from rass_mav.agent.settings import Positive, Section
+from rass_mav.core.errors import ConfigError
+from rass_mav.mavlink.mission import (
+    CMD_RETURN,
+    CMD_SPEED,
+    CMD_TAKEOFF,
+    CMD_WAYPOINT,
+    FRAME_GLOBAL,
+    FRAME_NO_PLACE,
+    FRAME_RELATIVE,
+    MissionItem,
+)
+from rass_mav.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
+from rass_mav.swarm.catalogue import find
+from rass_mav.swarm.neighbours import Position
+from rass_mav.swarm.scenario import Scenario
+
+# Metres in a degree of longitude at the origin.
+_METRES_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
+
+Waypoint = Annotated[list[float], Meta(min_length=2, max_length=3)]
+
+
+class FlightSection(Section, frozen=True):
+    """What the vehicles do."""
+
+    altitude_m: Positive = 15.0
+    """Height above the take-off place, metres."""
+    speed_m_s: Positive = 5.0
+    missions: tuple[tuple[Waypoint, ...], ...] = ()
+    """For each drone, by node id, the places it flies to: [x, y] or [x, y, seconds to stay]. Then it returns. A drone
+    without any stays above its take-off place for the whole run."""
+
+
+class FlightScenario(Scenario, frozen=True):
+    """A scenario for `rass-mav sitl`."""
+
+    flight: FlightSection = FlightSection()
+
+    def __post_init__(self) -> None:
+        """What no single key can say."""
+        super().__post_init__()
+        if self.topology != "positions":
+            raise ValueError(f"topology: expected positions, the take-off places, got {self.topology}")
+        drones = self.nodes - self.bases
+        if len(self.flight.missions) > drones:
+            raise ValueError(f"flight.missions: expected at most one for each of {drones} drones")
+        if self.radiation.drift or self.radiation.cylinder_m:
+            raise ValueError("radiation: expected sources that stay where they are, and no cylinders")
+
+    @property
+    def places(self) -> list[Position]:
+        """Where each node stands at the start, metres east and north of the origin."""
+        return list(self.mobility.positions or ())
+
+    @property
+    def sources(self) -> list[tuple[float, float, float]]:
+        """x, y in metres and intensity of each source."""
+        return list(self.radiation.sources_of(self.seed) or ())
+
+    def level(self, x: float, y: float, height: float) -> float:
+        """Radiation at a place in the air, Eq. 1 with the height (metres) counted in."""
+        decay = self.radiation.decay
+        return sum(
+            intensity / (1.0 + decay * ((sx - x) ** 2 + (sy - y) ** 2 + height**2))
+            for sx, sy, intensity in self.sources
+        )
+
+    def mission(self, node_id: int, *, home_first: bool) -> list[MissionItem]:
+        """What a drone is told to fly. `home_first`: item 0 is home, as ArduPilot has it."""
+        flight = self.flight
+        number = node_id - self.bases
+        start = self.places[node_id]
+        stay = self.steps * self.node.step_s
+        given: Sequence[Sequence[float]] = flight.missions[number] if number < len(flight.missions) else ()
+        home = to_earth(*start)
+        items = [MissionItem(CMD_WAYPOINT, FRAME_GLOBAL, *home, ORIGIN[2])] if home_first else []
+        items.append(MissionItem(CMD_TAKEOFF, FRAME_RELATIVE, *home, flight.altitude_m))
+        # 1: speed over ground; -1 would be: leave the throttle.
+        items.append(MissionItem(CMD_SPEED, FRAME_NO_PLACE, param1=1.0, param2=flight.speed_m_s))
+        for x, y, *hold in given or [(*start, stay)]:
+            place = to_earth(x, y)
+            items.append(MissionItem(CMD_WAYPOINT, FRAME_RELATIVE, *place, flight.altitude_m, param1=sum(hold)))
+        items.append(MissionItem(CMD_RETURN, FRAME_NO_PLACE))
+        return items
+
+
+def to_arena(latitude: float, longitude: float) -> Position:
+    """Metres east and north of the arena's centre, of a place on Earth in degrees; the inverse of `to_earth`."""
+    return (longitude - ORIGIN[1]) * _METRES_EAST, (latitude - ORIGIN[0]) * METRES_PER_DEGREE
+
+
+def load_flight(
+    name: str, options: dict[str, Any] | None = None, assignments: Sequence[str] = (), vehicles: int | None = None
+) -> FlightScenario:
+    """A scenario from a file. `options` by key path, then `assignments` (`key.path=value`) override its keys.
+
+    `vehicles`: so many of its drones, the first ones; None: all. Raises `ConfigError` that names the file and the key.
+    """
+    path = find(name)
+    raw = read_yaml(path)
+    for key, value in (options or {}).items():
+        place = raw
+        *sections, last = key.split(".")
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[last] = value
+    for assignment in assignments:
+        set_key(raw, assignment)
+    scenario: FlightScenario = convert(raw, FlightScenario, path.name)
+    if scenario.variants:
+        raise ConfigError(f"{path.name}: variants: not for scenarios that are flown")
+    if vehicles is not None:
+        scenario = _fewer(scenario, vehicles, path.name)
+    try:
+        settings = scenario.agent_settings(0)
+        settings.node_settings()
+        settings.policy.make()
+    except ConfigError as error:
+        raise ConfigError(f"{path.name}: {error}") from None
+    return scenario
+
+
+def _fewer(scenario: FlightScenario, vehicles: int, name: str) -> FlightScenario:
+    drones = scenario.nodes - scenario.bases
+    if not 1 <= vehicles <= drones:
+        raise ConfigError(f"--vehicles: expected 1..{drones}, which {name} has, got {vehicles}")
+    nodes = scenario.bases + vehicles
+    return msgspec.structs.replace(
+        scenario,
+        nodes=nodes,
+        mobility=msgspec.structs.replace(scenario.mobility, positions=scenario.places[:nodes]),
+        flight=msgspec.structs.replace(scenario.flight, missions=scenario.flight.missions[:vehicles]),
+    )

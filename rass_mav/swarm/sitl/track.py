@@ -1,0 +1,74 @@
+"""What arrived at the bases, held against where the vehicles truly were."""
+
+from __future__ import annotations
+
+import bisect
+import csv
+import math
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from rass_mav.core.datum import Kind
+from rass_mav.store.reader import SqliteReader
+from rass_mav.swarm.neighbours import Position
+from rass_mav.swarm.sitl.scenario import to_arena
+from rass_mav.wire.measurement import decode_measurement
+
+
+class Track:
+    """Where each vehicle was, from the file that the air has written."""
+
+    def __init__(self, path: Path) -> None:
+        """Reads the file (columns `air.TRACK`)."""
+        self._times: dict[int, list[float]] = defaultdict(list)
+        self._places: dict[int, list[Position]] = defaultdict(list)
+        with path.open(encoding="ascii", newline="") as file:
+            for row in csv.DictReader(file):
+                node = int(row["node"])
+                self._times[node].append(float(row["time"]))
+                self._places[node].append((float(row["x"]), float(row["y"])))
+
+    def place(self, node: int, time: float) -> Position | None:
+        """The last place before a time (seconds since 1970), metres; None: it was not heard before."""
+        index = bisect.bisect_right(self._times[node], time) - 1
+        return self._places[node][index] if index >= 0 else None
+
+
+def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
+    """What the measurements in the bases' stores hold.
+
+    `error_m`: how far the position in a measurement is from where the vehicle was when it was made, mean and largest.
+    """
+    seen = set()
+    with_position = with_reading = 0
+    readings: list[float] = []
+    errors: list[float] = []
+    for path in stores:
+        with SqliteReader(path) as store:
+            for info in store.held():
+                datum = store.get(info.id)
+                if datum is None or datum.kind != Kind.MEASUREMENT or info.id in seen:
+                    continue
+                seen.add(info.id)
+                m = decode_measurement(datum.payload)
+                if m.reading is not None:
+                    with_reading += 1
+                    readings.append(m.reading)
+                if m.latitude is None or m.longitude is None:
+                    continue
+                with_position += 1
+                truth = track.place(info.id.origin, info.created)
+                if truth is not None:
+                    errors.append(math.dist(truth, to_arena(m.latitude, m.longitude)))
+    return {
+        "delivered": len(seen),
+        "with_position": with_position,
+        "with_reading": with_reading,
+        "largest_reading": round(max(readings), 3) if readings else None,
+        "error_m": {
+            "mean": round(sum(errors) / len(errors), 2) if errors else None,
+            "max": round(max(errors), 2) if errors else None,
+        },
+    }
