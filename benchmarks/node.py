@@ -5,10 +5,10 @@
 
 The node is `python -m rass_mav run` with a UDP link, an autopilot port and a new store; it is ready when it says so.
 The serial node has its autopilot, a radio and a Geiger counter on serial ports (pseudo-terminals) instead. Bare Python
-is the same interpreter that says a word and waits. `dialect` is bare Python that has imported pymavlink's common dialect:
-the part of the node's memory that is not ours. All are started in turns. Memory is read some steps after the start,
-from /proc (Linux only): RSS is all that is resident, shared libraries included; PSS divides what is shared among those
-who share it; USS is what would be freed if the process ended.
+is the same interpreter that says a word and waits. `dialect` is bare Python that has imported pymavlink's common
+dialect: the part of the node's memory that is not ours. All are started in turns. Memory is read some steps after the
+start, from /proc (Linux only): RSS is all that is resident, shared libraries included; PSS divides what is shared
+among those who share it; USS is what would be freed if the process ended.
 """
 
 from __future__ import annotations

@@ -99,8 +99,9 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         ("node: {id: 1}\nlinks: [{multicast: '10.0.0.1:1'}]",
          "node.yaml: links[0].multicast: expected a multicast group 224.0.0.0 .. 239.255.255.255 and a port, "
          "got '10.0.0.1:1'"),
-        ("node: {id: 1}\nlinks: [{multicast: '239.0.0.1:1', interface: wlan0}]",
-         "node.yaml: links[0].interface: expected an own IPv4 address, got 'wlan0'"),
+        ("node: {id: 1}\nlinks: [{multicast: '239.0.0.1:1', interface: 'wlan 0'}]",
+         "node.yaml: links[0].interface: expected the name of a network interface or its own IPv4 address, "
+         "got 'wlan 0'"),
         ("node: {id: 1}\nlinks: [{}]",
          "node.yaml: links[0]: expected at least one of peers, broadcast and multicast"),
         (DRONE + "autopilot: {url: 'serial:///dev/ttyAMA0'}",
