@@ -36,6 +36,7 @@ AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
     (("node", "node - bare", "rss"), "drone node over bare Python, MiB", 24.0, True),
     # Those of a Pi Zero, which has one slow core and 512 MiB for everything.
     (("node", "node", "rss"), "drone node, MiB resident", 34.0, True),
+    (("node", "serial node", "rss"), "drone node with serial ports, MiB resident", 34.0, True),
     (("node", "node", "start_ms"), "drone node, start, ms", 1500.0, True),
 )
 

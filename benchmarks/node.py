@@ -4,17 +4,20 @@
     python -m benchmarks.node --json     one JSON object
 
 The node is `python -m rass_mav run` with a UDP link, an autopilot port and a new store; it is ready when it says so.
-Bare Python is the same interpreter that says a word and waits. `dialect` is bare Python that has imported pymavlink's
-common dialect: the part of the node's memory that is not ours. All are started in turns. Memory is read some steps
-after the start, from /proc (Linux only): RSS is all that is resident, shared libraries included; PSS divides what is
-shared among those who share it; USS is what would be freed if the process ended.
+The serial node has its autopilot, a radio and a Geiger counter on serial ports (pseudo-terminals) instead. Bare Python
+is the same interpreter that says a word and waits. `dialect` is bare Python that has imported pymavlink's common
+dialect: the part of the node's memory that is not ours. All are started in turns. Memory is read some steps after the
+start, from /proc (Linux only): RSS is all that is resident, shared libraries included; PSS divides what is shared
+among those who share it; USS is what would be freed if the process ended.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
+import pty
 import select
 import socket
 import statistics
@@ -68,6 +71,16 @@ def _config() -> dict[str, Any]:
     }
 
 
+def _serial_config(ports: Sequence[str]) -> dict[str, Any]:
+    autopilot, radio, counter = ports
+    return {
+        **_config(),
+        "autopilot": {"url": f"serial:{autopilot}:921600"},
+        "links": [{"type": "serial", "device": f"{radio},57600"}],
+        "sensor": {"type": "mightyohm", "port": counter},
+    }
+
+
 def start(command: list[str], directory: Path, settle_s: float) -> dict[str, float]:
     """Start a process, wait until it is ready, measure it after `settle_s` seconds more, and stop it."""
     # The environment of a user who has installed the package, whose bytecode is compiled: it is after the first start.
@@ -90,14 +103,19 @@ def start(command: list[str], directory: Path, settle_s: float) -> dict[str, flo
 
 def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
     """Medians of each kind of process, and what the node takes more than bare Python."""
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in (*BARE, "node")}
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in (*BARE, "node", "serial node")}
+    pairs = [pty.openpty() for _ in range(3)]
+    ports = [os.ttyname(near) for _, near in pairs]
     # The first round only compiles and fills the disk's cache.
     for turn in range(rounds + 1):
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
-            (directory / "drone.yaml").write_text(json.dumps(_config()))  # JSON is YAML too
-            node = [sys.executable, "-m", "rass_mav", "run", "drone.yaml", "--json"]
-            for kind, command in {**BARE, "node": node}.items():
+            # JSON is YAML too.
+            (directory / "drone.yaml").write_text(json.dumps(_config()))
+            (directory / "serial.yaml").write_text(json.dumps(_serial_config(ports)))
+            run = [sys.executable, "-m", "rass_mav", "run", "--json"]
+            nodes = {"node": [*run, "drone.yaml"], "serial node": [*run, "serial.yaml"]}
+            for kind, command in {**BARE, **nodes}.items():
                 one = start(command, directory, settle_s)
                 if turn:
                     found[kind].append(one)
@@ -105,7 +123,9 @@ def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
         kind: {key: round(statistics.median(one[key] for one in turns), 2) for key in turns[0]}
         for kind, turns in found.items()
     }
-    for kind in ("dialect", "node"):
+    for end in itertools.chain(*pairs):
+        os.close(end)
+    for kind in ("dialect", "node", "serial node"):
         results[f"{kind} - bare"] = {
             key: round(value - results["bare"][key], 2) for key, value in results[kind].items()
         }

@@ -58,6 +58,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(options, error, 2)
     except RassError as error:
         return _failed(options, error, 1)
+    except ModuleNotFoundError as error:
+        # A node does without it; what simulates one does not (docs/raspberry-pi.md).
+        if error.name != "msgspec":
+            raise
+        return _failed(options, RassError(f"{options.command}: needs the package msgspec: pip install msgspec"), 1)
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:

@@ -17,8 +17,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMEOUT_S = 120.0
-#: All that a node imports from elsewhere. Without fastcrc and lxml, which pymavlink demands: not every board has them.
-NEEDED = ("pymavlink", "msgspec", "yaml")
+#: All that a node imports from elsewhere. Without fastcrc and lxml, which pymavlink demands, and without msgspec, which
+#: only the mock swarm needs: these are compiled, and not every board has them.
+NEEDED = ("pymavlink", "yaml")
 CONFIG = "node: {id: 7, step_s: 0.1}\nlinks: [{listen: '127.0.0.1:0', peers: [{address: '127.0.0.1:9'}]}]\n"
 
 
@@ -70,10 +71,10 @@ def _environment() -> dict[str, str]:
 
 def test_it_is_the_installed_one_and_knows_nothing_else(rass_mav: Path, tmp_path: Path) -> None:
     python = str(rass_mav.with_name("python"))
-    code = "import rass_mav, importlib.util as u; print(rass_mav.__file__, u.find_spec('fastcrc'), u.find_spec('lxml'))"
-    file, *others = _run(python, "-c", code, cwd=tmp_path).split()
+    code = "import rass_mav, importlib.util as u, sys; print(rass_mav.__file__, *map(u.find_spec, sys.argv[1:]))"
+    file, *others = _run(python, "-c", code, "fastcrc", "lxml", "msgspec", cwd=tmp_path).split()
     assert Path(file).is_relative_to(rass_mav.parents[1])
-    assert others == ["None", "None"]
+    assert others == ["None", "None", "None"]
 
 
 def test_help_and_version(rass_mav: Path, tmp_path: Path) -> None:
@@ -101,5 +102,21 @@ def test_check_run_and_status(rass_mav: Path, tmp_path: Path) -> None:
 def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> None:
     (tmp_path / "drone.yaml").write_text(CONFIG)
     assert "WatchdogSec=" in _run(str(rass_mav), "service", "install", "drone.yaml", "--print", cwd=tmp_path)
-    summary = json.loads(_run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path))
-    assert summary["steps"] == 5
+    found = importlib.util.find_spec("msgspec")
+    assert found is not None
+    assert found.origin is not None
+    environment = {**_environment(), "PYTHONPATH": str(Path(found.origin).parents[1])}
+    command = [str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+    )
+    assert json.loads(done.stdout)["steps"] == 5, done.stderr
+
+
+def test_what_needs_msgspec_says_so(rass_mav: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [str(rass_mav), "swarm", "five-drones"], cwd=tmp_path, env=_environment(), capture_output=True, text=True,
+        timeout=TIMEOUT_S, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "swarm: needs the package msgspec: pip install msgspec\n"

@@ -28,12 +28,11 @@ from rass_mav.wire import decode
 from rass_mav.wire.codec import ForeignError
 from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
 
+from .heartbeats import Heartbeats
 from .outgoing import Outgoing, frames_of
 
 log = logging.getLogger(__name__)
 
-#: A heartbeat every so many seconds (https://mavlink.io/en/services/heartbeat.html).
-HEARTBEAT_S = 1.0
 #: A rival under the same node id is told to the ground at most this often, seconds.
 RIVAL_REPORT_S = 30.0
 #: Refused measurements likewise.
@@ -46,6 +45,8 @@ _CRITICAL = 2
 _WARNING = 4
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
+# The part that heartbeats have of what the autopilot is told, where its radio is slow.
+_HEARTBEAT_PART = 0.7
 
 
 class VehicleService(Protocol):
@@ -66,11 +67,11 @@ class Agent:
 
     # A thousand of them share a processor's cache in the mock swarm.
     __slots__ = (
+        "_beats",
         "_component_id",
         "_fixed_system_id",
         "_immediate",
         "_next_full_report",
-        "_next_heartbeat",
         "_next_rival_report",
         "_next_turn",
         "_node_id",
@@ -152,7 +153,7 @@ class Agent:
         self._payload_type = mavlink.payload_type
         self._component_id = mavlink.component_id
         self._fixed_system_id = mavlink.system_id is not None
-        self._next_heartbeat = now
+        self._beats = Heartbeats(now)
         self._text_id = 0
         self._next_rival_report = now
         self._refused = 0
@@ -324,9 +325,7 @@ class Agent:
 
         Returns what the node sends.
         """
-        if now >= self._next_heartbeat:
-            # Sent by the loop that does the work, so that it stops when the work stops.
-            self.greet_vehicle(now)
+        self._beat(now)
         for service in self.services:
             service.step(now)
         out: list[Outgoing] = []
@@ -354,24 +353,36 @@ class Agent:
         return self._encoded(self.node.forward(now), now) if self._immediate else ()
 
     def greet_vehicle(self, now: float) -> None:
-        """Say the heartbeat, and the next one a second later. On a port that has just been opened it must be the first
-        frame: an autopilot sends nothing to where it has heard nobody."""
+        """Say the heartbeat to the autopilot. On a port that has just been opened it must be the first frame: an
+        autopilot sends nothing to where it has heard nobody."""
         self.to_vehicle.insert(0, self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
+        self._beats.greeted()
+
+    def _beat(self, now: float) -> None:
+        """Say the heartbeats that are due. By the loop that does the work, so that they stop when the work stops."""
+        if not self._beats.due(now):
+            return
+        if self._beats.due_to_vehicle():
+            self.greet_vehicle(now)
         if self.ground is not None:
             self.ground.to_ground.append(self.ground.writer.frame(HEARTBEAT, _HEARTBEAT))
-        self._next_heartbeat = max(self._next_heartbeat + HEARTBEAT_S, now)
 
     def beat_next(self, now: float) -> None:
         """Let a heartbeat be the next frame that leaves."""
-        self._next_heartbeat = now
+        self._beats.soon(now)
+
+    def pace_vehicle(self, rate: float) -> None:
+        """The autopilot passes on what it is told over a radio that others need too: no more than `rate`, bytes/s."""
+        self._beats.pace(_HEARTBEAT_PART * rate)
+        if self.ground is not None:
+            self.ground.outboxes[Way.VEHICLE].rate = (1.0 - _HEARTBEAT_PART) * rate
 
     def tend(self, now: float) -> float:
         """Between steps: say to the autopilot and the ground what is due. Returns when to come again."""
         if self.ground is None:
             return math.inf
-        if now >= self._next_heartbeat:
-            self.greet_vehicle(now)
-        return min(self._next_heartbeat, self.ground.tend(now))
+        self._beat(now)
+        return min(self._beats.next_at, self.ground.tend(now))
 
     def _until_next_turn(self, turn_s: float, step_s: float) -> float:
         """Whole steps, seconds. A new length begins at a random place: nodes that were switched on together, or have

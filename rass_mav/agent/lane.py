@@ -15,6 +15,9 @@ from .agent import Agent
 from .duplicates import Duplicates
 from .outgoing import Outgoing
 
+# How `status` calls them, in the order of `Urgency`.
+_KINDS = ("vehicle", "beacons", "answers", "data")
+
 
 class Lane:
     """The node's side of one link to the neighbours. The driver brings bytes, takes frames, and keeps the time."""
@@ -111,8 +114,8 @@ class Lane:
                 "items": items,
                 "throttle": round(pacer.throttle, 3),
                 "waiting": pacer.waiting,
-                "sent": dict(zip(("beacons", "answers", "data"), pacer.sent, strict=True)),
-                "dropped": dict(zip(("beacons", "answers", "data"), pacer.dropped, strict=True)),
+                "sent": dict(zip(_KINDS, pacer.sent, strict=True)),
+                "dropped": dict(zip(_KINDS, pacer.dropped, strict=True)),
             }
         return told
 

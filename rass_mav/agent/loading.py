@@ -5,29 +5,22 @@ Every error is a `ConfigError` of one line: `node.yaml: policy.alpha: expected a
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Hashable
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import msgspec
 import yaml
-from msgspec import inspect
 
 from rass_mav.core.errors import ConfigError
 
-T = TypeVar("T")
+from .sections import Section
+from .typed import build, plain, shown
+
+S = TypeVar("S", bound=Section)
 
 #: Largest file that is read, bytes of UTF-8.
 MAX_FILE_BYTES = 1 << 20
-_SHOWN = 60
-_AT = re.compile(r"^(?P<text>.*) - at `(?P<path>[^`]*)`$", re.DOTALL)
-_UNKNOWN = re.compile(r"^Object contains unknown field `(?P<key>.*)`$", re.DOTALL)
-_MISSING = re.compile(r"^Object missing required field `(?P<key>.*)`$", re.DOTALL)
-# What msgspec says by itself; everything else is the text of a ValueError in a Struct's __post_init__.
-_OF_MSGSPEC = ("Expected `", "Object ", "Invalid ", "Number out of range")
 
 
 class _Loader(yaml.SafeLoader):
@@ -129,159 +122,21 @@ def set_key(raw: dict[str, Any], assignment: str) -> None:
             place = place[index]
 
 
-def convert(raw: Any, type: type[T], source: str) -> T:
-    """`raw` as a Struct. Raises `ConfigError` that begins with `source`, a file's name for instance."""
-    _check_finite(raw, source, "")
+def convert(raw: Any, type: type[S], source: str) -> S:
+    """`raw` as a section. Raises `ConfigError` that begins with `source`, a file's name for instance."""
     try:
-        return msgspec.convert(raw, type)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{source}: {_explained(str(error), raw, type)}") from None
+        return build(raw, type)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
 
 
-def to_plain(struct: msgspec.Struct) -> dict[str, Any]:
-    """A Struct as plain values, every default filled in."""
-    plain: dict[str, Any] = msgspec.to_builtins(struct)
-    return plain
+def to_plain(section: Section) -> dict[str, Any]:
+    """A section as plain values, every default filled in."""
+    values: dict[str, Any] = plain(section)
+    return values
 
 
-def dump_yaml(struct: msgspec.Struct) -> str:
-    """A Struct as YAML, every default filled in."""
-    text: str = yaml.safe_dump(to_plain(struct), sort_keys=False, allow_unicode=True, width=120)
+def dump_yaml(section: Section) -> str:
+    """A section as YAML, every default filled in."""
+    text: str = yaml.safe_dump(to_plain(section), sort_keys=False, allow_unicode=True, width=120)
     return text
-
-
-def shown(value: Any) -> str:
-    """A value as it stands in an error: short, on one line, and as YAML writes it."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    try:
-        text = repr(value)
-    except ValueError:
-        text = "a number of very many digits"
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
-
-
-def _check_finite(raw: Any, source: str, path: str) -> None:
-    # .nan passes every comparison, and .inf most of them.
-    if isinstance(raw, float) and not math.isfinite(raw):
-        raise ConfigError(f"{source}: {path}: expected a finite number, got {raw}")
-    if isinstance(raw, dict):
-        for key, value in raw.items():
-            _check_finite(value, source, f"{path}.{key}" if path else str(key))
-    elif isinstance(raw, list):
-        for index, value in enumerate(raw):
-            _check_finite(value, source, f"{path}[{index}]")
-
-
-def _explained(message: str, raw: Any, type: type) -> str:
-    found = _AT.match(message)
-    text, at = (found["text"], found["path"]) if found else (message, "$")
-    path = at.removeprefix("$").removeprefix(".")
-    steps: list[str | int] = [
-        int(step[1:-1]) if step.startswith("[") else step for step in re.findall(r"\[\d+\]|[^.\[\]]+", path)
-    ]
-    here = _type_at(_type_info(type), steps)
-    if unknown := _UNKNOWN.match(text):
-        key = unknown["key"]
-        struct = _struct_in(here)
-        known = [field.encode_name for field in struct.fields] if struct is not None else []
-        import difflib  # only who makes a mistake needs it
-
-        close = difflib.get_close_matches(key, known, 1)
-        hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
-        return f"{_join(path, key)}: unknown key ({hint})"
-    if missing := _MISSING.match(text):
-        field = _type_at(here, [missing["key"]]) if here is not None else None
-        return f"{_join(path, missing['key'])}: missing, expected {_words(field)}"
-    if not text.startswith(_OF_MSGSPEC):
-        # A Struct's own words. It may know its place in the whole, or just its own keys.
-        return text if not path or text.startswith((path + ".", path + ":")) else _join(path, text)
-    return f"{path or 'the whole file'}: expected {_words(here)}, got {shown(_value_at(raw, steps))}"
-
-
-def _join(path: str, key: str) -> str:
-    return f"{path}.{key}" if path else key
-
-
-@lru_cache(maxsize=32)
-def _type_info(type: type) -> Any:
-    return inspect.type_info(type)
-
-
-def _alternatives(info: Any) -> list[Any]:
-    if isinstance(info, inspect.Metadata):
-        info = info.type
-    return list(info.types) if isinstance(info, inspect.UnionType) else [info]
-
-
-def _struct_in(info: Any) -> Any:
-    return next((t for t in _alternatives(info) if isinstance(t, inspect.StructType)), None)
-
-
-def _type_at(info: Any, steps: list[str | int]) -> Any:
-    """The type that stands at a path, or None."""
-    for step in steps:
-        for option in _alternatives(info):
-            if isinstance(option, inspect.StructType) and isinstance(step, str):
-                info = next((field.type for field in option.fields if field.encode_name == step), None)
-                break
-            if isinstance(option, inspect.TupleType) and isinstance(step, int):
-                info = option.item_types[step]
-                break
-            if isinstance(option, (inspect.ListType, inspect.VarTupleType)) and isinstance(step, int):
-                info = option.item_type
-                break
-        else:
-            return None
-    return info
-
-
-def _value_at(raw: Any, steps: list[str | int]) -> Any:
-    for step in steps:
-        raw = raw[step]
-    return raw
-
-
-def _words(info: Any) -> str:
-    """What a type takes, in plain words. null goes without saying where something else can stand."""
-    options = [_option(option) for option in _alternatives(info) if not isinstance(option, inspect.NoneType)]
-    return " or ".join(dict.fromkeys(options)) or "null"
-
-
-def _option(info: Any) -> str:
-    if isinstance(info, inspect.Metadata):
-        info = info.type
-    if isinstance(info, inspect.IntType):
-        return "a whole number" + _bounds(info)
-    if isinstance(info, inspect.FloatType):
-        return "a number" + _bounds(info)
-    if isinstance(info, inspect.BoolType):
-        return "true or false"
-    if isinstance(info, inspect.StrType):
-        return "text" + _length(info.min_length, info.max_length, "characters")
-    if isinstance(info, inspect.LiteralType):
-        values = [str(value) for value in sorted(info.values, key=str)]
-        return values[0] if len(values) == 1 else "one of " + ", ".join(values)
-    if isinstance(info, inspect.TupleType):
-        return f"a list of {len(info.item_types)} values"
-    if isinstance(info, (inspect.ListType, inspect.VarTupleType)):
-        return "a list" + _length(info.min_length, info.max_length, "items")
-    if isinstance(info, inspect.StructType):
-        return "a section with keys " + ", ".join(field.encode_name for field in info.fields)
-    return "another value"
-
-
-def _bounds(info: Any) -> str:
-    bounds = ((">=", info.ge), (">", info.gt), ("<=", info.le), ("<", info.lt))
-    said = [f"{sign} {bound}" for sign, bound in bounds if bound is not None]
-    return " " + " and ".join(said) if said else ""
-
-
-def _length(least: int | None, most: int | None, unit: str) -> str:
-    if least is not None and most is not None:
-        return f" of {least} to {most} {unit}"
-    if least is not None:
-        return f" of at least {least} {unit}"
-    return f" of at most {most} {unit}" if most is not None else ""

@@ -24,7 +24,19 @@ MAX_SAID = 32
 class Outbox:
     """Frames for one way. Time comes in as an argument."""
 
-    __slots__ = ("_answers", "_free_at", "_list", "_listed", "_said", "_size", "_to_list", "_turn", "dropped", "writer")
+    __slots__ = (
+        "_answers",
+        "_free_at",
+        "_list",
+        "_listed",
+        "_said",
+        "_size",
+        "_to_list",
+        "_turn",
+        "dropped",
+        "rate",
+        "writer",
+    )
 
     def __init__(self, writer: FrameWriter, listing: Callable[[int], tuple[int, bytes]], size: int) -> None:
         """:param listing: message id and payload of an entry of the list, 0..size - 1."""
@@ -37,6 +49,8 @@ class Outbox:
         self._to_list = 0
         self._free_at = -math.inf
         self._turn = 0
+        self.rate = math.inf
+        """What may leave, bytes/s, beside `GAP_S`."""
         self.dropped = 0
         """Messages for which there was no room."""
 
@@ -65,15 +79,16 @@ class Outbox:
         return self._free_at if self._answers or self._said or self._to_list else math.inf
 
     def take(self, now: float) -> bytes | None:
-        """The frame that leaves now, if any; at most one in `GAP_S` seconds."""
+        """The frame that leaves now, if any; at most one in `GAP_S` seconds, and no more than `rate`."""
         if now < self._free_at:
             return None
         for _ in range(3):
             self._turn = (self._turn + 1) % 3
             message = self._next(self._turn)
             if message is not None:
-                self._free_at = now + GAP_S
-                return self.writer.frame(*message)
+                frame = self.writer.frame(*message)
+                self._free_at = now + max(GAP_S, len(frame) / self.rate)
+                return frame
         return None
 
     def _next(self, source: int) -> tuple[int, bytes] | None:

@@ -13,14 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import msgspec
-
 from rass_mav.core.errors import ConfigError
 from rass_mav.core.store import Store
 from rass_mav.mavlink.component import single
 
 from .loading import convert, to_plain
-from .settings import AgentSettings, PolicyName, Section
+from .sections import Section, replace
+from .settings import AgentSettings, PolicyName
 
 _PAIR = struct.Struct("<ff")
 _META = "param."
@@ -137,13 +136,13 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
         plain = names[plain]
     section_name, _, key = parameter.key.rpartition(".")
     if not section_name:
-        return msgspec.structs.replace(settings, **{key: plain})
+        return replace(settings, **{key: plain})
     section: Section = getattr(settings, section_name)
     try:
         new = convert({**to_plain(section), key: plain}, type(section), parameter.name)
     except ConfigError as error:
         raise ConfigError(str(error).replace(f": {key}: ", ": ", 1)) from None
-    return msgspec.structs.replace(settings, **{section_name: new})
+    return replace(settings, **{section_name: new})
 
 
 def remember(store: Store, configured: AgentSettings, parameter: Parameter, value: float) -> None:

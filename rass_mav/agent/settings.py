@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, Protocol
 
-import msgspec
-from msgspec import Meta
-
 from rass_mav.core.errors import ConfigError
 from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
@@ -16,16 +13,15 @@ from rass_mav.policy import Weights, make_policy
 from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.measurement import MEASUREMENT_BYTES
 
+from .sections import Meta
+from .sections import Section as Section  # the mock swarm takes it from here
+
 Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 Forward = Literal["step", "immediate"]
 PolicyName = Literal["rass", "rass-literal", "hop-count", "stigmergy", "survival"]
-
-
-class Section(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Base of all sections: unknown keys are errors."""
 
 
 class PolicySettings(Section, frozen=True):

@@ -8,9 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import msgspec
+from rass_mav.core.errors import ControlError, MalformedError
 
-from rass_mav.core.errors import ControlError
+from .jsonlines import dump_line, load_line
 
 #: How long an answer may take, seconds. `put` waits for the disk.
 ANSWER_S = 30.0
@@ -39,12 +39,12 @@ class ControlClient:
     def ask_all(self, command: str, **fields: Any) -> Iterator[dict[str, Any]]:
         """One request, its answers: more than one for `ls`."""
         try:
-            self._socket.sendall(msgspec.json.encode({"command": command, **fields}) + b"\n")
+            self._socket.sendall(dump_line({"command": command, **fields}))
             while True:
                 line = self._file.readline()
                 if not line.endswith(b"\n"):
                     raise ControlError(f"{self._path}: the node ended the connection")
-                answer: dict[str, Any] = msgspec.json.decode(line)
+                answer = load_line(line)
                 if not answer.pop("ok"):
                     raise ControlError(answer["error"])
                 yield answer
@@ -54,7 +54,7 @@ class ControlClient:
             raise ControlError(f"{self._path}: the node does not answer") from None
         except OSError as error:
             raise ControlError(f"{self._path}: {(error.strerror or str(error)).lower()}") from None
-        except msgspec.DecodeError as error:
+        except MalformedError as error:
             raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
 
     def close(self) -> None:

@@ -6,11 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
-from msgspec import Meta
-
 from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.loading import convert, read_yaml, set_key
+from rass_mav.agent.sections import Meta, Section, field, replace
 from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import (
     AgentSettings,
@@ -24,7 +22,6 @@ from rass_mav.agent.settings import (
     Positive,
     RiskSettings,
     RoutingSettings,
-    Section,
     StoreSettings,
 )
 from rass_mav.core.errors import ConfigError
@@ -57,9 +54,7 @@ class AutopilotSection(Section, frozen=True):
 
     url: str | None = None
     """`serial:device:baud`, `udpin:host:port`, `udpout:host:port` or `tcp:host:port`; null: there is none."""
-    messages: dict[str, Annotated[float, Meta(ge=0.02, le=60)]] = msgspec.field(
-        default_factory=lambda: dict(DEFAULT_MESSAGES)
-    )
+    messages: dict[str, Annotated[float, Meta(ge=0.02, le=60)]] = field(default_factory=lambda: dict(DEFAULT_MESSAGES))
     """Messages that the autopilot is asked for, by name, each with the seconds between two; {}: it is not asked."""
 
 
@@ -202,9 +197,9 @@ def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
 
 def filled_in(config: RunConfig) -> RunConfig:
     """The same configuration with the defaults that depend on others written out."""
-    return msgspec.structs.replace(
+    return replace(
         config,
-        node=msgspec.structs.replace(config.node, id=config.node_id),
-        store=msgspec.structs.replace(config.store, path=str(config.store_path)),
-        control=msgspec.structs.replace(config.control, socket=str(config.socket_path)),
+        node=replace(config.node, id=config.node_id),
+        store=replace(config.store, path=str(config.store_path)),
+        control=replace(config.control, socket=str(config.socket_path)),
     )

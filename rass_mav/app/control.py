@@ -14,15 +14,15 @@ import socket
 import stat
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
-import msgspec
-from msgspec import Meta
-
+from rass_mav.agent.sections import Meta, Section
+from rass_mav.agent.typed import build
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
-from rass_mav.core.errors import ControlError, MalformedError, RassError, StoreDamagedError
+from rass_mav.core.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError
 
 from .driver import Driver
+from .jsonlines import dump_line, load_bytes, load_line
 from .payloads import describe, parse_id, unpack_file
 from .status import status
 
@@ -40,30 +40,34 @@ LS_PAGE = 64
 _LAST_WORDS_S = 2.0
 
 
-class StatusRequest(msgspec.Struct, tag_field="command", tag="status", forbid_unknown_fields=True):
+class StatusRequest(Section, frozen=True):
     """What the node knows."""
 
 
-class PutRequest(msgspec.Struct, tag_field="command", tag="put", forbid_unknown_fields=True):
+class PutRequest(Section, frozen=True):
     """Create a datum; answered when it is on disk."""
 
-    payload: bytes
-    """1 byte to 1 MiB; base64 in JSON."""
+    payload: str
+    """1 byte to 1 MiB, in base64."""
     kind: Annotated[int, Meta(ge=0, le=255)] = Kind.BYTES
 
 
-class GetRequest(msgspec.Struct, tag_field="command", tag="get", forbid_unknown_fields=True):
+class GetRequest(Section, frozen=True):
     """The bytes of a datum that this node holds."""
 
     id: str
 
 
-class LsRequest(msgspec.Struct, tag_field="command", tag="ls", forbid_unknown_fields=True):
+class LsRequest(Section, frozen=True):
     """All data that this node holds."""
 
 
-Request: TypeAlias = StatusRequest | PutRequest | GetRequest | LsRequest
-_decoder = msgspec.json.Decoder(StatusRequest | PutRequest | GetRequest | LsRequest)
+_REQUESTS: dict[str, type[Section]] = {
+    "status": StatusRequest,
+    "put": PutRequest,
+    "get": GetRequest,
+    "ls": LsRequest,
+}
 
 
 class ControlServer:
@@ -143,14 +147,15 @@ class ControlServer:
 
     async def _answers(self, line: bytes) -> AsyncIterator[dict[str, Any]]:
         try:
-            request: Request = _decoder.decode(line)
-        except msgspec.DecodeError as error:
+            request = _request(line)
+            payload = load_bytes(request.payload) if isinstance(request, PutRequest) else b""
+        except (MalformedError, ConfigError) as error:
             raise ControlError(f"not a request: {error}") from None
         driver = self._driver
         if isinstance(request, StatusRequest):
             yield {"status": status(driver, self._started)}
         elif isinstance(request, PutRequest):
-            yield {"id": str(await driver.put(request.payload, request.kind))}
+            yield {"id": str(await driver.put(payload, request.kind))}
         elif isinstance(request, GetRequest):
             yield self._get(parse_id(request.id))
         else:
@@ -194,8 +199,19 @@ class ControlServer:
         yield {"data": page, "more": False}
 
 
+def _request(line: bytes) -> Section:
+    """Raises `MalformedError` or `ConfigError`."""
+    raw = load_line(line)
+    command = raw.pop("command", None)
+    if not isinstance(command, str) or command not in _REQUESTS:
+        raise MalformedError(f"expected a command, one of {', '.join(_REQUESTS)}")
+    if any(isinstance(value, (dict, list)) for value in raw.values()):
+        raise MalformedError("expected text and numbers only")
+    return build(raw, _REQUESTS[command])
+
+
 async def _say(writer: asyncio.StreamWriter, answer: dict[str, Any]) -> None:
-    writer.write(msgspec.json.encode(answer) + b"\n")
+    writer.write(dump_line(answer))
     await writer.drain()
 
 

@@ -21,6 +21,8 @@ from rass_mav.agent.lane import Lane, common_pace, slowest_turn
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId
 from rass_mav.core.errors import RassError, StoreDamagedError, StoreError, StoreFullError
+from rass_mav.core.messages import BROADCAST
+from rass_mav.link.airtime import Urgency
 from rass_mav.link.base import Address, Link
 from rass_mav.link.radio import AutopilotLink
 from rass_mav.link.vehicle import VehiclePort
@@ -250,6 +252,8 @@ class Driver:
                 # The length of a step may have been set anew from the ground.
                 lane.pacer.step_s = self.agent.settings.step_s
                 lane.pacer.neighbours = sum(map(link.reaches, node.routing.neighbours))
+        if self._through is not None and (pacer := self._through[1].pacer) is not None:
+            self.agent.pace_vehicle(pacer.vehicle_rate)
         step_s = self.agent.settings.step_s
         turn_s, items = common_pace(self.lanes, step_s, node.settings.bandwidth_items)
         node.pace(turn_s, items, self.now(), slowest_turn(self.lanes, step_s))
@@ -298,6 +302,9 @@ class Driver:
         """Send what may leave now, and come back when more may."""
         pacer = lane.pacer
         assert pacer is not None
+        if self._greeting(link):
+            self._wake.set()
+            return
         now = self.now()
         while (queued := pacer.pop(now)) is not None:
             link.send(queued.frame, queued.target)
@@ -317,10 +324,28 @@ class Driver:
         if agent.ground is not None:
             ways.append((self.ground, agent.ground.to_ground))
         for way, frames in ways:
-            if way is not None:
+            if way is not None and way is self.vehicle and self._through is not None:
+                self._through_autopilot(*self._through, frames)
+            elif way is not None:
                 for frame in frames:
                     way.send(frame)
             frames.clear()
+
+    def _through_autopilot(self, link: Link, lane: Lane, frames: Sequence[bytes]) -> None:
+        """What the autopilot is told it may pass on over the neighbours' radio, so it counts there."""
+        if lane.pacer is None:
+            for frame in frames:
+                link.send(frame, BROADCAST)
+        elif frames:
+            now = self.now()
+            for frame in frames:
+                lane.pacer.push(frame, BROADCAST, Urgency.VEHICLE, now)
+            self._pump(link, lane)
+
+    def _greeting(self, link: Link) -> bool:
+        """Whether the autopilot's port was opened and waits for its first heartbeat."""
+        through = self._through is not None and link is self._through[0]
+        return through and self.vehicle is not None and self.vehicle.generation != self._vehicle_generation
 
     # -- commits -------------------------------------------------------------------------------------------------------
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import ipaddress
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Literal
 
-from msgspec import Meta
-
-from rass_mav.agent.settings import Positive, Section
+from rass_mav.agent.sections import Meta, Section
+from rass_mav.agent.settings import Positive
 from rass_mav.core.errors import ConfigError
 from rass_mav.link.address import parse_address, parse_multicast, parse_serial
 from rass_mav.link.airtime import FRAME_BYTES, Budget
 from rass_mav.link.base import Link
+from rass_mav.link.interface import is_address, is_name
 from rass_mav.link.radio import AutopilotLink, SerialLink
 from rass_mav.link.serialport import SerialOpener
 from rass_mav.link.udp import Peer, UdpLink
@@ -81,7 +80,8 @@ class LinkSection(Section, frozen=True):
     multicast: str | None = None
     """Multicast group and port, as 239.255.82.83:14601; null: none."""
     interface: str | None = None
-    """Own IPv4 address on the network for multicast; null: the system chooses."""
+    """Network interface for multicast and for broadcast to 255.255.255.255, by name (wlan0) or by its own IPv4
+    address (multicast only); null: the system chooses."""
     ttl: Annotated[int, Meta(ge=0, le=255)] = 1
     """Multicast frames pass so many routers less one."""
 
@@ -156,7 +156,5 @@ def under(key: str) -> Iterator[None]:
 
 
 def _check_interface(text: str) -> None:
-    try:
-        ipaddress.IPv4Address(text)
-    except ValueError:
-        raise ConfigError(f"expected an own IPv4 address, got {text!r}") from None
+    if not is_address(text) and not is_name(text):
+        raise ConfigError(f"expected the name of a network interface or its own IPv4 address, got {text!r}")

@@ -1,8 +1,9 @@
 """Airtime: what a node may send on a link, when, and what goes first. Pure: time is an argument.
 
 A slow radio is shared by all who hear each other. The swarm takes a stated share of it (`duty`), whatever the number
-of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data. Frames leave
-one by one, so that whoever passes them on (an autopilot with room for two messages, a radio's small buffer) keeps up.
+of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data. On the way
+through the autopilot what the node says to it, and to the ground station behind it, counts as well. Frames leave one by
+one, so that whoever passes them on (an autopilot with room for two messages, a radio's small buffer) keeps up.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from enum import IntEnum
 from typing import NamedTuple
 
 #: Frames that may wait, by urgency. A beacon that waits is replaced by the next one: only the newest is of use.
-MAX_WAITING = (1, 32, 64)
+MAX_WAITING = (8, 1, 32, 64)
 #: The longest frame of ours on the air, bytes: a full TUNNEL with a signature.
 FRAME_BYTES = 158
 #: A beacon on the air with a signature, bytes.
 BEACON_BYTES = 69
-#: Parts of the swarm's airtime that are left for data when beacons have theirs; the rest is for answers, which are
-#: as many as the data of all neighbours, but small.
+#: Parts of the swarm's airtime that are left for data, and for what is said to the vehicle, when beacons have theirs;
+#: the rest is for answers, which are as many as the data of all neighbours, but small.
 DATA_PART = 0.7
+VEHICLE_PART = 0.15
 #: Beacons are never farther apart, seconds: a neighbourhood that slow is none.
 MAX_TURN_S = 120.0
 #: An answer or datum that has waited so many turns is dropped: it is being sent again by now.
@@ -37,10 +39,13 @@ RADIO_STATUS_S = 30.0
 class Urgency(IntEnum):
     """What goes first."""
 
-    BEACON = 0
-    ANSWER = 1
+    VEHICLE = 0
+    """To the autopilot and the ground behind it, on the way through the autopilot. Little, and paced by who says it
+    (`Pacer.vehicle_rate`): a heartbeat has to be the first frame on a port."""
+    BEACON = 1
+    ANSWER = 2
     """What a neighbour waits for: it keeps its datum, and sends it again, until the answer is there."""
-    DATA = 2
+    DATA = 3
 
 
 class Budget(NamedTuple):
@@ -107,16 +112,16 @@ class Pacer:
         self.budget = budget
         self.neighbours = 0
         """How many nodes are heard on this link."""
-        self.dropped = [0, 0, 0]
+        self.dropped = [0] * len(Urgency)
         """Frames dropped, by urgency: no room, too old, or (beacons) replaced by a newer one."""
-        self.sent = [0, 0, 0]
+        self.sent = [0] * len(Urgency)
         """Frames handed out, by urgency."""
         self.throttle = 1.0
         """What the radio's buffer leaves of the rate."""
         self._rng = rng
         self.step_s = step_s
         """Beacons are made that often, seconds."""
-        self._queues: tuple[deque[Queued], ...] = (deque(), deque(), deque())
+        self._queues: tuple[deque[Queued], ...] = tuple(deque() for _ in Urgency)
         size = max(budget.burst_bytes, FRAME_BYTES)
         self._bytes = _Bucket(size, size, now)
         # Two to begin with, the next ones at intervals: a bucket of n lets n + 1 through in a moment.
@@ -138,6 +143,11 @@ class Pacer:
     def data_rate(self) -> float:
         """This node's part for data, bytes/s."""
         return self.rate * (1.0 - self.budget.beacons) * DATA_PART / (self.neighbours + 1)
+
+    @property
+    def vehicle_rate(self) -> float:
+        """This node's part for what it says to the autopilot and the ground, bytes/s."""
+        return self.rate * (1.0 - self.budget.beacons) * VEHICLE_PART / (self.neighbours + 1)
 
     def pace(self) -> Pace:
         """What the link can bear, with the neighbours that there are now."""

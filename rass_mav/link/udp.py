@@ -17,6 +17,7 @@ from rass_mav.core.errors import LinkError
 
 from .address import resolve
 from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
+from .interface import EVERY_NETWORK, find_interface, is_address
 from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
 
 #: Addresses learned from beacons that a link remembers; beyond it the longest silent one is forgotten.
@@ -47,8 +48,9 @@ class UdpLink(Link):
         interface: str | None = None,
         ttl: int = 1,
     ) -> None:
-        """`listen`: own address, port 0 for any. `interface`: own IPv4 address on the network that multicast uses;
-        None: the system chooses. `ttl`: routers that a multicast frame may pass, plus one.
+        """`listen`: own address, port 0 for any. `interface`: by name or own IPv4 address, for multicast, and with a
+        name for broadcast to 255.255.255.255; None: the system chooses. `ttl`: routers that a multicast frame may pass,
+        plus one.
 
         Host names are looked up, which may take seconds. Raises `LinkError`.
         """
@@ -60,6 +62,14 @@ class UdpLink(Link):
             for peer, address in zip(peers, self._everybody, strict=True)
             if peer.node_id is not None
         }
+        if interface is not None and not is_address(interface):
+            try:
+                found = find_interface(interface)
+            except LinkError as error:
+                raise LinkError(f"{self.name}: {error}") from None
+            interface = found.address
+            if broadcast is not None and broadcast[0] == EVERY_NETWORK and found.broadcast is not None:
+                broadcast = (found.broadcast, broadcast[1])
         if broadcast is not None:
             self._everybody.append(resolve(broadcast, self.name))
         if multicast is not None:

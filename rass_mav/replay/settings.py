@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import msgspec
-
 from rass_mav.agent.loading import convert, set_key
+from rass_mav.agent.sections import Section, replace
 from rass_mav.agent.sensors import CountsSettings
 from rass_mav.agent.settings import (
     AgentSettings,
@@ -18,7 +17,6 @@ from rass_mav.agent.settings import (
     Positive,
     RiskSettings,
     RoutingSettings,
-    Section,
     StoreSettings,
 )
 from rass_mav.swarm.scenario import NodeSection, RadioSection
@@ -68,7 +66,7 @@ class ReplaySettings(Section, frozen=True):
         low = self.risk.low
         above = None if highest is None else highest - self.risk.background
         high = above if above is not None and above > low else low + 1.0
-        return msgspec.structs.replace(self, risk=msgspec.structs.replace(self.risk, high=high))
+        return replace(self, risk=replace(self.risk, high=high))
 
     def agent_settings(self, node_id: int, system_id: int | None, *, steps: int) -> AgentSettings:
         """The settings of one node.
@@ -83,8 +81,8 @@ class ReplaySettings(Section, frozen=True):
             base=system_id is None,
             step_s=self.node.step_s,
             forward=self.node.forward,
-            data=msgspec.structs.replace(self.data, until_step=steps if until is None else min(until, steps)),
-            mavlink=msgspec.structs.replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
+            data=replace(self.data, until_step=steps if until is None else min(until, steps)),
+            mavlink=replace(self.mavlink, system_id=system_id, autopilot_id=system_id or 0),
         )
 
 

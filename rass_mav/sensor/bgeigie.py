@@ -28,6 +28,7 @@ MIN_FIELDS = 13
 SENTENCE = re.compile(rb"\$(?:" + b"|".join(sorted(HEADERS)) + rb"),")
 
 _CHECKED = re.compile(rb"\$([\x20-\x7e]*)\*([0-9A-Fa-f]{2})")
+_SIGN = re.compile(rb",-(\d+\.\d+,[SW])(?=,)")
 _NUMBER = re.compile(rb"\d{1,9}")
 _TIME = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
 _DEGREES = re.compile(rb"\d{1,5}(?:\.\d{1,9})?")
@@ -68,9 +69,14 @@ def fields_of(sentence: bytes) -> list[bytes] | None:
     found = _CHECKED.fullmatch(sentence)
     if found is None:
         raise MalformedError(f"expected $...*XX, got {shown(sentence)}")
-    if reduce(xor, found[1], 0) != int(found[2], 16):
-        raise MalformedError(f"wrong checksum: {shown(sentence)}")
-    fields = found[1].split(b",")
+    checksum = int(found[2], 16)
+    # Some firmwares write -07355.3663,W: the sign says what the letter says, and the checksum was made without it.
+    body = _SIGN.sub(rb",\1", found[1])
+    if reduce(xor, body, 0) != checksum:
+        body = found[1]
+        if reduce(xor, body, 0) != checksum:
+            raise MalformedError(f"wrong checksum: {shown(sentence)}")
+    fields = body.split(b",")
     if fields[0] not in HEADERS:
         return None
     if len(fields) < MIN_FIELDS:
@@ -126,7 +132,6 @@ def _time_us(text: bytes) -> int:
 def _degrees(text: bytes, letter: bytes, letters: bytes, limit: float) -> float:
     """Degrees of `dddmm.mmmm` and a letter, of which the second is negative."""
     if _DEGREES.fullmatch(text) is None or len(letter) != 1 or letter not in letters:
-        # Some firmwares write -07355.3663,W: a sign and a letter, of which one must be wrong.
         raise MalformedError(f"expected dddmm.mmmm and one of {letters.decode()}, got {shown(text + b',' + letter)}")
     degrees, minutes = divmod(float(text), 100.0)
     value = degrees + minutes / 60.0

@@ -13,7 +13,7 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Route
 from rass_mav.core.policy import POTENTIAL_ONE
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import (
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
@@ -25,6 +25,7 @@ from rass_mav.mavlink.messages import (
     parse,
 )
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import Signer
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import decode, encode
@@ -280,3 +281,21 @@ def test_with_a_sensor_of_its_own_the_autopilots_reading_is_not_believed() -> No
     assert (agent.node.risk.risk(2.0), measured(agent, 2.0).reading) == (0.25, 2.5)
     # It falls silent.
     assert (agent.node.risk.risk(12.0), measured(agent, 12.0).reading) == (1.0, None)
+
+
+def test_what_is_signed_is_read_like_all_else_and_answered_unsigned() -> None:
+    """Autopilots and neighbours may sign. A node has no key: it checks nothing, and signs nothing."""
+    agent = make(7, data={"interval_steps": 0})
+    signed = FrameWriter(7, 1, Signer(bytes(range(32)), 0, 1))
+    for message in (autopilot_heartbeat(), named_value_float("RAD", 0.25, 1)):
+        agent.vehicle_bytes(signed.message(message), 0.0)
+    assert agent.node.risk.risk(0.0) == 0.25
+    neighbour = make(8, base=True)
+    neighbour.peer_writer = FrameWriter(8, 191, Signer(bytes(range(32)), 1, 1))
+    for outgoing in neighbour.step(0.0):
+        assert outgoing.frame[2] & FLAG_SIGNED
+        agent.peer_bytes(outgoing.frame, 0.0)
+    agent.node.put(b"x", 0.0)
+    answers = agent.step(1.0)
+    assert {type(message) for message in said(answers)} == {Beacon, Data}, "it has a neighbour"
+    assert not any(outgoing.frame[2] & FLAG_SIGNED for outgoing in answers)

@@ -14,6 +14,7 @@ from rass_mav.agent.settings import (
     AgentSettings,
     CustodySettings,
     DataSettings,
+    GroundSettings,
     MavlinkSettings,
     PolicySettings,
     RiskSettings,
@@ -36,11 +37,13 @@ STEP_S = 0.02
 PAYLOAD_TYPE = 33200
 
 
-def settings(node_id: int, *, base: bool = False, step_s: float = STEP_S, **store: Any) -> AgentSettings:
+def settings(
+    node_id: int, *, base: bool = False, step_s: float = STEP_S, ground: GroundSettings | None = None, **store: Any
+) -> AgentSettings:
     return AgentSettings(
         node_id=node_id, base=base, step_s=step_s, policy=PolicySettings(), risk=RiskSettings(),
         routing=RoutingSettings(), custody=CustodySettings(), store=StoreSettings(**store),
-        data=DataSettings(interval_steps=0), mavlink=MavlinkSettings(),
+        data=DataSettings(interval_steps=0), mavlink=MavlinkSettings(), ground=ground,
     )  # fmt: skip
 
 

@@ -12,11 +12,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-import msgspec
 import pytest
 from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.sections import replace
 from rass_mav.agent.settings import PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import MAX_WAITING, Driver
@@ -145,9 +145,7 @@ def test_with_immediate_forwarding_data_leave_after_their_commit_and_not_after_t
         hub.connect(link, other)
         base = NeighbourEnd(other, 1)
         disk = HeldExecutor()
-        about = msgspec.structs.replace(
-            settings(3, step_s=3600.0), forward="immediate", policy=PolicySettings(name="rass")
-        )
+        about = replace(settings(3, step_s=3600.0), forward="immediate", policy=PolicySettings(name="rass"))
         store = open_store(tmp_path / "node.db")
         async with running(link, store, about, executor=disk) as driver:
             await base.beacons(1)

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import msgspec
 import pytest
 from app_drivers import TIMEOUT_S, run, settings
 from app_nodes import RunningNode, command, free_ports
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.sections import replace
 from rass_mav.app.driver import SENSOR_REPORT_S, Driver
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore
@@ -54,7 +54,7 @@ class Driven:
     def __init__(self, caplog: pytest.LogCaptureFixture) -> None:
         self.now = 1000.0
         self.sensor = HandSensor()
-        about = msgspec.structs.replace(settings(7), own_sensor=True)
+        about = replace(settings(7), own_sensor=True)
         self.agent = Agent(about, MemoryStore(1), random.Random(1), now=self.now)
         self._executor = ThreadPoolExecutor(1)
         self.driver = Driver(self.agent, [], None, lambda: self.now, self._executor, sensor=self.sensor)

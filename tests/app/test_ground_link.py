@@ -10,11 +10,11 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from app_drivers import TIMEOUT_S, HeldExecutor, run, settings
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.sections import replace
 from rass_mav.agent.settings import GroundSettings, PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import load_config
@@ -80,7 +80,7 @@ async def node(
     """A node that runs, and the ground station that it speaks to."""
     station = GroundStation()
     link = VehicleLink(parse_vehicle_url(await station.open()))
-    about = msgspec.structs.replace(
+    about = replace(
         settings(7, step_s=step_s),
         policy=PolicySettings(name="rass"),
         ground=GroundSettings(values_s=values_s, computer_s=0),

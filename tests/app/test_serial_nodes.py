@@ -15,6 +15,7 @@ from app_drivers import TIMEOUT_S, Arrivals, run, settings
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
+from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
 from rass_mav.app.links import AirtimeSection, LinkSection
@@ -23,7 +24,14 @@ from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, autopilot_heartbeat, named_value_float
+from rass_mav.mavlink.messages import (
+    COMMAND_LONG,
+    HEARTBEAT,
+    NAMED_VALUE_FLOAT,
+    TUNNEL,
+    autopilot_heartbeat,
+    named_value_float,
+)
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
 
@@ -72,12 +80,12 @@ class Running:
 
     def __init__(
         self, node_id: int, links: list[Link], vehicle: VehiclePort | None = None, *, base: bool = False,
-        arrivals: Arrivals | None = None,
+        arrivals: Arrivals | None = None, ground: GroundSettings | None = None,
     ) -> None:  # fmt: skip
         clock = Clock()
         self.agent = Agent(
-            settings(node_id, base=base), MemoryStore(1000 + node_id), random.Random(node_id), now=clock.now(),
-            observer=arrivals, newborn=True,
+            settings(node_id, base=base, ground=ground), MemoryStore(1000 + node_id), random.Random(node_id),
+            now=clock.now(), observer=arrivals, newborn=True,
         )  # fmt: skip
         if vehicle is not None:
             self.agent.services.append(MessageRates(self.agent, message_ids({"GLOBAL_POSITION_INT": 1.0})))
@@ -223,5 +231,35 @@ def test_peers_through_the_autopilots_port(tmp_path: Path) -> None:
         for node in nodes:
             await node.end()
         cable.pull_out()
+
+    run(scenario)
+
+
+def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(tmp_path: Path) -> None:
+    """Values ten times a second would be 1,000 bytes a second: the autopilot passes them on like all that it hears."""
+    airtime = AirtimeSection(bytes_s=1000.0, duty=0.2)
+
+    async def scenario() -> None:
+        device = Device(tmp_path, "serial0")
+        vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
+        link = LinkSection(type="autopilot", airtime=airtime).open(vehicle)
+        autopilot = Autopilot(device.plug_in())
+        node = Running(3, [link], vehicle, ground=GroundSettings(values_s=0.1))
+        began = asyncio.get_running_loop().time()
+        for _ in range(3):
+            # The first frame on the port, and then one in two seconds.
+            autopilot.heard, heard = [], autopilot.heard
+            await autopilot.until(HEARTBEAT)
+            autopilot.heard = heard + autopilot.heard
+        seconds = asyncio.get_running_loop().time() - began
+        assert autopilot.heard[0].message_id == HEARTBEAT
+        assert {frame.message_id for frame in autopilot.heard} >= {HEARTBEAT, NAMED_VALUE_FLOAT, TUNNEL}
+        # 12 bytes around each payload; its trailing zeros do not travel.
+        said = sum(12 + len(frame.payload.rstrip(b"\0")) for frame in autopilot.heard)
+        assert said <= airtime.burst_bytes + seconds * airtime.bytes_s * airtime.duty
+        told = node.driver.lanes[0].report()["airtime"]["sent"]
+        assert told["vehicle"] >= 3
+        await node.end()
+        device.pull_out()
 
     run(scenario)

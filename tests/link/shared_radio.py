@@ -20,6 +20,7 @@ from rass_mav.agent.loading import convert
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import BROADCAST
 from rass_mav.core.observer import Observer
 from rass_mav.link.airtime import Budget, Urgency
 from rass_mav.mavlink.frames import FrameWriter
@@ -110,6 +111,7 @@ class RadioNode:
         rng: random.Random, **sections: Any,
     ) -> None:  # fmt: skip
         raw = {"node_id": node_id, "base": base, "step_s": 1.0, **{name: sections.get(name, {}) for name in SECTIONS}}
+        raw["ground"] = sections.get("ground")
         settings = convert(raw, AgentSettings, "test")
         self.simulation = simulation
         self.air = air
@@ -133,9 +135,27 @@ class RadioNode:
         lane.pacer.neighbours = len(agent.node.routing.neighbours)
         turn_s, items = common_pace([lane], 1.0, agent.settings.store.bandwidth_items)
         agent.node.pace(turn_s, items, now, slowest_turn([lane], 1.0))
+        agent.pace_vehicle(lane.pacer.vehicle_rate)
         self.say(agent.step(now))
-        agent.to_vehicle.clear()
+        if agent.ground is None:
+            agent.to_vehicle.clear()
+        else:
+            self.tend()
         self.simulation.at(now + 1.0, self.step)
+
+    def tend(self) -> None:
+        """What goes to the autopilot and the ground, over the same radio; as the driver does it."""
+        now = self.simulation.now
+        pacer = self.lane.pacer
+        assert pacer is not None
+        due = self.agent.tend(now)
+        for frame in self.agent.to_vehicle:
+            pacer.push(frame, BROADCAST, Urgency.VEHICLE, now)
+        self.agent.to_vehicle.clear()
+        self.pump()
+        # Beyond it, the next step comes first.
+        if due < now + 1.0:
+            self.simulation.at(due, self.tend)
 
     def say(self, frames: Any) -> None:
         for outgoing in frames:

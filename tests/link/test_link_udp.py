@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 
 import pytest
@@ -11,6 +12,7 @@ from link_helpers import TIMEOUT_S, Ear
 from rass_mav.core.errors import LinkError
 from rass_mav.core.messages import BROADCAST
 from rass_mav.link.base import MAX_INBOX, MAX_OUTBOX
+from rass_mav.link.interface import find_interface
 from rass_mav.link.sockets import MAX_PER_WAKE, Sender
 from rass_mav.link.udp import MAX_LEARNED, Peer, UdpLink
 
@@ -73,14 +75,15 @@ def test_the_table_of_learned_addresses_is_bounded_and_forgets_the_longest_silen
     link.close()
 
 
-def test_two_nodes_on_one_host_hear_each_other_by_multicast_and_not_themselves() -> None:
+@pytest.mark.parametrize("interface", ["127.0.0.1", "lo"])
+def test_two_nodes_on_one_host_hear_each_other_by_multicast_and_not_themselves(interface: str) -> None:
     async def scenario() -> None:
         group = ("239.255.82.83", free_port())
         try:
-            a = UdpLink(ANY, multicast=group, interface="127.0.0.1")
+            a = UdpLink(ANY, multicast=group, interface=interface)
         except LinkError as error:
             pytest.skip(f"no multicast here: {error}")
-        b = UdpLink(ANY, multicast=group, interface="127.0.0.1")
+        b = UdpLink(ANY, multicast=group, interface=interface)
         hears_a, hears_b = Ear(a), Ear(b)
         for index in range(3):
             a.send(b"from a %d" % index, BROADCAST)
@@ -196,6 +199,28 @@ def test_a_port_in_use() -> None:
     with pytest.raises(LinkError, match=f"^udp:127.0.0.1:{port}: address already in use$"):
         UdpLink((host, port))
     first.close()
+
+
+def test_a_broadcast_on_a_named_interface_goes_to_its_network() -> None:
+    found = {}
+    for _, name in socket.if_nameindex():
+        with contextlib.suppress(LinkError):
+            found[name] = find_interface(name)
+    assert found["lo"] == ("127.0.0.1", None), "nothing can be broadcast there"
+    for name, interface in found.items():
+        link = UdpLink(ANY, broadcast=("255.255.255.255", 14600), interface=name)
+        [(host, port)] = link._everybody
+        assert host == (interface.broadcast or "255.255.255.255")
+        assert port == 14600
+        link.close()
+        named = UdpLink(ANY, broadcast=("10.1.2.255", 14600), interface=name)
+        assert named._everybody == [("10.1.2.255", 14600)], "who says a network means it"
+        named.close()
+
+
+def test_an_interface_that_is_not_there() -> None:
+    with pytest.raises(LinkError, match=r"^udp:127\.0\.0\.1:0: wlan77: no such device$"):
+        UdpLink(ANY, multicast=("239.1.2.3", 14600), interface="wlan77")
 
 
 def test_an_interface_that_is_not_ours() -> None:

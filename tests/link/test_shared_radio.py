@@ -10,9 +10,13 @@ import pytest
 from shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
 from rass_mav.app.links import AirtimeSection
-from rass_mav.link.airtime import Urgency
+from rass_mav.link.airtime import VEHICLE_PART, Urgency
+from rass_mav.mavlink.messages import HEARTBEAT
+from rass_mav.mavlink.reader import FrameReader
 
 TELEMETRY_BYTES_S = 2000.0
+#: A NAMED_VALUE_FLOAT on the air.
+VALUE_BYTES = 30
 #: Seconds: until everybody knows how many they are, and what is looked at then.
 WARM_S, WATCHED_S = 40.0, 60.0
 
@@ -21,14 +25,17 @@ class Flight(NamedTuple):
     nodes: list[RadioNode]
     created: int
     arrived: int
-    beacons: float
-    """Part of the airtime."""
+    used: dict[Urgency | None, float]
+    """Part of the airtime, by what took it."""
+    heartbeats: list[tuple[int, float]]
+    """System id of a node, and when its heartbeat was heard."""
     waits: list[float]
     """How long each telemetry frame waited for the channel, seconds."""
 
 
-def fly(nodes: int, swarm: bool) -> Flight:
-    """The same telemetry with a swarm and without."""
+def fly(nodes: int, swarm: bool, *, ground: bool = False) -> Flight:
+    """The same telemetry with a swarm and without. `ground`: the radio is the autopilots', so what the nodes say to
+    them and to the ground is on it too."""
     simulation = Simulation()
     air = Air(simulation)
     rng = random.Random(5)
@@ -39,19 +46,32 @@ def fly(nodes: int, swarm: bool) -> Flight:
     members = [
         RadioNode(
             simulation, air, n, budget, base=n == 0, observer=arrivals, rng=rng,
-            risk={"worst": 0.5}, data={"interval_steps": 30},
+            risk={"worst": 0.5}, data={"interval_steps": 30}, ground={} if ground else None,
         )
         for n in range(nodes if swarm else 0)
     ]  # fmt: skip
+    heartbeats: list[tuple[int, float]] = []
+    reader = FrameReader()
+    air.hearers.append(
+        (
+            -1,
+            lambda data: heartbeats.extend(
+                (frame.system_id, simulation.now)
+                for frame in reader.feed(data)
+                if frame.message_id == HEARTBEAT and frame.component_id == 191
+            ),
+        )
+    )
     simulation.run(WARM_S)
-    warm, before = len(air.telemetry_waits), air.used[Urgency.BEACON]
+    warm, before = len(air.telemetry_waits), dict(air.used)
     simulation.run(WARM_S + WATCHED_S)
     assert air.telemetry_waits
     return Flight(
         members,
         len(arrivals.made),
         len(arrivals.ids),
-        (air.used[Urgency.BEACON] - before) / WATCHED_S,
+        {kind: (air.used[kind] - before[kind]) / WATCHED_S for kind in before},
+        [(system_id, at) for system_id, at in heartbeats if at >= WARM_S],
         air.telemetry_waits[warm:],
     )
 
@@ -61,7 +81,7 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
     """One flight, looked at from all sides: it takes some seconds to fly."""
     flight = fly(nodes, True)
     alone = fly(nodes, False).waits
-    assert 0 < flight.beacons <= 0.30
+    assert 0 < flight.used[Urgency.BEACON] <= 0.30
     # Telemetry, frame by frame: how much later it leaves because there is a swarm.
     delays = [max(0.0, a - b) for a, b in zip(flight.waits, alone, strict=True)]
     assert max(delays) <= 0.100
@@ -79,6 +99,21 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
         assert core.turn_s >= nodes * 0.1
         assert len(core.routing.neighbours) == nodes - 1
         assert core.routing.hops == (0 if node.id == 0 else 1)
+
+
+@pytest.mark.parametrize("nodes", [20, 100])
+def test_what_the_autopilots_are_told_counts_on_the_radio_behind_them(nodes: int) -> None:
+    """Heartbeats, values and texts are passed on by the autopilots, so they become rarer with the neighbours too."""
+    flight = fly(nodes, True, ground=True)
+    budget = AirtimeSection().budget(shared=True)
+    part = budget.duty * (1.0 - budget.beacons) * VEHICLE_PART
+    # Those who began together speak together: in the time that is watched there is room for one more frame of each.
+    one_more = nodes * VALUE_BYTES / BYTES_S / WATCHED_S
+    assert 0 < flight.used[Urgency.VEHICLE] <= part + one_more
+    assert sum(flight.used[urgency] for urgency in Urgency) <= budget.duty
+    assert max(flight.waits) <= 0.100, "telemetry"
+    assert flight.arrived >= 0.6 * flight.created
+    assert {system_id for system_id, _ in flight.heartbeats} == {(n - 1) % 255 + 1 for n in range(nodes)}
 
 
 def test_the_emulated_radio_is_half_duplex_and_as_fast_as_it_says() -> None:

@@ -56,6 +56,23 @@ def test_without_a_fix_there_is_no_place_whatever_is_written() -> None:
         assert record == Record(204, TIME_US, 30.0, None)
 
 
+def signed(plain: bytes, at: bytes) -> bytes:
+    """With a minus in front of a coordinate; the checksum stays as it was."""
+    assert plain.count(at) == 1
+    return plain.replace(at, b"-" + at)
+
+
+def test_a_sign_that_came_after_the_checksum_says_what_the_letter_says() -> None:
+    south_west = sentence(latitude=b"3355.1000", ns=b"S", longitude=b"07355.3663", ew=b"W")
+    for said in (signed(south_west, b"07355"), signed(south_west, b"3355.1"),
+                 signed(signed(south_west, b"07355"), b"3355.1")):  # fmt: skip
+        assert decode_record(said) == decode_record(south_west)
+    north_east = sentence(latitude=b"3355.1000", longitude=b"07355.3663")
+    for said in (signed(north_east, b"07355"), signed(north_east, b"3355.1"), signed(south_west, b"30,2")):
+        with pytest.raises(MalformedError, match="wrong checksum"):
+            decode_record(said)
+
+
 @pytest.mark.parametrize(
     ("damaged", "why"),
     [
@@ -177,7 +194,11 @@ def test_real_logs(name: str, read: int, used: int, without_rate: int, without_p
 @pytest.mark.skipif(
     not SAMPLES.exists(), reason="needs Safecast's logs in ../shared/data/bgeigie, which are not part of the repository"
 )
-def test_a_real_log_with_malformed_coordinates() -> None:
-    # Each has a sign and a letter, and a checksum that was made without the sign.
-    with pytest.raises(LogError, match="29 rejected; line 3: wrong checksum"):
-        load_bgeigie(str(SAMPLES / "bgeigie_with_tinygps_bug.log"))
+def test_a_real_log_with_signs_before_its_coordinates() -> None:
+    log = load_bgeigie(str(SAMPLES / "bgeigie_with_tinygps_bug.log"))
+    assert (log.read, len(log.records)) == (29, 29)
+    places = [record.place for record in log.records if record.place is not None]
+    assert len(places) == 21
+    # Safecast's own import has this one at -73.92259666666666: west, as letter and sign say.
+    assert places[12].longitude == pytest.approx(-73.92259666666666, abs=1e-9)
+    assert {round(place.latitude) for place in places} == {42}

@@ -1,0 +1,97 @@
+"""A ground station's side of a conversation with a node, in virtual time: read by pymavlink's own parser."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.ground import VALUE_NAMES
+from rass_mav.agent.loading import convert
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.mavlink import component as mav
+from rass_mav.mavlink.dialect import MavlinkMessage, common
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import (
+    HEARTBEAT,
+)
+from rass_mav.store.memory import MemoryStore
+
+SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink", "ground")
+GCS = (255, 190)
+QUIET = {"values_s": 0, "computer_s": 0}
+#: The values that a drone says. What its policy goes by is either a fitness or a cost.
+SAID = [name for name in VALUE_NAMES if name != "RASS_COST"]
+
+
+class Conversation:
+    """An agent with a ground station that asks through the autopilot, and with its own hands on the clock."""
+
+    def __init__(self, node_id: int = 7, store: MemoryStore | None = None, **sections: Any) -> None:
+        raw = {"node_id": node_id, "base": sections.pop("base", False), "step_s": 1.0}
+        raw |= {name: sections.get(name, {}) for name in SECTIONS}
+        # Most parameters are weights of this policy.
+        raw["policy"] = {"name": "rass", **raw["policy"]}
+        raw["ground"] = {**QUIET, **raw["ground"]}
+        self.now = 0.0
+        self.store = store or MemoryStore(1000 + node_id)
+        about = convert(raw, AgentSettings, "test")
+        self.agent = Agent(about, self.store, random.Random(1), now=0.0)
+        assert self.agent.ground is not None
+        self.ground = self.agent.ground
+        self.gcs = FrameWriter(*GCS)
+        self.parsers = (common.MAVLink(None), common.MAVLink(None))
+        self.times: list[float] = []
+
+    def ask(self, message: MavlinkMessage, *, direct: bool = False) -> None:
+        data = self.gcs.message(message)
+        if direct:
+            self.ground.receive(data, self.now)
+        else:
+            self.agent.vehicle_bytes(data, self.now)
+
+    def commit(self) -> None:
+        """What a driver does: the store writes, and what was promised is said."""
+        promised, self.ground.promised = self.ground.promised, []
+        batch = self.store.take()
+        if batch is not None:
+            self.store.write(batch)
+        for word in promised:
+            word()
+
+    def hear(self, until: float | None = None, *, direct: bool = False) -> list[Any]:
+        """What arrives at the ground station up to a time (default: half a second from now), woken up as asked."""
+        until = self.now + 0.5 if until is None else until
+        out = []
+        while self.now <= until:
+            due = self.agent.tend(self.now)
+            frames = (self.agent.to_vehicle, self.ground.to_ground)
+            for way, parser in enumerate(self.parsers):
+                for data in frames[way]:
+                    for message in parser.parse_buffer(data):
+                        if way == direct:
+                            out.append(message)
+                            self.times.append(self.now)
+                frames[way].clear()
+            assert due > self.now, "or it would be asked for ever"
+            self.now = due
+        self.now = until
+        return [m for m in out if m.get_msgId() != HEARTBEAT]
+
+    def set(self, name: str, value: float, kind: int = mav.REAL32) -> list[Any]:
+        self.ask(common.MAVLink_param_set_message(7, 191, name.encode(), value, kind))
+        self.commit()
+        return self.hear()
+
+    def command(self, command: int, *params: float, component: int = 191) -> list[Any]:
+        filled = [*params, *[0.0] * (7 - len(params))]
+        self.ask(common.MAVLink_command_long_message(7, component, command, 0, *filled))
+        return self.hear()
+
+
+def values(messages: list[Any]) -> dict[str, float]:
+    return {m.param_id: m.param_value for m in messages if m.get_type() == "PARAM_VALUE"}
+
+
+def kinds(messages: list[Any]) -> list[str]:
+    return [m.get_type() for m in messages]
