@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from rass_mav.core.errors import ConfigError
@@ -18,7 +18,7 @@ from rass_mav.core.store import Store
 from rass_mav.mavlink.component import single
 
 from .loading import convert, to_plain
-from .sections import Section, replace
+from .sections import Section
 from .settings import AgentSettings, PolicyName
 
 _PAIR = struct.Struct("<ff")
@@ -142,7 +142,8 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
         new = convert({**to_plain(section), key: plain}, type(section), parameter.name)
     except ConfigError as error:
         raise ConfigError(str(error).replace(f": {key}: ", ": ", 1)) from None
-    return replace(settings, **{section_name: new})
+    changed: dict[str, Any] = {section_name: new}
+    return replace(settings, **changed)
 
 
 def remember(store: Store, configured: AgentSettings, parameter: Parameter, value: float) -> None:

@@ -18,7 +18,7 @@ from .typed import shown
 TubeName = Literal["sbm-20", "j305", "m4011", "lnd-7317", "safecast"]
 
 
-class CountsSettings(Section, frozen=True):
+class CountsSettings(Section):
     """From counts to readings, for recorded bGeigie logs."""
 
     unit: Unit = "usvh"
@@ -36,7 +36,7 @@ class CountsSettings(Section, frozen=True):
         return DoseMeter(_with(tube, self.cpm_per_usvh, self.dead_time_us), self.unit)
 
 
-class SensorSettings(Section, frozen=True):
+class SensorSettings(Section):
     """Where a node's readings come from."""
 
     type: Literal["autopilot", "mightyohm", "gmc", "radpro", "bgeigie", "log"] = "autopilot"

@@ -24,7 +24,7 @@ Forward = Literal["step", "immediate"]
 PolicyName = Literal["rass", "rass-literal", "hop-count", "stigmergy", "survival"]
 
 
-class PolicySettings(Section, frozen=True):
+class PolicySettings(Section):
     """Who is fit, and what goes to whom."""
 
     name: PolicyName = "survival"
@@ -48,7 +48,7 @@ class PolicySettings(Section, frozen=True):
         )
 
 
-class RiskSettings(Section, frozen=True):
+class RiskSettings(Section):
     """From readings to risk (docs/sensors.md)."""
 
     gain: Annotated[float, Meta(gt=0, le=1)] | None = None
@@ -93,7 +93,7 @@ class RiskSettings(Section, frozen=True):
         return RiskEstimator(gain=gain, stale_s=self.stale_s, worst=self.worst)
 
 
-class RoutingSettings(Section, frozen=True):
+class RoutingSettings(Section):
     """The routing table."""
 
     seq_period: Annotated[int, Meta(ge=0)] | None = None
@@ -106,7 +106,7 @@ class RoutingSettings(Section, frozen=True):
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
 
 
-class CustodySettings(Section, frozen=True):
+class CustodySettings(Section):
     """The duty to keep data."""
 
     mode: Literal["acknowledged", "none"] = "acknowledged"
@@ -140,7 +140,7 @@ class CustodySettings(Section, frozen=True):
         return self.mode == "acknowledged" if self.mirror is None else self.mirror
 
 
-class StoreSettings(Section, frozen=True):
+class StoreSettings(Section):
     """What a node can hold and send."""
 
     path: str | None = None
@@ -162,7 +162,7 @@ class StoreSettings(Section, frozen=True):
     """Checksums verified in a step, going round; null: all."""
 
 
-class DataSettings(Section, frozen=True):
+class DataSettings(Section):
     """What a node creates by itself."""
 
     interval_steps: Annotated[int, Meta(ge=0)] = 10
@@ -177,7 +177,7 @@ class DataSettings(Section, frozen=True):
     """Data older than this expire; null: never."""
 
 
-class MavlinkSettings(Section, frozen=True):
+class MavlinkSettings(Section):
     """Identity and framing."""
 
     system_id: Annotated[int, Meta(ge=1, le=255)] | None = None
@@ -192,7 +192,7 @@ class MavlinkSettings(Section, frozen=True):
     """Name of the NAMED_VALUE_FLOAT that carries the reading."""
 
 
-class GroundSettings(Section, frozen=True):
+class GroundSettings(Section):
     """What a ground station is told, and may set."""
 
     may_set: bool = True
@@ -222,7 +222,7 @@ class Sections(Protocol):
     def mavlink(self) -> MavlinkSettings: ...
 
 
-class AgentSettings(Section, frozen=True):
+class AgentSettings(Section):
     """All of one node."""
 
     node_id: int

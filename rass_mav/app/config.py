@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.loading import convert, read_yaml, set_key
-from rass_mav.agent.sections import Meta, Section, field, replace
+from rass_mav.agent.sections import Meta, Section
 from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import (
     AgentSettings,
@@ -35,7 +36,7 @@ DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0}
 MAX_SOCKET_PATH = 107
 
 
-class NodeSection(Section, frozen=True):
+class NodeSection(Section):
     """Who this node is."""
 
     id: NodeId | None = None
@@ -49,7 +50,7 @@ class NodeSection(Section, frozen=True):
     bandwidth."""
 
 
-class AutopilotSection(Section, frozen=True):
+class AutopilotSection(Section):
     """Where the autopilot is."""
 
     url: str | None = None
@@ -58,34 +59,34 @@ class AutopilotSection(Section, frozen=True):
     """Messages that the autopilot is asked for, by name, each with the seconds between two; {}: it is not asked."""
 
 
-class GroundSection(GroundSettings, frozen=True):
+class GroundSection(GroundSettings):
     """The ground station."""
 
     url: str | None = None
     """As `autopilot.url`, besides the way through the autopilot; null: none."""
 
 
-class ControlSection(Section, frozen=True):
+class ControlSection(Section):
     """The socket for `status`, `put`, `get` and `ls`."""
 
     socket: Annotated[str, Meta(min_length=1)] | None = None
     """Path of a unix socket; null: that of the store with the ending .sock."""
 
 
-class LogSection(Section, frozen=True):
+class LogSection(Section):
     """What is told on stderr."""
 
     level: Literal["debug", "info", "warning", "error"] = "warning"
 
 
-class RunStoreSettings(StoreSettings, frozen=True):
+class RunStoreSettings(StoreSettings):
     """The store on a disk: reading all of it in every step would wear the card and the battery."""
 
     scrub_items: Count | None = 50
     """Checksums verified in a step, going round; null: all."""
 
 
-class RunConfig(Section, frozen=True):
+class RunConfig(Section):
     """A running node."""
 
     node: NodeSection = NodeSection()

@@ -40,11 +40,11 @@ LS_PAGE = 64
 _LAST_WORDS_S = 2.0
 
 
-class StatusRequest(Section, frozen=True):
+class StatusRequest(Section):
     """What the node knows."""
 
 
-class PutRequest(Section, frozen=True):
+class PutRequest(Section):
     """Create a datum; answered when it is on disk."""
 
     payload: str
@@ -52,13 +52,13 @@ class PutRequest(Section, frozen=True):
     kind: Annotated[int, Meta(ge=0, le=255)] = Kind.BYTES
 
 
-class GetRequest(Section, frozen=True):
+class GetRequest(Section):
     """The bytes of a datum that this node holds."""
 
     id: str
 
 
-class LsRequest(Section, frozen=True):
+class LsRequest(Section):
     """All data that this node holds."""
 
 

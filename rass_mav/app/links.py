@@ -23,7 +23,7 @@ NodeId = Annotated[int, Meta(ge=0, le=65534)]
 _LISTEN_FRAMES = 4
 
 
-class PeerSection(Section, frozen=True):
+class PeerSection(Section):
     """A neighbour with a known address."""
 
     address: str
@@ -32,7 +32,7 @@ class PeerSection(Section, frozen=True):
     """Its node id; null: learned from its beacons."""
 
 
-class AirtimeSection(Section, frozen=True):
+class AirtimeSection(Section):
     """What may be sent on a link."""
 
     bytes_s: Positive = 5760.0
@@ -56,7 +56,7 @@ class AirtimeSection(Section, frozen=True):
         )
 
 
-class LinkSection(Section, frozen=True):
+class LinkSection(Section):
     """A link to the neighbours."""
 
     type: Literal["udp", "serial", "autopilot"] = "udp"

@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import msgspec
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.app.service import config_path, place
@@ -108,8 +107,8 @@ def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/
     if Path(path).absolute() != place(root, config_path(name)) or not home.is_dir():
         return config
     config = filled_in(config)
-    return msgspec.structs.replace(
+    return replace(
         config,
-        store=msgspec.structs.replace(config.store, path=str(home / config.store_path)),
-        control=msgspec.structs.replace(config.control, socket=str(home / config.socket_path)),
+        store=replace(config.store, path=str(home / config.store_path)),
+        control=replace(config.control, socket=str(home / config.socket_path)),
     )

@@ -18,7 +18,7 @@ from .finding import Finding, failed, passed, warned
 #: What the source needs (pyproject.toml, requires-python).
 LEAST_PYTHON = (3, 10)
 #: Always needed; pyserial comes with a serial port.
-PACKAGES = ("pymavlink", "msgspec", "pyyaml")
+PACKAGES = ("pymavlink", "pyyaml")
 #: No clock that is right is before this: 2025-01-01.
 _BUILT_S = 1_735_689_600.0
 #: Files may be this much in the future before the clock is doubted, seconds.

@@ -12,8 +12,7 @@ import random
 import secrets
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
-
-import msgspec
+from dataclasses import replace
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
@@ -127,14 +126,14 @@ def _settings(config: RunConfig) -> AgentSettings:
         # As the node does: autopilots never forget a sender, so the right id from the first frame on.
         try:
             with SqliteReader(config.store_path) as reader:
-                mavlink = msgspec.structs.replace(mavlink, system_id=reader.meta().get("system_id"))
+                mavlink = replace(mavlink, system_id=reader.meta().get("system_id"))
         except StoreError:
             pass  # there is no store yet, or a damaged one, which another check tells
-    return msgspec.structs.replace(
+    return replace(
         settings,
         ground=None,
         mavlink=mavlink,
-        data=msgspec.structs.replace(settings.data, interval_steps=0),
+        data=replace(settings.data, interval_steps=0),
         # Shorter ones would find out no more; in longer ones the heartbeat would be late.
         step_s=min(settings.step_s, 1.0),
     )

@@ -12,8 +12,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from rass_mav.core.errors import ConfigError
 from rass_mav.experiment import distances
 from rass_mav.experiment.comparison import Comparison, compare
@@ -148,7 +146,7 @@ def plan(
                     if scenario.radiation.rule != "probability":
                         raise ConfigError("radiation.rule: expected probability, the oracle knows no other")
                     for seed in range(runs):
-                        planned.append(Run(world, name, msgspec.structs.replace(scenario, seed=seed), ("ceiling",)))
+                        planned.append(Run(world, name, replace(scenario, seed=seed), ("ceiling",)))
     if not planned:
         raise ConfigError("nothing to run: the policy stigmergy has the variant plain only")
     return planned

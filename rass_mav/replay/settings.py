@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from rass_mav.agent.loading import convert, set_key
-from rass_mav.agent.sections import Section, replace
+from rass_mav.agent.sections import Section
 from rass_mav.agent.sensors import CountsSettings
 from rass_mav.agent.settings import (
     AgentSettings,
@@ -22,21 +23,21 @@ from rass_mav.agent.settings import (
 from rass_mav.swarm.scenario import NodeSection, RadioSection
 
 
-class ReplayNodeSection(NodeSection, frozen=True):
+class ReplayNodeSection(NodeSection):
     """What concerns every node."""
 
     step_s: Positive = 1.0
     """Length of a step, seconds."""
 
 
-class ReplayRadioSection(RadioSection, frozen=True):
+class ReplayRadioSection(RadioSection):
     """The air between the nodes."""
 
     range_m: Positive = 100.0
     """Who is at most this far away hears, metres in three dimensions."""
 
 
-class ReplayRadiationSection(Section, frozen=True):
+class ReplayRadiationSection(Section):
     """What radiation does to stored data."""
 
     corruption: bool = False
@@ -44,7 +45,7 @@ class ReplayRadiationSection(Section, frozen=True):
     (Eq. 2, the reading taken for one source). Where the reading is unknown nothing is struck."""
 
 
-class ReplaySettings(Section, frozen=True):
+class ReplaySettings(Section):
     """A replay."""
 
     seed: int = 1

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import field, replace
 from typing import Annotated, Any, Literal
 
-import msgspec
-from msgspec import Meta
-
+from rass_mav.agent.loading import to_plain
+from rass_mav.agent.sections import Meta
 from rass_mav.agent.settings import (
     AgentSettings,
     Count,
@@ -26,7 +26,7 @@ from rass_mav.agent.settings import (
 )
 
 
-class NodeSection(Section, frozen=True):
+class NodeSection(Section):
     """What concerns every node."""
 
     step_s: Positive = 0.2
@@ -36,7 +36,7 @@ class NodeSection(Section, frozen=True):
     bandwidth."""
 
 
-class MobilitySection(Section, frozen=True):
+class MobilitySection(Section):
     """Options of the topologies."""
 
     pitch_m: Positive | None = None
@@ -54,7 +54,7 @@ class MobilitySection(Section, frozen=True):
     (swarm/authors.py)."""
 
 
-class RadioSection(Section, frozen=True):
+class RadioSection(Section):
     """The air between the nodes. Frames are lost, doubled and overtaken for each hearer by itself."""
 
     range_m: Positive = 3.0
@@ -69,7 +69,7 @@ class RadioSection(Section, frozen=True):
     """0: a frame arrives before the next step, and so do answers; L: at the beginning of the L-th step after."""
 
 
-class RadiationSection(Section, frozen=True):
+class RadiationSection(Section):
     """The radiation field, Eq. 1 and 2."""
 
     sources: list[tuple[float, float, NonNegative]] | None = None
@@ -124,14 +124,14 @@ class RadiationSection(Section, frozen=True):
             raise ValueError("radiation.cylinder_m: expected 0 unless the sources are given and stay where they are")
 
 
-class StatisticsSection(Section, frozen=True):
+class StatisticsSection(Section):
     """How the summary counts."""
 
     full_items: Count | None = None
     """How many data in a drone's store are 100 % of its memory; null: `store.capacity_items`."""
 
 
-class FailureSection(Section, frozen=True):
+class FailureSection(Section):
     """What goes wrong beside radiation. All but `kill_every_s` is for virtual time; see docs/simulation.md."""
 
     kill_every_s: Positive | None = None
@@ -150,7 +150,7 @@ class FailureSection(Section, frozen=True):
     """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: for ever."""
     recharge_steps: Count | None = None
     """How long a drone that has landed is off, steps; null: for good."""
-    base_off: list[tuple[Annotated[int, Meta(ge=0)], Count]] = msgspec.field(default_factory=list)
+    base_off: list[tuple[Annotated[int, Meta(ge=0)], Count]] = field(default_factory=list)
     """[[from, to], ...]: all bases are off from one step until another, at which they are on again."""
     base_wiped: bool = False
     """Whether bases come back with an empty store of a new epoch."""
@@ -181,7 +181,7 @@ class FailureSection(Section, frozen=True):
         return [key for key in keys if getattr(self, key)]
 
 
-class Scenario(Section, frozen=True):
+class Scenario(Section):
     """A mock swarm."""
 
     title: str = ""
@@ -210,7 +210,7 @@ class Scenario(Section, frozen=True):
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
     statistics: StatisticsSection = StatisticsSection()
-    variants: dict[PolicyName, dict[str, dict[str, Any]]] = msgspec.field(default_factory=dict)
+    variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
     """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They go before the
     file's other keys, and the command's options go before them (applied by `catalogue.load_scenario`)."""
 
@@ -235,7 +235,7 @@ class Scenario(Section, frozen=True):
 
     def agent_settings(self, node_id: int) -> AgentSettings:
         """The settings of one node."""
-        mavlink = msgspec.structs.replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
+        mavlink = replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
         return AgentSettings.of(
             self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, forward=self.node.forward,
             mavlink=mavlink,
@@ -266,5 +266,5 @@ OPTION_KEYS: dict[str, str] = {
 
 def plain(scenario: Scenario) -> dict[str, Any]:
     """A scenario as plain values, every default filled in."""
-    result: dict[str, Any] = msgspec.to_builtins(scenario)
+    result: dict[str, Any] = to_plain(scenario)
     return result

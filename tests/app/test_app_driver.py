@@ -10,13 +10,13 @@ import resource
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.sections import replace
 from rass_mav.agent.settings import PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import MAX_WAITING, Driver

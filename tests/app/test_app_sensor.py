@@ -6,6 +6,7 @@ import asyncio
 import random
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,6 @@ from app_drivers import TIMEOUT_S, run, settings
 from app_nodes import RunningNode, command, free_ports
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.sections import replace
 from rass_mav.app.driver import SENSOR_REPORT_S, Driver
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore

@@ -7,6 +7,7 @@ import random
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ import pytest
 from app_drivers import TIMEOUT_S, HeldExecutor, run, settings
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.sections import replace
 from rass_mav.agent.settings import GroundSettings, PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import load_config

@@ -10,6 +10,7 @@ import logging
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +65,8 @@ class FlightNode(NodeProcess):
             risk=settings.risk,
             routing=settings.routing,
             custody=settings.custody,
-            store=RunStoreSettings(**{**msgspec.structs.asdict(settings.store), "path": str(self.store)}),
-            data=msgspec.structs.replace(settings.data, until_step=until_step),
+            store=RunStoreSettings(**{**asdict(settings.store), "path": str(self.store)}),
+            data=replace(settings.data, until_step=until_step),
             mavlink=settings.mavlink,
             control=ControlSection(socket=str(self.socket)),
         )

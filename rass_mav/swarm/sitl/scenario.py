@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
-import msgspec
-from msgspec import Meta
-
 from rass_mav.agent.loading import convert, read_yaml, set_key
+from rass_mav.agent.sections import Meta
 from rass_mav.agent.settings import Positive, Section
 from rass_mav.core.errors import ConfigError
 from rass_mav.mavlink.mission import (
@@ -33,7 +32,7 @@ _METRES_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
 Waypoint = Annotated[list[float], Meta(min_length=2, max_length=3)]
 
 
-class FlightSection(Section, frozen=True):
+class FlightSection(Section):
     """What the vehicles do."""
 
     altitude_m: Positive = 15.0
@@ -138,9 +137,9 @@ def _fewer(scenario: FlightScenario, vehicles: int, name: str) -> FlightScenario
     if not 1 <= vehicles <= drones:
         raise ConfigError(f"--vehicles: expected 1..{drones}, which {name} has, got {vehicles}")
     nodes = scenario.bases + vehicles
-    return msgspec.structs.replace(
+    return replace(
         scenario,
         nodes=nodes,
-        mobility=msgspec.structs.replace(scenario.mobility, positions=scenario.places[:nodes]),
-        flight=msgspec.structs.replace(scenario.flight, missions=scenario.flight.missions[:vehicles]),
+        mobility=replace(scenario.mobility, positions=scenario.places[:nodes]),
+        flight=replace(scenario.flight, missions=scenario.flight.missions[:vehicles]),
     )
