@@ -37,7 +37,7 @@ class AirtimeSection(Section):
 
     bytes_s: Positive = 5760.0
     """What the link carries in all, bytes/s; 57,600 bit/s are 5760."""
-    duty: Annotated[float, Meta(gt=0, le=1)] = 0.4
+    duty: Annotated[float, Meta(gt=0, le=1)] = 0.3
     """Part of it that this swarm takes, all nodes in range together."""
     beacons: Annotated[float, Meta(gt=0, lt=1)] = 0.3
     """Part of what the swarm takes that is for beacons; they become rarer when more neighbours are heard."""

@@ -28,7 +28,11 @@ def store(path: Path, free: int | None = None) -> Finding:
     """The store's file and folder. `free`: bytes on the disk; None: what the disk says."""
     folder = path.absolute().parent
     effective = os.access in os.supports_effective_ids
-    if not folder.is_dir():
+    try:
+        exists = folder.is_dir()
+    except PermissionError:
+        return failed("store", f"{folder}: may not be looked into", "run this as the node's user, or change store.path")
+    if not exists:
         return failed("store", f"{folder}: no such folder", "make it, or change store.path")
     if not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
         return failed("store", f"{folder}: may not be written", "give it to the node's user, or change store.path")

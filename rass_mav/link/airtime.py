@@ -53,7 +53,7 @@ class Budget(NamedTuple):
 
     bytes_s: float
     """What the link carries in all, bytes/s: 5760 for 57,600 bit/s with start and stop bit."""
-    duty: float = 0.4
+    duty: float = 0.3
     """Part of it that this swarm takes, all nodes in range together, 0..1."""
     beacons: float = 0.3
     """Part of what the swarm takes that is for beacons, 0..1."""

@@ -113,7 +113,7 @@ def test_beacons_of_all_take_at_most_their_part(neighbours: int) -> None:
     turn_s, items = pacer(budget, neighbours=neighbours).pace()
     assert items >= 1
     if turn_s < 120.0:
-        assert (neighbours + 1) * 69 / turn_s <= 0.3 * 0.4 * 5760.0 + 1e-6
+        assert (neighbours + 1) * 69 / turn_s <= budget.beacons * budget.duty * budget.bytes_s + 1e-6
     assert turn_s == int(turn_s)
 
 

@@ -43,7 +43,7 @@ class FlightSection(Section):
     without any stays above its take-off place for the whole run."""
 
 
-class FlightScenario(Scenario, frozen=True):
+class FlightScenario(Scenario):
     """A scenario for `rass-mav sitl`."""
 
     flight: FlightSection = FlightSection()
