@@ -82,7 +82,7 @@ VARIANTS = {
         },
     ),
     "copies-auto": Variant(
-        Look("the same, copies as the risk asks for", "P"),
+        Look("mirror until receipt, immediate, copies auto", "P"),
         {
             "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
             "custody.copies": "auto", "node.forward": "immediate",
