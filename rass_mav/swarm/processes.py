@@ -18,6 +18,7 @@ from typing import Any
 import msgspec
 
 from rass_mav.agent.loading import dump_yaml
+from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import (
@@ -83,7 +84,7 @@ class NodeProcess:
         """Write the configuration of the next life. Raises `ConfigError`."""
         settings = scenario.agent_settings(self.node_id)
         self.until_step = until_step
-        radio = f"127.0.0.1:{ports.air[self.node_id]}"
+        vehicle, link = self._wiring(settings, ports)
         config = RunConfig(
             node=NodeSection(
                 id=self.node_id,
@@ -91,9 +92,8 @@ class NodeProcess:
                 step_s=settings.step_s,
                 forward=settings.forward,
             ),
-            # The node speaks first, from any free port: so the radio learns where it is, and no port can be in use.
-            autopilot=AutopilotSection(url=f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}"),
-            links=(LinkSection(listen="127.0.0.1:0", peers=(PeerSection(address=radio),)),),
+            autopilot=AutopilotSection(url=vehicle),
+            links=(link,),
             policy=settings.policy,
             risk=settings.risk,
             routing=settings.routing,
@@ -105,6 +105,13 @@ class NodeProcess:
         )
         config.check()
         self.config.write_text(dump_yaml(config), encoding="utf-8")
+
+    def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
+        """The autopilot's URL, and the link to the neighbours."""
+        # The node speaks first, from any free port: so the radio learns where it is, and no port can be in use.
+        radio = PeerSection(address=f"127.0.0.1:{ports.air[self.node_id]}")
+        link = LinkSection(listen="127.0.0.1:0", peers=(radio,))
+        return f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}", link
 
     def start(self, children: Children) -> None:
         """Begin a life. It is under way when `ready`."""
@@ -382,6 +389,20 @@ def run(
     for key in scenario.failures.of_robots:
         raise ConfigError(f"failures.{key}: needs transport loopback; udp knows failures.kill_every_s only")
     Surroundings(scenario)  # says here, and not in the radio process, what cannot be placed
+    return conduct(scenario, lambda *where: ProcessSwarm(scenario, *where), keep, record, progress)
+
+
+def conduct(
+    scenario: Scenario,
+    make: Callable[[Path, Path, Children], ProcessSwarm],
+    keep: Path | None,
+    record: Path | None,
+    progress: Callable[[int], None] | None,
+) -> dict[str, Any]:
+    """Start a swarm of processes, let it run, and end it whatever comes. The rest as in `run`.
+
+    `make`: the swarm, by its directory, the one of its control sockets, and its children.
+    """
     if keep is not None:
         _prepare(keep)
     begin = time.perf_counter()
@@ -390,7 +411,7 @@ def run(
         # Always a short path: a unix socket's may have 107 bytes.
         sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
         children = stack.enter_context(Children())
-        swarm = ProcessSwarm(scenario, (keep or sockets).absolute(), sockets, children)
+        swarm = make((keep or sockets).absolute(), sockets, children)
         stack.callback(swarm.hang_up)
         swarm.start(record)
         swarm.fly(progress)

@@ -30,19 +30,17 @@ from typing import BinaryIO
 
 import msgspec
 
-from rass_mav.core.errors import ConfigError, MalformedError, RassError
-from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
+from rass_mav.core.errors import ConfigError, RassError
 from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tlog import TlogWriter
-from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.swarm.air_counts import AirCounts
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.radio import Radio, Record
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
-from rass_mav.wire import decode
 
 _LOCALHOST = "127.0.0.1"
 # Longest line of orders, bytes.
@@ -98,7 +96,6 @@ class UdpRadio:
         self._radio = Radio(scenario.radio, random.Random(f"{scenario.seed}:radio"), record=record)
         self._noise = scenario.radiation.noise
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
-        self._payload_type = scenario.mavlink.payload_type
         name = scenario.mavlink.reading_name
         self._autopilots = [MockAutopilot(system_id(node), reading_name=name) for node in nodes]
         self._vehicle_readers = [FrameReader() for _ in nodes]
@@ -115,9 +112,7 @@ class UdpRadio:
         self._tick = 0
         self._received = 0
         self._unsent = 0
-        self._malformed = 0
-        self._data_sent = 0
-        self._max_hop_count = 0
+        self._counts = AirCounts(scenario.mavlink.payload_type)
         self._heartbeats = 0
         self.late_steps = 0
 
@@ -167,11 +162,11 @@ class UdpRadio:
             sent=radio.sent,
             received=self._received,
             dropped=radio.dropped + lost,
-            malformed=self._malformed,
+            malformed=self._counts.malformed,
             bytes_sent=radio.bytes_sent,
             sha256=radio.sha256,
-            data_sent=self._data_sent,
-            max_hop_count=self._max_hop_count,
+            data_sent=self._counts.data_sent,
+            max_hop_count=self._counts.max_hop_count,
             heartbeats=self._heartbeats,
             late_steps=self.late_steps,
         )
@@ -189,7 +184,7 @@ class UdpRadio:
                 frame, self._hearers[node] = self._air[node].recvfrom(MAX_DATAGRAM)
             except BlockingIOError:
                 return False
-            self._look(frame)
+            self._counts.count(frame)
             self._radio.send(node, frame, self._tick)
             self._deliver()
         return True
@@ -212,25 +207,6 @@ class UdpRadio:
             # A full buffer, or nobody there any more: the air does not mind.
             return False
         return True
-
-    def _look(self, frame: bytes) -> None:
-        """Count what only the radio sees of every node, also of those that are killed."""
-        fields = tunnel_from_datagram(frame)
-        if fields is None or fields[4] != self._payload_type:
-            self._malformed += 1
-            return
-        try:
-            message = decode(fields[5], 0.0)
-        except MalformedError:
-            self._malformed += 1
-            return
-        if isinstance(message, Beacon):
-            if self._max_hop_count < message.hops != NO_ROUTE:
-                self._max_hop_count = message.hops
-        elif isinstance(message, Data):
-            self._data_sent += len(message.handovers)
-        elif isinstance(message, (Chunk, Put)):
-            self._data_sent += 1
 
     def _hear_vehicle(self, node: int) -> bool:
         for _ in range(MAX_PER_WAKE):

@@ -27,8 +27,6 @@ from typing import TextIO
 
 import msgspec
 
-from rass_mav.core.errors import MalformedError
-from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.mavlink.messages import (
@@ -39,7 +37,7 @@ from rass_mav.mavlink.messages import (
     set_message_interval,
 )
 from rass_mav.mavlink.mission import MISSION_CURRENT, SIM_STATE, true_place, whole_frames
-from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.swarm.air_counts import AirCounts
 from rass_mav.swarm.autopilot import ORIGIN
 from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.radio import Radio, Record
@@ -47,7 +45,6 @@ from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl.scenario import FlightScenario, to_arena
 from rass_mav.swarm.sitl.wires import Wires
 from rass_mav.swarm.udp_radio import Figures, Ports
-from rass_mav.wire import decode
 
 #: Where PX4's instance k sends, always: what is for companions and ground stations; the truth of its own simulator.
 PX4_API_PORT, PX4_TRUTH_PORT = 14540, 19410
@@ -139,8 +136,8 @@ class Air:
         self._step = 0
         self._moved: set[int] = set()
         self._next_reading = self._next_ask = 0.0
-        self._received = self._unsent = self._malformed = self._telemetry = 0
-        self._data_sent = self._max_hop_count = self._heartbeats = 0
+        self._received = self._unsent = self._telemetry = self._heartbeats = 0
+        self._counts = AirCounts(scenario.mavlink.payload_type)
         self.late_steps = 0
         self._truth = [0] * scenario.nodes
         self._flew = [0.0] * scenario.nodes
@@ -209,11 +206,11 @@ class Air:
             sent=radio.sent,
             received=self._received,
             dropped=radio.dropped + self._unsent + sum(wire.overrun for wire in ears),
-            malformed=self._malformed + malformed,
+            malformed=self._counts.malformed + malformed,
             bytes_sent=radio.bytes_sent,
             sha256=radio.sha256,
-            data_sent=self._data_sent,
-            max_hop_count=self._max_hop_count,
+            data_sent=self._counts.data_sent,
+            max_hop_count=self._counts.max_hop_count,
             heartbeats=self._heartbeats,
             late_steps=self.late_steps,
             telemetry=self._telemetry,
@@ -244,7 +241,7 @@ class Air:
         if frame is not None and frame.message_id != TUNNEL:
             self._telemetry += 1
         else:
-            self._look(raw)
+            self._counts.count(raw)
         self._radio.send(node, raw, self._step)
         self._deliver()
 
@@ -257,25 +254,6 @@ class Air:
                 self._received += 1
             else:
                 self._unsent += 1
-
-    def _look(self, frame: bytes) -> None:
-        """Count what only the radio sees of every node, also of those that are killed."""
-        fields = tunnel_from_datagram(frame)
-        if fields is None or fields[4] != self._scenario.mavlink.payload_type:
-            self._malformed += 1
-            return
-        try:
-            message = decode(fields[5], 0.0)
-        except MalformedError:
-            self._malformed += 1
-            return
-        if isinstance(message, Beacon):
-            if self._max_hop_count < message.hops != NO_ROUTE:
-                self._max_hop_count = message.hops
-        elif isinstance(message, Data):
-            self._data_sent += len(message.handovers)
-        elif isinstance(message, (Chunk, Put)):
-            self._data_sent += 1
 
     # -- the cables ----------------------------------------------------------------------------------------------------
 

@@ -5,24 +5,20 @@ docs/sitl.md says what is wired to what, and what the summary says.
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from rass_mav.agent.loading import dump_yaml
-from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
-from rass_mav.app.links import LinkSection, PeerSection
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.app.links import LinkSection
 from rass_mav.core.errors import ConfigError, SwarmError
-from rass_mav.swarm.children import Child, Children, orderly_end, wait_any
-from rass_mav.swarm.processes import MAX_NODES, NodeProcess, ProcessSwarm
-from rass_mav.swarm.scenario import Scenario, system_id
+from rass_mav.swarm.children import Child, Children, wait_any
+from rass_mav.swarm.processes import MAX_NODES, NodeProcess, ProcessSwarm, conduct
+from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl.air import AirFigures, AirOrder, AirPorts
 from rass_mav.swarm.sitl.firmware import Firmware, prepare
 from rass_mav.swarm.sitl.pilot import CONNECT_S, OBEY_S, Flight, PilotOrder, PilotReport, need_mavsdk
@@ -44,34 +40,12 @@ class FlightNode(NodeProcess):
         super().__init__(node_id, directory, socket)
         self._through = through
 
-    def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
-        """Write the configuration of the next life. Raises `ConfigError`."""
-        settings = scenario.agent_settings(self.node_id)
-        self.until_step = until_step
+    def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
+        vehicle, beside = super()._wiring(settings, ports)
+        if settings.base:
+            return None, beside
         # All autopilots of the swarm are on one radio channel: who is heard is one hop away.
-        through = LinkSection(type="autopilot", one_hop=True)
-        beside = LinkSection(listen="127.0.0.1:0", peers=(PeerSection(address=f"127.0.0.1:{ports.air[self.node_id]}"),))
-        vehicle = None if settings.base else f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}"
-        config = RunConfig(
-            node=NodeSection(
-                id=self.node_id,
-                role="base" if settings.base else "drone",
-                step_s=settings.step_s,
-                forward=settings.forward,
-            ),
-            autopilot=AutopilotSection(url=vehicle),
-            links=(through if self._through and not settings.base else beside,),
-            policy=settings.policy,
-            risk=settings.risk,
-            routing=settings.routing,
-            custody=settings.custody,
-            store=RunStoreSettings(**{**asdict(settings.store), "path": str(self.store)}),
-            data=replace(settings.data, until_step=until_step),
-            mavlink=settings.mavlink,
-            control=ControlSection(socket=str(self.socket)),
-        )
-        config.check()
-        self.config.write_text(dump_yaml(config), encoding="utf-8")
+        return vehicle, LinkSection(type="autopilot", one_hop=True) if self._through else beside
 
 
 class FlownSwarm(ProcessSwarm):
@@ -272,29 +246,8 @@ def run(
         raise ConfigError("--through-autopilots: expected ArduCopter or the mock; PX4's simulator has no serial ports")
     for key in scenario.failures.of_robots:
         raise ConfigError(f"failures.{key}: not for vehicles that fly; they know failures.kill_every_s only")
-    if keep is not None:
-        _prepare(keep)
-    begin = time.perf_counter()
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(orderly_end())
-        # Always a short path: a unix socket's may have 107 bytes.
-        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
-        children = stack.enter_context(Children())
-        swarm = FlownSwarm(scenario, (keep or sockets).absolute(), sockets, children, firmware, through=through)
-        stack.callback(swarm.hang_up)
-        swarm.start(record)
-        swarm.fly(progress)
-        swarm.drain()
-        summary = swarm.summary(swarm.stop())
-    wall = time.perf_counter() - begin
-    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
 
+    def make(directory: Path, sockets: Path, children: Children) -> FlownSwarm:
+        return FlownSwarm(scenario, directory, sockets, children, firmware, through=through)
 
-def _prepare(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        used = any(directory.iterdir())
-    except OSError as error:
-        raise ConfigError(f"{directory}: {(error.strerror or str(error)).lower()}") from None
-    if used:
-        raise ConfigError(f"{directory}: expected a new or an empty directory")
+    return conduct(scenario, make, keep, record, progress)
