@@ -17,7 +17,7 @@ from typing import NoReturn
 
 from rass_mav import __version__
 from rass_mav.commands.common import HelpFormatter
-from rass_mav.core.errors import ConfigError, DatumError, RassError
+from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
 COMMANDS = ("node", "doctor", "params", "service", "swarm", "sitl", "replay", "experiment")

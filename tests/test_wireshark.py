@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 
 from rass_mav.core.datum import DatumId, Kind, make_datum
-from rass_mav.core.errors import MalformedError
 from rass_mav.core.messages import (
     Beacon,
     Chunk,
@@ -29,6 +28,7 @@ from rass_mav.core.messages import (
     ReceiptSpan,
     Sack,
 )
+from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer

@@ -16,8 +16,8 @@ from collections.abc import Generator, Iterator, Sequence
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Kind
-from rass_mav.core.errors import MalformedError
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Message, Word
+from rass_mav.errors import MalformedError
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
 from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID

@@ -9,14 +9,16 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from rass_mav.agent.ground import Ground, Way
+from rass_mav.agent.heartbeats import Heartbeats
+from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.agent.parameters import recall
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import DatumId, Kind
-from rass_mav.core.errors import MalformedError, StoreFullError
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
+from rass_mav.errors import MalformedError, StoreFullError
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
@@ -27,9 +29,6 @@ from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode
 from rass_mav.wire.codec import ForeignError
 from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
-
-from .heartbeats import Heartbeats
-from .outgoing import Outgoing, frames_of
 
 log = logging.getLogger(__name__)
 

@@ -13,10 +13,14 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 from rass_mav import __version__
-from rass_mav.core.cost_routing import COST_ONE, NO_COST
-from rass_mav.core.errors import ConfigError, MalformedError
+from rass_mav.agent.outbox import Outbox
+from rass_mav.agent.parameters import INDEX, PARAMETERS
+from rass_mav.agent.settings import AgentSettings, GroundSettings
+from rass_mav.agent.texts import Texts
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.core.routes.costs import COST_ONE, NO_COST
+from rass_mav.errors import ConfigError, MalformedError
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
@@ -35,13 +39,9 @@ from rass_mav.mavlink.messages import (
 from rass_mav.mavlink.reader import FrameReader
 
 from . import parameters
-from .outbox import Outbox
-from .parameters import INDEX, PARAMETERS
-from .settings import AgentSettings, GroundSettings
-from .texts import Texts
 
 if TYPE_CHECKING:
-    from .agent import Agent
+    from rass_mav.agent.agent import Agent
 
 log = logging.getLogger(__name__)
 

@@ -6,14 +6,13 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.duplicates import Duplicates
+from rass_mav.agent.outgoing import Outgoing
 from rass_mav.link.airtime import Budget, Pacer
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
-
-from .agent import Agent
-from .duplicates import Duplicates
-from .outgoing import Outgoing
 
 # How `status` calls them, in the order of `Urgency`.
 _KINDS = ("vehicle", "beacons", "answers", "data")

@@ -13,13 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.agent.settings import AgentSettings, PolicyName
+from rass_mav.config.loading import convert, to_plain
+from rass_mav.config.sections import Section
 from rass_mav.core.store import Store
+from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
-
-from .loading import convert, to_plain
-from .sections import Section
-from .settings import AgentSettings, PolicyName
 
 _PAIR = struct.Struct("<ff")
 _META = "param."

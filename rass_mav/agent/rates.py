@@ -10,12 +10,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.agent.agent import Agent
+from rass_mav.errors import ConfigError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import COMMAND_ACK, parse, set_message_interval
-
-from .agent import Agent
 
 log = logging.getLogger(__name__)
 

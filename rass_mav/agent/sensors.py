@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Literal
 
-from rass_mav.core.errors import ConfigError, LogError
+from rass_mav.agent.settings import NonNegative, Positive
+from rass_mav.config.sections import Meta, Section
+from rass_mav.config.typed import shown
+from rass_mav.errors import ConfigError, LogError
 from rass_mav.sensor.base import Sensor
 from rass_mav.sensor.dose import TUBES, DoseMeter, Tube, Unit
 from rass_mav.sensor.kinds import LOG_TUBE, SERIAL_KINDS
-
-from .sections import Meta, Section
-from .settings import NonNegative, Positive
-from .typed import shown
 
 #: The keys of `sensor.dose.TUBES`.
 TubeName = Literal["sbm-20", "j305", "m4011", "lnd-7317", "safecast"]

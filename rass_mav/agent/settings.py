@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, Protocol
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.sections import Meta
+from rass_mav.config.sections import Section as Section  # the mock swarm takes it from here
 from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
+from rass_mav.errors import ConfigError
 from rass_mav.policy import Weights, make_policy
 from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.measurement import MEASUREMENT_BYTES
-
-from .sections import Meta
-from .sections import Section as Section  # the mock swarm takes it from here
 
 Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]

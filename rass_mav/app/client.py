@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rass_mav.core.errors import ControlError, MalformedError
+from rass_mav.errors import ControlError, MalformedError
 
 from .jsonlines import dump_line, load_line
 

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from rass_mav.agent.ground import VALUE_NAMES
-from rass_mav.agent.loading import convert, read_yaml, set_key
-from rass_mav.agent.sections import Meta, Section
 from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import (
     AgentSettings,
@@ -25,7 +23,9 @@ from rass_mav.agent.settings import (
     RoutingSettings,
     StoreSettings,
 )
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert, read_yaml, set_key
+from rass_mav.config.sections import Meta, Section
+from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
 
 from .links import LinkSection, NodeId, under

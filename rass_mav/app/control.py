@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Annotated, Any
 
-from rass_mav.agent.sections import Meta, Section
-from rass_mav.agent.typed import build
+from rass_mav.config.sections import Meta, Section
+from rass_mav.config.typed import build
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
-from rass_mav.core.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError
+from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError
 
 from .driver import Driver
 from .jsonlines import dump_line, load_bytes, load_line

@@ -7,7 +7,7 @@ import json
 import math
 from typing import Any
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 
 def dump_line(value: dict[str, Any]) -> bytes:

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated, Literal
 
-from rass_mav.agent.sections import Meta, Section
 from rass_mav.agent.settings import Positive
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.sections import Meta, Section
+from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_address, parse_multicast, parse_serial
 from rass_mav.link.airtime import FRAME_BYTES, Budget
 from rass_mav.link.base import Link

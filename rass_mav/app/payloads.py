@@ -6,8 +6,8 @@ import re
 from typing import Any
 
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
-from rass_mav.core.errors import DatumError, MalformedError
 from rass_mav.core.store import Store, StoredInfo
+from rass_mav.errors import DatumError, MalformedError
 from rass_mav.wire.measurement import decode_measurement
 
 _ID = re.compile(r"(\d{1,5})-([0-9a-f]{8})-(\d{1,10})", re.ASCII)

@@ -15,7 +15,7 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
-from rass_mav.core.errors import StoreDamagedError
+from rass_mav.errors import StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle_stream import open_vehicle

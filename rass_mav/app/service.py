@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from rass_mav.core.errors import ConfigError, ServiceError
+from rass_mav.errors import ConfigError, ServiceError
 
 from .config import RunConfig
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-from rass_mav.core.errors import RassError
+from rass_mav.errors import RassError
 
 #: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
 VIRTUAL_START_S = 1_577_836_800.0

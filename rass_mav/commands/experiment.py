@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError
 
 from .common import HelpFormatter, Subparsers, add_command, add_set, print_json, progress, say, start_logging
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from rass_mav.core.errors import ConfigError, DatumError, RassError
+from rass_mav.errors import ConfigError, DatumError, RassError
 
 from .common import Subparsers, add_command, add_set, clean, print_json, say, start_logging
 
@@ -93,8 +93,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from rass_mav.agent.loading import dump_yaml, to_plain
     from rass_mav.app.config import filled_in
+    from rass_mav.config.loading import dump_yaml, to_plain
 
     config = _config(options)
     if options.json:

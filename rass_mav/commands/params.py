@@ -7,7 +7,7 @@ import sys
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rass_mav.core.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError
 
 from .common import HelpFormatter, Subparsers, add_command, clean, print_json, say, start_logging
 
@@ -143,7 +143,7 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
     import time
 
     from rass_mav.app.client import ControlClient
-    from rass_mav.core.errors import ControlError
+    from rass_mav.errors import ControlError
     from rass_mav.firmware.exchange import VehicleError
     from rass_mav.firmware.session import Session
     from rass_mav.link.address import parse_vehicle_url

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.core.errors import ConfigError, ServiceError
+from rass_mav.errors import ConfigError, ServiceError
 
 from .common import HelpFormatter, Subparsers, add_command, print_json, say, start_logging
 

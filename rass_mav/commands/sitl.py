@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from .common import Subparsers, add_command, add_set, print_json, progress, say, start_logging
 

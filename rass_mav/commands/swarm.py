@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from .common import Subparsers, add_command, add_set, print_json, progress, recorder, say, start_logging
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import enum
 from typing import NamedTuple, TypeAlias
 
-from .datum import Datum, DatumId
+from rass_mav.core.datum import Datum, DatumId
 
 #: As a target: every neighbour. Not a valid node id.
 BROADCAST = 0xFFFF

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from .cost_routing import CostTable
-from .datum import MAX_PAYLOAD, DatumId, make_datum
-from .errors import DatumError, StoreFullError
-from .keeper import Keeper
-from .messages import (
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.percolation import Percolation
+from rass_mav.core.custody.transfers import Transfers
+from rass_mav.core.datum import MAX_PAYLOAD, DatumId, make_datum
+from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
     NO_ROUTE,
@@ -32,18 +32,18 @@ from .messages import (
     Sack,
     Word,
 )
-from .mirrors import Mirrors
-from .notes import fate_of
-from .observer import Observer
-from .percolation import Percolation
-from .policy import POTENTIAL_BASE, Policy
-from .replication import Replica
-from .risk import RiskEstimator
-from .routing import HOLD_LIFETIMES, RoutingTable
-from .serial import following, newer
-from .settings import NodeSettings
-from .store import Store
-from .transfers import Transfers
+from rass_mav.core.news.notes import fate_of
+from rass_mav.core.observer import Observer
+from rass_mav.core.policy import POTENTIAL_BASE, Policy
+from rass_mav.core.replica import Replica
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.routes.costs import CostTable
+from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
+from rass_mav.core.settings import NodeSettings
+from rass_mav.core.spares.mirrors import Mirrors
+from rass_mav.core.store import Store
+from rass_mav.errors import DatumError, StoreFullError
 
 #: How many announcement numbers a base claims on disk at a time.
 ANNOUNCEMENTS_CLAIMED = 256

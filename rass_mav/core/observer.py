@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .datum import Datum, DatumId, Fate
+from rass_mav.core.datum import Datum, DatumId, Fate
 
 
 class Observer:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Protocol
 
-from .datum import Datum, DatumId, Fate
+from rass_mav.core.datum import Datum, DatumId, Fate
 
 
 class StoredInfo(NamedTuple):

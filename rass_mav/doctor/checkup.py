@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.app.service import config_path, place
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from . import computer, neighbours, network, node, ports, service, storage, vehicle
 from .finding import Finding, failed, passed

@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from rass_mav.app.links import LinkSection
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 from rass_mav.link.address import parse_address, resolve
 from rass_mav.link.sockets import is_local
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rass_mav.app.client import ControlClient
 from rass_mav.app.config import RunConfig
-from rass_mav.core.errors import ControlError
+from rass_mav.errors import ControlError
 
 from .finding import Finding, failed, passed, warned
 from .watch import LOOK_S, MOST_S, Evidence, Status, seen_enough

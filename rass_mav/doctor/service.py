@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rass_mav.app.service import config_path, state, unit_path
-from rass_mav.core.errors import ServiceError
+from rass_mav.errors import ServiceError
 
 from .finding import Finding, failed, passed, warned
 

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from rass_mav.core.datum import MAX_PAYLOAD
-from rass_mav.core.errors import StoreError
+from rass_mav.errors import StoreError
 from rass_mav.store.reader import SqliteReader
 
 from .finding import Finding, failed, passed, warned

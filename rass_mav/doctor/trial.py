@@ -21,7 +21,7 @@ from rass_mav.app.clock import Clock
 from rass_mav.app.config import RunConfig
 from rass_mav.app.driver import Driver
 from rass_mav.app.status import status
-from rass_mav.core.errors import ConfigError, LinkError, LogError, MalformedError, StoreError
+from rass_mav.errors import ConfigError, LinkError, LogError, MalformedError, StoreError
 from rass_mav.link.address import parse_address, parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort

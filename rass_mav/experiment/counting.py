@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon
-from rass_mav.core.routing import RoutingTable
+from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.experiment.figures import OTHERS, Curve, Panel, draw
 from rass_mav.experiment.tables import markdown, write_csv, write_text

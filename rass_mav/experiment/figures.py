@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

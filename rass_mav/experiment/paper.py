@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.experiment import distances
 from rass_mav.experiment.curves import (
     by_policy,

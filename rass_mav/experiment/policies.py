@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.experiment import distances
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import LEVEL, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style

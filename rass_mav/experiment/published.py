@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 #: Delay in steps (the paper prints it as "transfer speed (hops)"; None: not applicable) and memory used in percent.
 TABLE_1: dict[tuple[str, str], tuple[float | None, float]] = {

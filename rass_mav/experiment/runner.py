@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 
 #: Given how many runs there are to do, shows how many are done.

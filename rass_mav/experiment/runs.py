@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from rass_mav.core.errors import RassError
+from rass_mav.errors import RassError
 from rass_mav.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
 from rass_mav.swarm.scenario import Scenario, plain
 from rass_mav.swarm.world import World

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from rass_mav.core.errors import RassError
+from rass_mav.errors import RassError
 from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import Estimate
 

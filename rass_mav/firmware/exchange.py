@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError, RassError
+from rass_mav.errors import MalformedError, RassError
 from rass_mav.mavlink.component import AUTOPILOT_VERSION, PARAM_ERROR, PARAM_REQUEST_READ, PARAM_SET, PARAM_VALUE
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
 from rass_mav.mavlink.vehicle_parameters import TYPES, fits
 

@@ -6,7 +6,7 @@ import ipaddress
 import socket
 from typing import Literal, NamedTuple
 
-from rass_mav.core.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError
 
 from .base import Address
 

@@ -7,7 +7,7 @@ import socket
 import struct
 from typing import NamedTuple
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 
 _SIOCGIFADDR = 0x8915
 _SIOCGIFBRDADDR = 0x8919

@@ -8,7 +8,7 @@ import os
 import termios
 from typing import TYPE_CHECKING
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 
 from .base import Address
 from .stream import READ_BYTES, Channel, Opener

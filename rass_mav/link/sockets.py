@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 
 from .base import MAX_INBOX, MAX_OUTBOX, Address, Datagram
 

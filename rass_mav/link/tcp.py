@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 
 from .base import Address
 from .stream import READ_BYTES, Channel, Opener

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 
 from .address import resolve
 from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 
 from .address import VehicleUrl, resolve
 from .base import MAX_INBOX, Address, Datagram, LinkCounters

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 from .dialect import MavlinkMessage, common, crc_extra_of
 from .frames import Frame

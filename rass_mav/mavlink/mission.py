@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 from .dialect import MavlinkMessage, common
 from .frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, Frame

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from .dialect import common
 from .frames import Frame

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 from .crc import crc16
 from .frames import MAGIC_V2, TUNNEL_EXTRA, TUNNEL_MAX

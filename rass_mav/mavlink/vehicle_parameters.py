@@ -11,7 +11,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 from .component import CMD_REQUEST_MESSAGE, PARAM_NAME_SIZE, REAL32, single
 from .dialect import common, payload_of

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from rass_mav.core.errors import ConfigError
 from rass_mav.core.policy import Policy
+from rass_mav.errors import ConfigError
 
 from .fitness import UNREACHABLE_HOPS, FitnessPolicy
 from .reference import ReferencePolicy

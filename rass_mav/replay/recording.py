@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rass_mav.core.errors import ConfigError, LogError
+from rass_mav.errors import ConfigError, LogError
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HOME_POSITION, NAMED_VALUE_FLOAT
 from rass_mav.mavlink.telemetry import Position, Telemetry
 from rass_mav.sensor.bgeigie import SENTENCE

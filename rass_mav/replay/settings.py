@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from rass_mav.agent.loading import convert, set_key
-from rass_mav.agent.sections import Section
 from rass_mav.agent.sensors import CountsSettings
 from rass_mav.agent.settings import (
     AgentSettings,
@@ -20,6 +18,8 @@ from rass_mav.agent.settings import (
     RoutingSettings,
     StoreSettings,
 )
+from rass_mav.config.loading import convert, set_key
+from rass_mav.config.sections import Section
 from rass_mav.swarm.scenario import NodeSection, RadioSection
 
 

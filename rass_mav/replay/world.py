@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from rass_mav.core.errors import LogError
+from rass_mav.errors import LogError
 from rass_mav.swarm.radio import Record
 from rass_mav.swarm.virtual import VirtualSwarm
 

@@ -15,7 +15,7 @@ from functools import reduce
 from operator import xor
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 from .protocol import LineProtocol, Sample, shown
 

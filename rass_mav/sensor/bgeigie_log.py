@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from rass_mav.core.errors import ConfigError, LogError, MalformedError
+from rass_mav.errors import ConfigError, LogError, MalformedError
 
 from .bgeigie import Record, decode_record
 from .protocol import MAX_LINE

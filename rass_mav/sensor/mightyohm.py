@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 from .protocol import LineProtocol, Sample, shown
 

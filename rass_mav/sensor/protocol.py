@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 #: The longest line of text that a device may send, bytes.
 MAX_LINE = 256

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from rass_mav.core.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError
 
 from .base import MAX_WAITING, Sensor, SensorReading, SensorState
 from .dose import DoseMeter

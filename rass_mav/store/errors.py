@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rass_mav.core.errors import StoreDamagedError, StoreError, StoreFullError
+from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 # Caused by a wrong statement or value, so by us: these pass as they are.
 _OUR_BUGS = (

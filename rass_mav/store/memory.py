@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.store import StoredInfo
+from rass_mav.errors import StoreFullError
 
 from .quota import ROW_OVERHEAD, charge
 

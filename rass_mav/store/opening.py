@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from rass_mav.core.errors import StoreDamagedError, StoreError
+from rass_mav.errors import StoreDamagedError, StoreError
 
 from .errors import Unsound, explained
 from .schema import APPLICATION_ID, SCHEMA_VERSION, TABLES, check_all, create_tables

@@ -15,8 +15,8 @@ from pathlib import Path
 from types import TracebackType
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.errors import StoreDamagedError, StoreFullError
 from rass_mav.core.store import StoredInfo
+from rass_mav.errors import StoreDamagedError, StoreFullError
 
 from . import schema
 from .changes import Batch, BatchState, Changes

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rass_mav.core.errors import MalformedError
 from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
+from rass_mav.errors import MalformedError
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
 

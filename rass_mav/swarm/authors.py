@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from random import Random
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from .mobility import Mobility, Static, Stepper
 from .neighbours import Cells, Position

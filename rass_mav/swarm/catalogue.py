@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rass_mav.agent.loading import convert, read_yaml, set_key
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert, read_yaml, set_key
+from rass_mav.errors import ConfigError
 from rass_mav.swarm.scenario import Scenario
 
 _SHIPPED = Path(__file__).parent / "scenarios"

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from rass_mav.core.errors import SwarmError
+from rass_mav.errors import SwarmError
 
 #: How long a process may take to end after SIGTERM, seconds.
 STOP_S = 20.0

@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rass_mav.core.arrivals import WINDOW_BITS, has_arrived
 from rass_mav.core.datum import DatumId
-from rass_mav.core.notes import MAX_NOTES
+from rass_mav.core.news.arrivals import WINDOW_BITS, has_arrived
+from rass_mav.core.news.notes import MAX_NOTES
 
 if TYPE_CHECKING:
     from rass_mav.swarm.virtual import VirtualSwarm

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from random import Random
 from typing import Protocol
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from . import topology
 from .neighbours import Position, RangeGraph

@@ -17,7 +17,6 @@ from typing import Any
 
 import msgspec
 
-from rass_mav.agent.loading import dump_yaml
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
@@ -30,8 +29,9 @@ from rass_mav.app.config import (
 )
 from rass_mav.app.links import LinkSection, PeerSection
 from rass_mav.app.payloads import parse_id
+from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
-from rass_mav.core.errors import ConfigError, ControlError, SwarmError
+from rass_mav.errors import ConfigError, ControlError, SwarmError
 from rass_mav.swarm.census import Census
 from rass_mav.swarm.children import Child, Children, orderly_end, wait_any
 from rass_mav.swarm.invariants import count_loops

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from random import Random
 from typing import NamedTuple
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 
 class Source(NamedTuple):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import field, replace
 from typing import Annotated, Any, Literal
 
-from rass_mav.agent.loading import to_plain
-from rass_mav.agent.sections import Meta
 from rass_mav.agent.settings import (
     AgentSettings,
     Count,
@@ -24,6 +22,8 @@ from rass_mav.agent.settings import (
     Section,
     StoreSettings,
 )
+from rass_mav.config.loading import to_plain
+from rass_mav.config.sections import Meta
 
 
 class NodeSection(Section):

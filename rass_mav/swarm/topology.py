@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from random import Random
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 
 from .neighbours import TOLERANCE_M, Cells, Position
 

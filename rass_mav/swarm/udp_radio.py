@@ -30,7 +30,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError
 from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
 from rass_mav.mavlink.messages import HEARTBEAT

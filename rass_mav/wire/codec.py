@@ -11,7 +11,6 @@ from collections.abc import Callable
 from itertools import chain
 
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.errors import MalformedError
 from rass_mav.core.messages import (
     BROADCAST,
     Accept,
@@ -34,7 +33,8 @@ from rass_mav.core.messages import (
     ReceiptSpan,
     Sack,
 )
-from rass_mav.core.replication import QUERY_IDS
+from rass_mav.core.replica import QUERY_IDS
+from rass_mav.errors import MalformedError
 
 #: Bytes of a TUNNEL payload.
 MAX_TUNNEL = 128

@@ -6,7 +6,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 
 _MEASUREMENT = struct.Struct("<BBiiifH")
 #: Bytes of a measurement without padding.

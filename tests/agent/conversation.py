@@ -7,8 +7,8 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.ground import VALUE_NAMES
-from rass_mav.agent.loading import convert
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.config.loading import convert
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter

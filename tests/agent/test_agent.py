@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.loading import convert
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Route
 from rass_mav.core.policy import POTENTIAL_ONE

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.agent.parameters import INDEX, PARAMETERS, single
-from rass_mav.core.cost_routing import CostTable
 from rass_mav.core.messages import Beacon
+from rass_mav.core.routes.costs import CostTable
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert
 from rass_mav.agent.parameters import (
     INDEX,
     PARAMETERS,
@@ -21,7 +20,8 @@ from rass_mav.agent.parameters import (
     single,
 )
 from rass_mav.agent.settings import AgentSettings, PolicyName
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
 from rass_mav.store.memory import MemoryStore
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")

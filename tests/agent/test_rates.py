@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.loading import convert
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, global_position_int, parse

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert
 from rass_mav.agent.sensors import SensorSettings
 from rass_mav.agent.settings import RiskSettings
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
 from rass_mav.sensor.playback import PlaybackSensor
 from rass_mav.sensor.serial_sensor import SerialSensor
 

@@ -10,9 +10,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert, dump_yaml, read_yaml, set_key, to_plain
 from rass_mav.app.config import RunConfig, filled_in, load_config
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert, dump_yaml, read_yaml, set_key, to_plain
+from rass_mav.errors import ConfigError
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 DRONE = "node: {id: 7}\nlinks: [{peers: [{address: '10.0.0.1:14600'}]}]\n"

@@ -19,8 +19,8 @@ from rass_mav.agent.settings import GroundSettings, PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import load_config
 from rass_mav.app.driver import Driver
-from rass_mav.core.errors import ConfigError
 from rass_mav.core.store import Store
+from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.vehicle import VehicleLink
 from rass_mav.mavlink import component as mav

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.store import StoredInfo
+from rass_mav.errors import StoreFullError
 
 
 @dataclass

@@ -3,9 +3,9 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.archive import Archive, SequenceSet
-from rass_mav.core.arrivals import has_arrived, is_told_lost
 from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.news.archive import Archive, SequenceSet
+from rass_mav.core.news.arrivals import has_arrived, is_told_lost
 
 
 def ids(*sequences: int, origin: int = 1) -> list[DatumId]:

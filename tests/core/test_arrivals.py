@@ -5,7 +5,7 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.arrivals import (
+from rass_mav.core.news.arrivals import (
     LOST_BITS,
     NOTHING,
     WINDOW_BITS,

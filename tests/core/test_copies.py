@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.messages import BEACON_BASE, Beacon, Committed, Data, Message
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.routing import Route
-from rass_mav.core.spares import TARGET
+from rass_mav.core.routes.table import Route
+from rass_mav.core.spares.offers import TARGET
+from rass_mav.errors import StoreFullError
 
 from .build import beacon, data, datum, make_node, of
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.cost_routing import COST_ONE, NO_COST
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.node import ANNOUNCEMENTS_CLAIMED
-from rass_mav.core.routing import HOLD_LIFETIMES
-from rass_mav.core.serial import following, newer
+from rass_mav.core.routes.costs import COST_ONE, NO_COST
+from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.routes.table import HOLD_LIFETIMES
 from rass_mav.policy import make_policy
 
 from .build import make_node

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from rass_mav.core.custody import MAX_ACCEPTED, Custody
+from rass_mav.core.custody.handovers import MAX_ACCEPTED, Custody
 
 from .build import datum
 

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Policy, Transfer, View
+from rass_mav.errors import StoreFullError
 from rass_mav.policy import make_policy
 from rass_mav.wire import decode, encode
 

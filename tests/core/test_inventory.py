@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rass_mav.core.custody.holdings import Inventory
 from rass_mav.core.datum import Fate
-from rass_mav.core.errors import StoreFullError
-from rass_mav.core.inventory import Inventory
+from rass_mav.errors import StoreFullError
 
 from .build import datum
 from .durable import DurableStore

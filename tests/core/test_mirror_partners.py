@@ -14,8 +14,8 @@ from rass_mav.core.messages import (
     PassedOn,
     Word,
 )
-from rass_mav.core.mirrors import ASK_STEPS, MAX_PASSED
 from rass_mav.core.node import Node
+from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
 
 from .build import data, datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over

@@ -23,8 +23,8 @@ from rass_mav.core.messages import (
     Route,
     Word,
 )
-from rass_mav.core.mirrors import ASK_STEPS
 from rass_mav.core.policy import POTENTIAL_BASE, Transfer, View
+from rass_mav.core.spares.mirrors import ASK_STEPS
 
 from .build import beacon, data, datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over

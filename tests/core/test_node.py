@@ -3,12 +3,12 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.errors import DatumError, StoreFullError
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Receipt, ReceiptEntry, Route
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
-from rass_mav.core.serial import newer
+from rass_mav.core.routes.serial import newer
+from rass_mav.errors import DatumError, StoreFullError
 
 from .build import beacon, data, datum, make_node, of, talk
 from .durable import DurableStore

@@ -8,10 +8,10 @@ import random
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.messages import Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
+from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode
 
 from .build import make_node

@@ -8,8 +8,8 @@ import pytest
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Committed, Data, LossNote, LossNoteEntry, Receipt, ReceiptSpan
+from rass_mav.core.news.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, fate_of
 from rass_mav.core.node import Node
-from rass_mav.core.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, fate_of
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
 

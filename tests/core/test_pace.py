@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rass_mav.core.cost_routing import COST_ONE, NO_COST
 from rass_mav.core.messages import Beacon, Committed, Corrupt, Data, Handover, Route, Word
-from rass_mav.core.routing import HOLD_LIFETIMES
+from rass_mav.core.routes.costs import COST_ONE, NO_COST
+from rass_mav.core.routes.table import HOLD_LIFETIMES
 
 from .build import beacon, datum, make_node, of
 from .durable import DurableStore

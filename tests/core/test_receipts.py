@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.arrivals import has_arrived, is_told_lost
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Receipt, ReceiptEntry, ReceiptSpan
-from rass_mav.core.receipts import (
+from rass_mav.core.news.arrivals import has_arrived, is_told_lost
+from rass_mav.core.news.receipts import (
     ENTRY_BYTES,
     MAX_ORIGINS,
     MAX_ROUNDS,

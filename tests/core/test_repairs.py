@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Corrupt, CorruptEntry, Data, PassedOn, Receipt, ReceiptEntry, Word
-from rass_mav.core.mirrors import ASK_STEPS
-from rass_mav.core.repairs import MAX_SEARCHES
+from rass_mav.core.spares.mirrors import ASK_STEPS
+from rass_mav.core.spares.repairs import MAX_SEARCHES
 
 from .build import datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest

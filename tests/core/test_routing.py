@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Route
-from rass_mav.core.routing import CHANGE_OVER_HOPS, HOLD_LIFETIMES, MAX_BASES, RoutingTable
+from rass_mav.core.routes.table import CHANGE_OVER_HOPS, HOLD_LIFETIMES, MAX_BASES, RoutingTable
 
 from .build import beacon
 

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.messages import Message, Put
 from rass_mav.core.node import Node
-from rass_mav.core.replication import wins
+from rass_mav.core.replica import wins
+from rass_mav.errors import StoreFullError
 
 from .build import beacon, datum, make_node, of
 from .durable import DurableStore

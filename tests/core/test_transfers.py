@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rass_mav.core.custody.transfers import MAX_TRANSFERS
 from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
-from rass_mav.core.transfers import MAX_TRANSFERS
 
 from .build import beacon, datum, make_node, of, talk
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError
 from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runner import Outcome, run_all
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute

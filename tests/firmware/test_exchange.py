@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 from rass_mav.firmware.exchange import Autopilot, Exchange, Introduction, Patience, Question, reading, setting
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, companion_heartbeat

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.firmware.files import parse_text, read_file
 from rass_mav.firmware.names import fitting_file, made_for, other_name
 from rass_mav.mavlink.vehicle_parameters import ARDUPILOT, PX4

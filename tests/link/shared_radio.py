@@ -16,9 +16,9 @@ from typing import Any
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, common_pace, slowest_turn
-from rass_mav.agent.loading import convert
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST
 from rass_mav.core.observer import Observer

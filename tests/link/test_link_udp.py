@@ -9,8 +9,8 @@ import socket
 import pytest
 from link_helpers import TIMEOUT_S, Ear
 
-from rass_mav.core.errors import LinkError
 from rass_mav.core.messages import BROADCAST
+from rass_mav.errors import LinkError
 from rass_mav.link.base import MAX_INBOX, MAX_OUTBOX
 from rass_mav.link.interface import find_interface
 from rass_mav.link.sockets import MAX_PER_WAKE, Sender

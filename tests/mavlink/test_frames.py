@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import TunnelFields, decode_tunnel, tunnel_from_datagram

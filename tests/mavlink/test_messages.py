@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter

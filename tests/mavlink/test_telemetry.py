@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame

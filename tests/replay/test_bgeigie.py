@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.core.errors import LogError
+from rass_mav.errors import LogError
 from rass_mav.replay.arrivals import Arrival, arrivals, summary
 from rass_mav.replay.recording import read_logs
 from rass_mav.replay.settings import load_settings

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.core.errors import ConfigError, LogError
+from rass_mav.errors import ConfigError, LogError
 from rass_mav.replay.recording import read_logs
 
 from .logs import GROUND, START, ground_station, place, vehicle, write

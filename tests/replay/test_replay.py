@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import ConfigError, LogError
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.errors import ConfigError, LogError
 from rass_mav.replay.arrivals import Arrival, arrivals, summary
 from rass_mav.replay.places import Projection, links
 from rass_mav.replay.recording import read_logs

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import ConfigError, LogError, MalformedError
+from rass_mav.errors import ConfigError, LogError, MalformedError
 from rass_mav.sensor.bgeigie import HEADERS, Place, Record, decode_record
 from rass_mav.sensor.bgeigie_log import BgeigieLog, load_bgeigie, read_bgeigie
 from rass_mav.sensor.protocol import MAX_LINE

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 from rass_mav.sensor.bgeigie import Bgeigie, decode_record, fields_of, rate_of
 from rass_mav.sensor.gmc import MAX_ANSWER, POLL_S, QUIET_S, Gmc, decode_cpm, decode_version
 from rass_mav.sensor.kinds import SERIAL_KINDS

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.sensor.base import MAX_WAITING, SensorReading, SensorState
 from rass_mav.sensor.dose import DoseMeter, Tube
 from rass_mav.sensor.gmc import Gmc

@@ -9,8 +9,8 @@ import pytest
 from store_helpers import EPOCH, commit, datum, open_store
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.store import Store, StoredInfo
+from rass_mav.errors import StoreFullError
 from rass_mav.store import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
 from rass_mav.core.datum import Fate
-from rass_mav.core.errors import StoreDamagedError, StoreError
+from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import SqliteReader
 
 NEW_EPOCH = 77

@@ -12,7 +12,7 @@ import pytest
 from store_helpers import ROOT, commit, datum, open_store
 
 from rass_mav.core.datum import Fate
-from rass_mav.core.errors import StoreError, StoreFullError
+from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.store import SqliteReader, SqliteStore
 
 HOLDER = """

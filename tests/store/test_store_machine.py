@@ -21,7 +21,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from store_helpers import EPOCH, open_store
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.errors import StoreError
+from rass_mav.errors import StoreError
 from rass_mav.store import MemoryStore, SqliteReader
 from rass_mav.store.quota import ROW_OVERHEAD
 

@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
-from rass_mav.core.errors import StoreFullError
 from rass_mav.core.store import Store
+from rass_mav.errors import StoreFullError
 from rass_mav.store import SqliteStore
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.store.sqlite import MAX_WAITING_REMOVALS

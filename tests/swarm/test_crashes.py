@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert
+from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.invariants import check

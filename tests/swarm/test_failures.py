@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert
 from rass_mav.cli import main
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.failures import Failure, Failures
 from rass_mav.swarm.invariants import check

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rass_mav.core.errors import LinkError
+from rass_mav.errors import LinkError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import (

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT
 from rass_mav.swarm.autopilot import to_earth
 from rass_mav.swarm.sitl import guard

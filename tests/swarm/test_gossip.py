@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.loading import convert
+from rass_mav.config.loading import convert
 from rass_mav.core.messages import Receipt, ReceiptEntry
-from rass_mav.core.receipts import MAX_ROUNDS, PAUSE, Receipts
+from rass_mav.core.news.receipts import MAX_ROUNDS, PAUSE, Receipts
 from rass_mav.swarm.invariants import InvariantError, check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert
+from rass_mav.config.loading import convert
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.swarm import topology
 from rass_mav.swarm.mobility import LJ_DISTANCE_M, TOPOLOGIES, LennardJones, Mobility, make_mobility
 from rass_mav.swarm.neighbours import Position, RangeGraph

@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from rass_mav.core.errors import ConfigError, SwarmError
+from rass_mav.errors import ConfigError, SwarmError
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.catalogue import load_scenario

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.swarm.radiation import RadiationField, Source, random_sources
 
 metres = st.floats(-10, 10)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.loading import convert
-from rass_mav.core.errors import ConfigError
+from rass_mav.config.loading import convert
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.errors import ConfigError
 from rass_mav.policy import Weights, make_policy
 from rass_mav.swarm import authors
 from rass_mav.swarm.catalogue import load_scenario

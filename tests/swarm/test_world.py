@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from rass_mav.agent.loading import convert
+from rass_mav.config.loading import convert
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check, count_loops

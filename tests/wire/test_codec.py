@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import MalformedError
 from rass_mav.core.messages import (
     BROADCAST,
     Beacon,
@@ -20,6 +19,7 @@ from rass_mav.core.messages import (
     PassedOn,
     Receipt,
 )
+from rass_mav.errors import MalformedError
 from rass_mav.wire import INLINE_BYTES, MAX_TUNNEL, decode, encode
 from rass_mav.wire.codec import VERSION, ForeignError
 

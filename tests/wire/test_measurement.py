@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.errors import MalformedError
+from rass_mav.errors import MalformedError
 from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, decode_measurement, encode_measurement
 
 positions = st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-2e6, 2e6))

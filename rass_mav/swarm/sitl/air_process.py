@@ -20,7 +20,7 @@ from typing import IO, Any, BinaryIO, TextIO, cast
 
 import msgspec
 
-from rass_mav.core.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError
 from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.swarm.sitl.air import Air, AirOrder
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rass_mav.core.errors import ConfigError
+from rass_mav.errors import ConfigError
 from rass_mav.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl import guard

@@ -24,7 +24,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.core.errors import ConfigError, MalformedError, RassError
+from rass_mav.errors import ConfigError, MalformedError, RassError
 from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, udp_socket
 from rass_mav.mavlink.component import ACCEPTED, CMD_SET_MESSAGE_INTERVAL, UNSUPPORTED, command_ack

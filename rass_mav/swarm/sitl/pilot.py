@@ -21,7 +21,7 @@ from typing import Any
 
 import msgspec
 
-from rass_mav.core.errors import ConfigError, SwarmError
+from rass_mav.errors import ConfigError, SwarmError
 from rass_mav.mavlink.mission import MissionItem
 from rass_mav.swarm.tether import watch
 

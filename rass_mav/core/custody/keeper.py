@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .archive import Archive
-from .custody import Custody
-from .datum import Datum, DatumId, Fate
-from .inventory import Inventory
-from .notes import LossNotes
-from .observer import Observer
-from .receipts import Pair, Receipts
-from .settings import NodeSettings
-from .store import Store
+from rass_mav.core.custody.handovers import Custody
+from rass_mav.core.custody.holdings import Inventory
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.notes import LossNotes
+from rass_mav.core.news.receipts import Pair, Receipts
+from rass_mav.core.observer import Observer
+from rass_mav.core.settings import NodeSettings
+from rass_mav.core.store import Store
 
 if TYPE_CHECKING:
     import random
     from collections.abc import Container
 
-    from .mirrors import Mirrors
-    from .replication import Replica
-    from .transfers import Transfers
+    from rass_mav.core.custody.transfers import Transfers
+    from rass_mav.core.replica import Replica
+    from rass_mav.core.spares.mirrors import Mirrors
 
 
 #: What is dropped for one of these reasons is gone, as far as this node knows.

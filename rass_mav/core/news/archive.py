@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from .arrivals import NOTHING, Known, completed, one
-from .datum import DatumId, Fate
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.news.arrivals import NOTHING, Known, completed, one
 
 #: How many losses a base believes. Nobody proves them, so there must be an end.
 MAX_TOLD_LOST = 1 << 20

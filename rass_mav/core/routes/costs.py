@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
-from .messages import NO_ROUTE, Beacon
-from .routing import HOLD_LIFETIMES, Neighbour, RoutingTable
-from .serial import following
+from rass_mav.core.messages import NO_ROUTE, Beacon
+from rass_mav.core.routes.serial import following
+from rass_mav.core.routes.table import HOLD_LIFETIMES, Neighbour, RoutingTable
 
 #: Costs are 32-bit fixed point on the wire: this many units are a cost of 1.
 COST_ONE = 1 << 20

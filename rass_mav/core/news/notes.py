@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import islice
 
-from .datum import DatumId, Fate
-from .messages import LossNote, LossNoteEntry
-from .store import Store
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import LossNote, LossNoteEntry
+from rass_mav.core.store import Store
 
 #: Notes a node keeps at most. For one of its own the oldest goes; one of a neighbour's is refused.
 MAX_NOTES = 256

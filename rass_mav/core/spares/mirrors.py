@@ -21,13 +21,13 @@ from collections.abc import Iterable
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from .datum import Datum, DatumId, Fate
-from .messages import BEACON_BASE, Corrupt, CorruptEntry, Message, PassedOn, Word
-from .repairs import Repairs
-from .spares import SpareOffers
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.messages import BEACON_BASE, Corrupt, CorruptEntry, Message, PassedOn, Word
+from rass_mav.core.spares.offers import SpareOffers
+from rass_mav.core.spares.repairs import Repairs
 
 if TYPE_CHECKING:
-    from .node import Node
+    from rass_mav.core.node import Node
 
 #: A backer that has heard nothing of a datum for so many steps (turns, where they are longer) asks its custodian.
 ASK_STEPS = 10

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from .datum import DatumId, Fate
-from .messages import Data, Handover, Message
-from .policy import View
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import Data, Handover, Message
+from rass_mav.core.policy import View
 
 if TYPE_CHECKING:
-    from .node import Node
+    from rass_mav.core.node import Node
 
 #: Where data move on at once, one item in so many is kept for spares of new data, which nobody else has yet.
 KEPT_FOR_SPARES = 10

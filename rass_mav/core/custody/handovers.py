@@ -17,7 +17,7 @@ from __future__ import annotations
 import random
 from collections import OrderedDict
 
-from .datum import DatumId
+from rass_mav.core.datum import DatumId
 
 #: How many accepted hand-over numbers a node remembers.
 MAX_ACCEPTED = 1024

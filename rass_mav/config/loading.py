@@ -12,10 +12,9 @@ from typing import Any, TypeVar
 
 import yaml
 
-from rass_mav.core.errors import ConfigError
-
-from .sections import Section
-from .typed import build, plain, shown
+from rass_mav.config.sections import Section
+from rass_mav.config.typed import build, plain, shown
+from rass_mav.errors import ConfigError
 
 S = TypeVar("S", bound=Section)
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from .datum import DatumId, Fate
-from .messages import BROADCAST, Word
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import BROADCAST, Word
 
 if TYPE_CHECKING:
-    from .mirrors import Mirrors
-    from .node import Node
+    from rass_mav.core.node import Node
+    from rass_mav.core.spares.mirrors import Mirrors
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from math import inf
 
-from .messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Route
-from .serial import following, newer
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Route
+from rass_mav.core.routes.serial import following, newer
 
 #: A beacon this little behind the newest one is a late or doubled frame; one further behind is a restarted neighbour.
 _LATE_WINDOW = 32

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .custody import Pending
-from .datum import MAX_PAYLOAD, Datum, DatumId
-from .messages import Accept, Chunk, Committed, Message, Offer, Sack
-from .transfer import Incoming, Outgoing
+from rass_mav.core.custody.handovers import Pending
+from rass_mav.core.custody.transfer import Incoming, Outgoing
+from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId
+from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
 
 if TYPE_CHECKING:
-    from .node import Node
+    from rass_mav.core.node import Node
 
 #: Transfers at a time, each way. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8

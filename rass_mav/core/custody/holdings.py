@@ -10,8 +10,8 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from itertools import chain, islice
 
-from .datum import Datum, DatumId, Fate
-from .store import Store, StoredInfo
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.store import Store, StoredInfo
 
 
 class Inventory:

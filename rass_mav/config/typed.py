@@ -7,9 +7,8 @@ from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from rass_mav.core.errors import ConfigError
-
-from .sections import Meta, Section, fields_of
+from rass_mav.config.sections import Meta, Section, fields_of
+from rass_mav.errors import ConfigError
 
 S = TypeVar("S", bound=Section)
 

@@ -19,12 +19,12 @@ from collections.abc import Iterable
 from math import inf
 from typing import TYPE_CHECKING
 
-from .datum import DatumId
-from .messages import BEACON_BASE, Committed, Data, Handover, Message
-from .routing import Neighbour
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import BEACON_BASE, Committed, Data, Handover, Message
+from rass_mav.core.routes.table import Neighbour
 
 if TYPE_CHECKING:
-    from .node import Node
+    from rass_mav.core.node import Node
 
 #: An offer that was not answered is made again after so many steps (turns, where they are longer).
 OFFER_STEPS = 2

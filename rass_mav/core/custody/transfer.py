@@ -7,8 +7,8 @@ again, and the answer tells where to go on. There is no congestion control: the 
 
 from __future__ import annotations
 
-from .datum import Datum, DatumId, datum_crc
-from .messages import Accept, Chunk, Offer, Sack
+from rass_mav.core.datum import Datum, DatumId, datum_crc
+from rass_mav.core.messages import Accept, Chunk, Offer, Sack
 
 #: Chunks that may be on their way, unacknowledged.
 WINDOW = 32

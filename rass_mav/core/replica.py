@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .datum import Datum, DatumId, Fate
-from .messages import Message, Put, Query
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.messages import Message, Put, Query
 
 if TYPE_CHECKING:
-    from .node import Node
+    from rass_mav.core.node import Node
 
 
 def wins(lamport: int, writer: int, over_lamport: int, over_writer: int) -> bool:

@@ -1,0 +1,1 @@
+"""What has become of data: arrivals, receipts, losses."""
