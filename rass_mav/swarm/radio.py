@@ -101,15 +101,6 @@ class Radio:
         else:
             self._now.insert(places, (sender, frame, hearers))
 
-    def clear(self, node: int) -> None:
-        """A node is off: nothing that is on its way to it arrives. (Its own frames still do.)"""
-        self._now = deque((s, f, self._without(h, node)) for s, f, h in self._now)
-        self._later = deque((t, s, f, self._without(h, node)) for t, s, f, h in self._later)
-
-    @staticmethod
-    def _without(hearers: Sequence[int] | None, node: int) -> Sequence[int] | None:
-        return None if hearers is None else [h for h in hearers if h != node]
-
     @property
     def sha256(self) -> str:
         """SHA-256 over all frames put on the air, in order, in hexadecimal."""
@@ -119,8 +110,3 @@ class Radio:
     def _take_in(self) -> None:
         self._digest.update(self._undigested)
         self._undigested.clear()
-
-    @property
-    def quiet(self) -> bool:
-        """Whether nothing is on its way."""
-        return not self._now and not self._later
