@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import BinaryIO
+from typing import IO
 
 
 class TlogWriter:
     """Writes frames as ground stations do, so that MAVExplorer, QGroundControl and pymavlink read them."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: IO[bytes]) -> None:
         """`file`: open for writing, in binary; the caller closes it."""
         self._write = file.write
 

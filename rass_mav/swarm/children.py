@@ -43,7 +43,6 @@ class Child:
             )
         self._lines: list[bytes] = []
         self._rest = b""
-        self._ended = False
 
     @property
     def pid(self) -> int:
@@ -64,14 +63,14 @@ class Child:
         except BrokenPipeError:
             raise self.failed() from None
 
-    def read(self) -> bool:
-        """Take in what it has written on stdout; call it when there is something. False: it has ended."""
+    def read(self) -> None:
+        """Take in what it has written on stdout; call it when there is something. Raises `SwarmError`: it has ended."""
         assert self._process.stdout is not None
         data = self._process.stdout.read(65536)
-        *lines, self._rest = (self._rest + (data or b"")).split(b"\n")
+        if not data:
+            raise self.failed()
+        *lines, self._rest = (self._rest + data).split(b"\n")
         self._lines += lines
-        self._ended = not data
-        return bool(data)
 
     def next_line(self) -> bytes | None:
         """The next whole line that was read, or None."""
@@ -86,8 +85,6 @@ class Child:
                 line = self.next_line()
                 if line is not None:
                     return line
-                if self._ended:
-                    raise self.failed()
                 left = until - time.monotonic()
                 if left <= 0:
                     raise SwarmError(f"{self.name}: says nothing for {timeout_s:g} s{self._tail()}")
@@ -141,18 +138,26 @@ class Children:
     """All child processes of a swarm. Leaving the block kills those that are left."""
 
     def __init__(self) -> None:
-        self._all: list[Child] = []
+        self._all: dict[Child, Callable[[], None]] = {}
 
-    def start(self, name: str, arguments: list[str], log: Path) -> Child:
-        """See `Child`."""
+    def start(self, name: str, arguments: list[str], log: Path, heard: Callable[[], None] | None = None) -> Child:
+        """See `Child`. `heard`: what `wait` calls when there is something on its stdout; None: its `read`."""
         child = Child(name, arguments, log)
-        self._all.append(child)
+        self._all[child] = heard or child.read
         return child
 
     def kill(self, child: Child) -> None:
         """SIGKILL for one."""
         child.kill()
-        self._all.remove(child)
+        del self._all[child]
+
+    def wait(self, until: float) -> None:
+        """Until a time of `time.monotonic`, or until one of them says something. Raises `SwarmError` if one ended."""
+        with selectors.DefaultSelector() as selector:
+            for child, heard in self._all.items():
+                selector.register(child.file, selectors.EVENT_READ, heard)
+            for key, _ in selector.select(max(until - time.monotonic(), 0.0)):
+                key.data()
 
     def __enter__(self) -> Children:
         return self
@@ -179,12 +184,3 @@ def orderly_end() -> Iterator[None]:
 
 def _leave(number: int, frame: FrameType | None) -> None:
     raise SystemExit(128 + number)
-
-
-def wait_any(files: dict[int, Callable[[], None]], timeout_s: float) -> None:
-    """Wait at most so long for any of these file descriptors to have something to read, and make the calls of those."""
-    with selectors.DefaultSelector() as selector:
-        for file, call in files.items():
-            selector.register(file, selectors.EVENT_READ, call)
-        for key, _ in selector.select(max(timeout_s, 0.0)):
-            key.data()

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -32,13 +32,13 @@ from rass_mav.app.payloads import parse_id
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import ConfigError, ControlError, SwarmError
+from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
-from rass_mav.swarm.children import Child, Children, orderly_end, wait_any
+from rass_mav.swarm.children import Child, Children, orderly_end
 from rass_mav.swarm.invariants import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
 from rass_mav.swarm.surroundings import Surroundings
-from rass_mav.swarm.udp_radio import Figures, Ports, RadioOrder
 
 log = logging.getLogger(__name__)
 
@@ -48,8 +48,8 @@ MAX_NODES = 64
 DRAIN_S = 10.0
 # Further steps for each node: with loss, a hop takes more than one.
 _DRAIN_STEPS_A_NODE = 5
-# Until a process has to be ready, seconds, for itself and for each that starts with it.
-_START_S = 20.0
+#: Until a process has to be ready, seconds; the nodes get some more for each of them.
+START_S = 20.0
 _START_EACH_S = 2.0
 # Seconds between two looks at the drones' stores and next hops.
 _SAMPLE_S = 1.0
@@ -57,6 +57,8 @@ _SAMPLE_S = 1.0
 _ANSWER_S = 5.0
 # Looks at the bases' stores take at most this part of the time.
 _LOOK_SHARE = 0.1
+
+P = TypeVar("P", bound=Ports)
 
 
 class NodeProcess:
@@ -117,12 +119,11 @@ class NodeProcess:
         """Begin a life. It is under way when `ready`."""
         self.ready = False
         arguments = ["-m", "rass_mav.swarm.tether", "run", str(self.config), "--json"]
-        self.child = children.start(self.name, arguments, self.log)
+        self.child = children.start(self.name, arguments, self.log, self.heard)
 
     def heard(self) -> None:
         """There is something on its stdout: the line that says it is ready, or the end. Raises `SwarmError`."""
-        if not self.child.read():
-            raise self.child.failed()
+        self.child.read()
         line = self.child.next_line()
         if line is not None:
             # If it could not start, it says why on stderr too, and the end of its output follows.
@@ -174,6 +175,8 @@ class NodeProcess:
 class ProcessSwarm:
     """A swarm of processes from start to end. `run` does it all; see there."""
 
+    _figures_kind: type[Figures] = Figures
+
     def __init__(self, scenario: Scenario, directory: Path, sockets: Path, children: Children) -> None:
         """`directory`: where everything is written. `sockets`: where control sockets are."""
         self._scenario = scenario
@@ -186,6 +189,8 @@ class ProcessSwarm:
         self._census = Census([node.store for node in self._nodes], scenario.bases, self._step_s)
         self._kill_rng = random.Random(f"{scenario.seed}:kills")
         self._radio: Child
+        self._world: Child
+        """Which process makes the world go on."""
         self._ports: Ports
         self._begun = 0.0
         self._next_look = self._next_sample = 0.0
@@ -196,26 +201,22 @@ class ProcessSwarm:
     # -- the phases ----------------------------------------------------------------------------------------------------
 
     def start(self, record: Path | None) -> None:
-        """Start radio and nodes; returns when all are ready and the world turns."""
-        order = self._directory / "radio.json"
-        order.write_bytes(
-            msgspec.json.encode(RadioOrder(self._scenario, None if record is None else str(record.absolute())))
-        )
-        arguments = ["-m", "rass_mav.swarm.udp_radio", str(order)]
-        self._radio = self._children.start("radio", arguments, self._directory / "radio.log")
-        self._ports = msgspec.json.decode(self._radio.wait_line(_START_S), type=Ports)
+        """Start the radio, then the nodes; returns when all are ready and the world turns."""
+        self._surround(None if record is None else str(record.absolute()))
         until = self._until_step()
         for node in self._nodes:
             node.configure(self._scenario, self._ports, until)
             node.start(self._children)
-        deadline = time.monotonic() + _START_S + _START_EACH_S * len(self._nodes)
-        while not all(node.ready for node in self._nodes):
-            if time.monotonic() > deadline:
-                silent = next(node for node in self._nodes if not node.ready)
-                raise SwarmError(f"{silent.name}: not ready in time")
-            self._wait(deadline)
-        self._radio.tell("start")
+        self._await(
+            lambda: [node.name for node in self._nodes if not node.ready], START_S + _START_EACH_S * len(self._nodes)
+        )
+        self._world.tell("start")
         self._begun = time.monotonic()
+
+    def _surround(self, record: str | None) -> None:
+        """Start what the nodes are to find. `record`: see `AirOrder`."""
+        self._ports = self._start_radio("rass_mav.swarm.mock_air", AirOrder(self._scenario, record), Ports)
+        self._world = self._radio
 
     def fly(self, progress: Callable[[int], None] | None) -> None:
         """The scenario's steps, in real time, with its failures."""
@@ -229,7 +230,7 @@ class ProcessSwarm:
             self._look(now)
             if progress is not None:
                 progress(int((now - self._begun) / self._step_s))
-            self._wait(min(end, next_kill, self._next_look))
+            self._children.wait(min(end, next_kill, self._next_look))
 
     def drain(self) -> None:
         """Let arrive what is on its way, until all has or nothing is left; at most `DRAIN_S` and some steps."""
@@ -243,7 +244,7 @@ class ProcessSwarm:
                 self._census.complete or all(node.empty for node in self._drones)
             )
             complete = complete + 1 if done else 0
-            self._wait(min(deadline, now + max(self._step_s, 0.1)))
+            self._children.wait(min(deadline, now + max(self._step_s, 0.1)))
 
     def stop(self) -> Figures:
         """End the nodes with SIGTERM, then the radio, and read the ledger. Raises `SwarmError` for who does not."""
@@ -254,7 +255,7 @@ class ProcessSwarm:
         for node in self._nodes:
             node.child.wait_stopped()
         self._radio.tell("stop")
-        figures = msgspec.json.decode(self._radio.wait_line(_START_S), type=Figures)
+        figures = msgspec.json.decode(self._radio.wait_line(START_S), type=self._figures_kind)
         self._radio.wait_stopped()
         self._census.close(self._clock.now())
         return figures
@@ -266,14 +267,23 @@ class ProcessSwarm:
 
     # -- meanwhile -----------------------------------------------------------------------------------------------------
 
-    def _wait(self, until: float) -> None:
-        """Until a time of `time.monotonic`, or until a process says something. Raises `SwarmError` if one ended."""
-        files = {node.child.file: node.heard for node in self._nodes}
-        wait_any({**files, self._radio.file: self._radio_heard}, until - time.monotonic())
+    def _process(self, name: str, module: str, order: msgspec.Struct, heard: Callable[[], None] | None = None) -> Child:
+        """Start a module that takes its order from a file; `heard`: see `Children.start`."""
+        path = self._directory / f"{name}.json"
+        path.write_bytes(msgspec.json.encode(order))
+        return self._children.start(name, ["-m", module, str(path)], self._directory / f"{name}.log", heard)
 
-    def _radio_heard(self) -> None:
-        if not self._radio.read():
-            raise self._radio.failed()
+    def _start_radio(self, module: str, order: AirOrder, kind: type[P]) -> P:
+        self._radio = self._process("radio", module, order)
+        return msgspec.json.decode(self._radio.wait_line(START_S), type=kind)
+
+    def _await(self, missing: Callable[[], list[str]], within_s: float) -> None:
+        """Wait until nobody is missing. Raises `SwarmError` that names who still is."""
+        deadline = time.monotonic() + within_s
+        while names := missing():
+            if time.monotonic() > deadline:
+                raise SwarmError(f"{', '.join(names)}: not ready within {within_s:g} s")
+            self._children.wait(deadline)
 
     def _until_step(self) -> int:
         until = self._scenario.data.until_step

@@ -14,7 +14,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT
 from rass_mav.swarm.autopilot import to_earth
 from rass_mav.swarm.sitl import guard
-from rass_mav.swarm.sitl.air import AirPorts
+from rass_mav.swarm.sitl.air import FlightPorts
 from rass_mav.swarm.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
 from rass_mav.swarm.sitl.mock_copter import NO_FORWARD, read_defaults
 from rass_mav.swarm.sitl.mock_flight import GUIDED
@@ -23,7 +23,7 @@ from rass_mav.swarm.sitl.scenario import FlightScenario, load_flight
 
 ROOT = Path(__file__).parents[2]
 FILE = str(ROOT / "sitl" / "three-copters.yaml")
-PORTS = AirPorts(
+PORTS = FlightPorts(
     air=[0] * 4,
     vehicle=[0] * 4,
     serial0=[0, 5010, 5020, 5030],

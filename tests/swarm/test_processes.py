@@ -13,11 +13,11 @@ import pytest
 from rass_mav.errors import ConfigError, SwarmError
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.reader import SqliteReader
+from rass_mav.swarm.air_server import Ports
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.children import Children
 from rass_mav.swarm.processes import MAX_NODES, NodeProcess, run
 from rass_mav.swarm.scenario import Scenario
-from rass_mav.swarm.udp_radio import Ports
 from rass_mav.swarm.world import World
 
 PATIENCE_S = 30.0
@@ -119,6 +119,7 @@ def until_ready(node: NodeProcess) -> None:
 
 _PARENT = """
 import sys
+from rass_mav.swarm.air_server import Ports
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.processes import run
 

@@ -13,7 +13,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl import guard
-from rass_mav.swarm.sitl.air import AirPorts
+from rass_mav.swarm.sitl.air import FlightPorts
 from rass_mav.swarm.sitl.mock_flight import GUIDED
 from rass_mav.swarm.sitl.scenario import FlightScenario
 
@@ -71,7 +71,7 @@ def _shipped_script() -> Path | None:
 
 
 def prepare(
-    firmware: Firmware, scenario: FlightScenario, ports: AirPorts, node: int, directory: Path, *, scripted: bool
+    firmware: Firmware, scenario: FlightScenario, ports: FlightPorts, node: int, directory: Path, *, scripted: bool
 ) -> list[str]:
     """Write a vehicle's files, and return the arguments of the Python interpreter that start it.
 

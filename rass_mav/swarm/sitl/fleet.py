@@ -6,7 +6,6 @@ docs/sitl.md says what is wired to what, and what the summary says.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,20 +15,17 @@ import msgspec
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.links import LinkSection
 from rass_mav.errors import ConfigError, SwarmError
-from rass_mav.swarm.children import Child, Children, wait_any
-from rass_mav.swarm.processes import MAX_NODES, NodeProcess, ProcessSwarm, conduct
+from rass_mav.swarm.air_server import Figures, Ports
+from rass_mav.swarm.children import Children
+from rass_mav.swarm.processes import MAX_NODES, START_S, NodeProcess, ProcessSwarm, conduct
 from rass_mav.swarm.scenario import system_id
-from rass_mav.swarm.sitl.air import AirFigures, AirOrder, AirPorts
+from rass_mav.swarm.sitl.air import FlightFigures, FlightOrder, FlightPorts
 from rass_mav.swarm.sitl.firmware import Firmware, prepare
 from rass_mav.swarm.sitl.pilot import CONNECT_S, OBEY_S, Flight, PilotOrder, PilotReport, need_mavsdk
 from rass_mav.swarm.sitl.scenario import FlightScenario
 from rass_mav.swarm.sitl.track import Track, measurements
-from rass_mav.swarm.udp_radio import Figures, Ports
 
 log = logging.getLogger(__name__)
-
-# Until a process has to be ready, seconds.
-_START_S = 20.0
 
 
 class FlightNode(NodeProcess):
@@ -49,7 +45,12 @@ class FlightNode(NodeProcess):
 
 
 class FlownSwarm(ProcessSwarm):
-    """A swarm of processes on vehicles that fly. `run` does it all; see there."""
+    """A swarm of processes on vehicles that fly. `run` does it all; see there.
+
+    Pilot and vehicles have nothing to put in order at the end: their parent kills them.
+    """
+
+    _figures_kind = FlightFigures
 
     def __init__(
         self,
@@ -69,99 +70,43 @@ class FlownSwarm(ProcessSwarm):
         self._scripted = firmware.script is not None and len(scenario.sources) == 1
         self._nodes = [FlightNode(n, directory, sockets / f"{n}.sock", through=through) for n in range(scenario.nodes)]
         self._drones = self._nodes[scenario.bases :]
-        self._vehicles: dict[int, Child] = {}
         self._items: dict[int, int] = {}
         """How many mission items each vehicle has."""
         self._item: dict[int, int] = {}
         """Which one it flies."""
-        self._pilot: Child
         self._pilot_ready = False
 
-    # -- the phases ----------------------------------------------------------------------------------------------------
-
-    def start(self, record: Path | None) -> None:
-        """Start air and vehicles; once all can fly, the nodes, and then the missions."""
-        order = AirOrder(
-            self._flown,
+    def _surround(self, record: str | None) -> None:
+        """Start air and vehicles; returns when all can fly."""
+        order = FlightOrder(
+            scenario=self._flown,
+            record=record,
             through=self._through,
             px4=self._firmware.name == "px4",
             readings=not self._scripted,
             track=str(self._track),
-            record=None if record is None else str(record.absolute()),
         )
-        self._radio = self._process("radio", "rass_mav.swarm.sitl.air_process", order)
-        self._ports = ports = msgspec.json.decode(self._radio.wait_line(_START_S), type=AirPorts)
-        for node in self._drones:
-            self._start_vehicle(node.node_id, ports)
+        self._ports = ports = self._start_radio("rass_mav.swarm.sitl.air", order, FlightPorts)
         flights = []
-        for node in self._drones:
-            items = self._flown.mission(node.node_id, home_first=self._firmware.name != "px4")
-            self._items[node.node_id] = len(items)
-            self._item[node.node_id] = 0
-            flights.append(Flight(node.node_id, system_id(node.node_id), ports.station[node.node_id], items))
-        self._pilot = self._process("pilot", "rass_mav.swarm.sitl.pilot", PilotOrder(flights))
-        self._await(lambda: self._pilot_ready, CONNECT_S + OBEY_S + _START_S, "the vehicles")
-        until = self._until_step()
-        for process in self._nodes:
-            process.configure(self._flown, ports, until)
-            process.start(self._children)
-        self._started = True
-        self._await(lambda: all(node.ready for node in self._nodes), _START_S + 2.0 * len(self._nodes), "the nodes")
-        self._pilot.tell("start")
-        self._begun = time.monotonic()
+        for drone in self._drones:
+            n = drone.node_id
+            self._start_vehicle(n, ports)
+            items = self._flown.mission(n, home_first=self._firmware.name != "px4")
+            self._items[n] = len(items)
+            self._item[n] = 0
+            flights.append(Flight(n, system_id(n), ports.station[n], items))
+        self._world = self._process("pilot", "rass_mav.swarm.sitl.pilot", PilotOrder(flights), self._pilot_heard)
+        self._await(lambda: [] if self._pilot_ready else ["the vehicles"], CONNECT_S + OBEY_S + START_S)
 
-    def stop(self) -> AirFigures:
-        """End the nodes with SIGTERM, then the air, and read the ledger. Raises `SwarmError` for who does not.
-
-        Pilot and vehicles have nothing to put in order: they are killed.
-        """
-        self._ask_all()
-        self.hang_up()
-        for node in self._nodes:
-            node.child.terminate()
-        for node in self._nodes:
-            node.child.wait_stopped()
-        self._radio.tell("stop")
-        figures = msgspec.json.decode(self._radio.wait_line(_START_S), type=AirFigures)
-        self._radio.wait_stopped()
-        for child in (self._pilot, *self._vehicles.values()):
-            self._children.kill(child)
-        self._census.close(self._clock.now())
-        return figures
-
-    # -- meanwhile -----------------------------------------------------------------------------------------------------
-
-    _started = False
-
-    def _start_vehicle(self, node_id: int, ports: AirPorts) -> None:
-        name = f"vehicle {node_id}"
-        directory = self._directory / f"vehicle-{node_id}"
+    def _start_vehicle(self, node_id: int, ports: FlightPorts) -> None:
+        name = f"vehicle-{node_id}"
+        directory = self._directory / name
         arguments = prepare(self._firmware, self._flown, ports, node_id, directory, scripted=self._scripted)
-        self._vehicles[node_id] = self._children.start(name, arguments, self._directory / f"vehicle-{node_id}.log")
-
-    def _process(self, name: str, module: str, order: msgspec.Struct) -> Child:
-        path = self._directory / f"{name}.json"
-        path.write_bytes(msgspec.json.encode(order))
-        return self._children.start(name, ["-m", module, str(path)], self._directory / f"{name}.log")
-
-    def _await(self, done: Callable[[], bool], within_s: float, whom: str) -> None:
-        deadline = time.monotonic() + within_s
-        while not done():
-            if time.monotonic() > deadline:
-                raise SwarmError(f"{whom}: not ready within {within_s:g} s")
-            self._wait(deadline)
-
-    def _wait(self, until: float) -> None:
-        """Until a time of `time.monotonic`, or until a process says something. Raises `SwarmError` if one ended."""
-        files = {node.child.file: node.heard for node in self._nodes} if self._started else {}
-        files |= {child.file: _watcher(child) for child in self._vehicles.values()}
-        files |= {self._pilot.file: self._pilot_heard, self._radio.file: _watcher(self._radio)}
-        wait_any(files, until - time.monotonic())
+        self._children.start(f"vehicle {node_id}", arguments, self._directory / f"{name}.log")
 
     def _pilot_heard(self) -> None:
-        if not self._pilot.read():
-            raise self._pilot.failed()
-        while (line := self._pilot.next_line()) is not None:
+        self._world.read()
+        while (line := self._world.next_line()) is not None:
             report = msgspec.json.decode(line, type=PilotReport)
             log.info("vehicle %d: %s %d", report.node_id, report.event, report.item)
             if report.event == "failed":
@@ -174,11 +119,9 @@ class FlownSwarm(ProcessSwarm):
     def _track(self) -> Path:
         return self._directory / "track.csv"
 
-    # -- the end -------------------------------------------------------------------------------------------------------
-
     def summary(self, radio: Figures) -> dict[str, Any]:
         """What `sitl --json` prints, but for the wall times (docs/sitl.md)."""
-        assert isinstance(radio, AirFigures)
+        assert isinstance(radio, FlightFigures)
         summary = super().summary(radio)
         summary["transport"]["name"] = "sitl"
         vehicles = [
@@ -189,12 +132,12 @@ class FlownSwarm(ProcessSwarm):
                 "items": self._items[n],
                 # The last item is the way home.
                 "finished": self._item[n] >= self._items[n] - 1,
-                "flew_m": radio.flew_m[n],
-                "farthest_m": radio.farthest_m[n],
-                "highest_m": radio.highest_m[n],
+                "flew_m": round(radio.flew_m[n], 1),
+                "farthest_m": round(radio.farthest_m[n], 1),
+                "highest_m": round(radio.highest_m[n], 1),
                 "true_positions": radio.truth[n],
             }
-            for n in self._vehicles
+            for n in self._items
         ]
         stores = [node.store for node in self._nodes[: self._flown.bases]]
         summary["sitl"] = {
@@ -206,16 +149,6 @@ class FlownSwarm(ProcessSwarm):
             "measurements": measurements(stores, Track(self._track)),
         }
         return summary
-
-
-def _watcher(child: Child) -> Callable[[], None]:
-    """For a process that has nothing to say while it runs."""
-
-    def heard() -> None:
-        if not child.read():
-            raise child.failed()
-
-    return heard
 
 
 def run(

@@ -1,41 +1,44 @@
-"""The cables of a flown swarm: UDP sockets on 127.0.0.1 that learn who is at their other end."""
+"""The cables of a swarm of real processes: UDP sockets on 127.0.0.1 that learn who is at their other end."""
 
 from __future__ import annotations
 
 import selectors
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from rass_mav.link.base import Address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, bound_socket, kernel_drops
 from rass_mav.mavlink.reader import FrameReader
 
-LOCALHOST = "127.0.0.1"
+_LOCALHOST = "127.0.0.1"
 
 
 class Wire:
     """One end of a cable: a socket of ours, and who has spoken to it last."""
 
-    def __init__(self, port: int = 0) -> None:
-        """`port` 0: the system chooses. Raises `LinkError` for a port in use."""
-        self.sock = bound_socket(f"{LOCALHOST}:{port}", (LOCALHOST, port))
+    def __init__(self, handle: Callable[[int, bytes], None], node: int, port: int = 0) -> None:
+        """`handle` gets the node and each datagram. `port` 0: the system chooses. Raises `LinkError`: it is in use."""
+        self.sock = bound_socket(f"{_LOCALHOST}:{port}", (_LOCALHOST, port))
         self.port: int = self.sock.getsockname()[1]
         self.reader = FrameReader()
         self.peer: Address | None = None
+        self._handle = handle
+        self._node = node
 
-    def datagrams(self) -> Iterator[bytes]:
-        """What has arrived, up to a bound."""
+    def read(self) -> bool:
+        """Handle what has arrived, up to a bound. True: there may be more."""
         for _ in range(MAX_PER_WAKE):
             try:
                 data, self.peer = self.sock.recvfrom(MAX_DATAGRAM)
             except BlockingIOError:
-                return
+                return False
             except OSError:
                 continue  # an earlier datagram of ours found nobody
-            yield data
+            self._handle(self._node, data)
+        return True
 
     def forget(self) -> None:
-        """Who was at the other end is gone: so is what it sent last, and its port may be another's soon."""
-        while any(True for _ in self.datagrams()):
+        """Who was at the other end is gone. What it sent last is handled, for its port may be another's soon."""
+        while self.read():
             pass
         self.peer = None
 
@@ -56,22 +59,17 @@ class Wire:
 
 
 class Wires:
-    """All of them, and what is to be done when something arrives."""
+    """All of them, read as something arrives."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
         self._all: list[Wire] = []
 
     def new(self, handle: Callable[[int, bytes], None], node: int, port: int = 0) -> Wire:
-        """A wire of a node; `handle` gets the node and each datagram. Raises `LinkError`."""
-        wire = Wire(port)
+        """See `Wire`."""
+        wire = Wire(handle, node, port)
         self._all.append(wire)
-
-        def ready() -> None:
-            for data in wire.datagrams():
-                handle(node, data)
-
-        self._selector.register(wire.sock, selectors.EVENT_READ, ready)
+        self._selector.register(wire.sock, selectors.EVENT_READ, wire.read)
         return wire
 
     def watch(self, file: int, ready: Callable[[], None]) -> None:

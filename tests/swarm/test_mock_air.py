@@ -1,36 +1,38 @@
-"""The radio process, in this process: real sockets on 127.0.0.1, time brought by the test."""
+"""The air of a mock swarm, in this process: real sockets on 127.0.0.1, time brought by the test."""
 
 from __future__ import annotations
 
 import os
 import random
 import socket
+import time
 
 import pytest
 
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import companion_heartbeat
+from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.swarm.air_server import AirOrder, serve
+from rass_mav.swarm.mock_air import MockAir
 from rass_mav.swarm.scenario import NodeSection, RadiationSection, RadioSection, Scenario, system_id
-from rass_mav.swarm.udp_radio import UdpRadio, turn
 from rass_mav.wire import encode
 
 PATIENCE_S = 5.0
 
 
 class Swarm:
-    """A radio, and a bare socket for each node of a line."""
+    """The air, and a bare socket for each node of a line."""
 
     def __init__(self, nodes: int = 3, **radio: float) -> None:
         self.scenario = Scenario(
             nodes=nodes, topology="line", radio=RadioSection(**radio), radiation=RadiationSection(noise=0.0)
         )
-        self.radio = UdpRadio(self.scenario)
-        self.air = [self.socket(port) for port in self.radio.ports.air]
-        self.vehicle = [self.socket(port) for port in self.radio.ports.vehicle]
+        self.server = MockAir(AirOrder(self.scenario))
+        self.air = [self.socket(port) for port in self.server.ports.air]
+        self.vehicle = [self.socket(port) for port in self.server.ports.vehicle]
 
     @staticmethod
     def socket(port: int) -> socket.socket:
@@ -40,22 +42,22 @@ class Swarm:
         return sock
 
     def say(self, node: int, frame: bytes) -> None:
-        """A node sends to its neighbours, and the radio deals with it. UDP on one host arrives before send returns."""
+        """A node sends to its neighbours, and the air deals with it. UDP on one host arrives before send returns."""
         self.air[node].send(frame)
-        self.radio.poll(PATIENCE_S)
+        self.server.wires.poll(PATIENCE_S)
 
     def heard(self, node: int) -> list[bytes]:
         return drained(self.air[node])
 
     def introduce(self) -> None:
-        """Every node has spoken once, so that the radio knows where it is."""
+        """Every node has spoken once, so that the air knows where it is."""
         for node in range(self.scenario.nodes):
             self.say(node, beacon(node))
         for node in range(self.scenario.nodes):
             self.heard(node)
 
     def close(self) -> None:
-        self.radio.close()
+        self.server.close()
         for sock in self.air + self.vehicle:
             sock.close()
 
@@ -98,10 +100,10 @@ def test_all_in_range_hear_a_frame_and_nobody_else(make_swarm) -> None:
 def test_a_lossy_radio_drops_for_each_hearer_and_counts(make_swarm) -> None:
     swarm = make_swarm(3, loss=1.0)
     swarm.introduce()
-    before = swarm.radio.figures()
+    before = swarm.server.figures()
     swarm.say(1, b"hello")
     assert swarm.heard(0) == swarm.heard(2) == []
-    after = swarm.radio.figures()
+    after = swarm.server.figures()
     assert after.dropped - before.dropped == 2
     assert after.received == before.received
     assert after.sent - before.sent == 1
@@ -117,13 +119,13 @@ def test_a_doubled_frame_is_heard_twice(make_swarm) -> None:
 def test_latency_holds_frames_back_for_steps(make_swarm) -> None:
     swarm = make_swarm(2, latency_steps=2)
     swarm.introduce()
-    for step in range(2):
-        swarm.radio.tick(float(step), turn=False)
+    for _ in range(2):
+        swarm.server.step()
     swarm.heard(1)
     swarm.say(0, b"hello")
-    swarm.radio.tick(2.0, turn=False)
+    swarm.server.step()
     assert swarm.heard(1) == []
-    swarm.radio.tick(3.0, turn=False)
+    swarm.server.step()
     assert swarm.heard(1) == [b"hello"]
 
 
@@ -131,12 +133,12 @@ def test_a_dead_node_hears_nothing_until_its_successor_speaks(make_swarm) -> Non
     swarm = make_swarm(2)
     swarm.introduce()
     swarm.air[1].send(b"last words")
-    swarm.radio.off(1)
+    swarm.server.off(1)
     assert swarm.heard(0) == [b"last words"]
     swarm.say(0, b"anybody there?")
     assert swarm.heard(1) == []
     swarm.air[1].close()
-    swarm.air[1] = swarm.socket(swarm.radio.ports.air[1])
+    swarm.air[1] = swarm.socket(swarm.server.ports.air[1])
     swarm.say(1, beacon(1))
     swarm.say(0, b"welcome back")
     assert swarm.heard(1) == [b"welcome back"]
@@ -144,20 +146,20 @@ def test_a_dead_node_hears_nothing_until_its_successor_speaks(make_swarm) -> Non
 
 def test_the_flight_controller_says_place_and_reading_and_hears_heartbeats(make_swarm) -> None:
     swarm = make_swarm(2)
-    swarm.radio.tick(0.1, turn=True)
+    swarm.server.look(0.1)
     assert drained(swarm.vehicle[1]) == []
     swarm.vehicle[1].send(FrameWriter(system_id(1), 191).message(companion_heartbeat()))
-    swarm.radio.poll(PATIENCE_S)
-    swarm.radio.tick(0.2, turn=True)
+    swarm.server.wires.poll(PATIENCE_S)
+    swarm.server.look(0.2)
     telemetry = Telemetry(system_id(1))
     reader = FrameReader()
     for data in drained(swarm.vehicle[1]):
         for frame in reader.feed(data):
             telemetry.handle(frame, 0.2)
     assert telemetry.reading is not None
-    assert telemetry.reading.value == pytest.approx(swarm.radio.surroundings.levels[1], rel=1e-6)
+    assert telemetry.reading.value == pytest.approx(swarm.server.surroundings.levels[1], rel=1e-6)
     assert telemetry.position is not None
-    assert swarm.radio.figures().heartbeats == 1
+    assert swarm.server.figures().heartbeats == 1
 
 
 def test_figures_count_what_the_frames_say(make_swarm) -> None:
@@ -168,19 +170,19 @@ def test_figures_count_what_the_frames_say(make_swarm) -> None:
     for payload in encode(Data(1, 0, tuple(Handover(n + 1, d) for n, d in enumerate(data))), 0.0):
         swarm.say(1, FrameWriter(2, 191).tunnel(payload, payload_type=33200))
     swarm.say(1, b"noise")
-    figures = swarm.radio.figures()
+    figures = swarm.server.figures()
     assert figures.data_sent == 3
     assert figures.max_hop_count == 7
     assert figures.malformed == 1
     assert figures.sent == 4
 
 
-def test_the_radio_goes_when_its_parent_has_gone(make_swarm) -> None:
+def test_the_air_goes_when_its_parent_has_gone(make_swarm) -> None:
     swarm = make_swarm(2)
     orders, parent = os.pipe()
     os.close(parent)
     try:
-        assert turn(swarm.radio, 0.01, orders) is False
+        assert serve(swarm.server, orders) is False
     finally:
         os.close(orders)
 
@@ -190,13 +192,46 @@ def test_orders_in_pieces_are_obeyed(make_swarm) -> None:
     swarm.introduce()
     orders, parent = os.pipe()
     try:
-        os.write(parent, b"start\noff 1\nstop\n")
-        assert turn(swarm.radio, 10.0, orders) is True
+        # More than is read at once, so that a line is cut.
+        os.write(parent, b"start\n" + 1000 * b"off 1\n" + b"stop\n")
+        assert serve(swarm.server, orders) is True
         swarm.say(0, b"hello")
         assert swarm.heard(1) == []
+        assert swarm.server.started
     finally:
         os.close(orders)
         os.close(parent)
+
+
+def test_a_late_world_catches_up_and_its_flight_controllers_speak_once(
+    make_swarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm = make_swarm(2)
+    swarm.vehicle[1].send(FrameWriter(system_id(1), 191).message(companion_heartbeat()))
+    step_s = swarm.scenario.node.step_s
+    orders, parent = os.pipe()
+    try:
+        os.write(parent, b"start\nstop\n")
+        with monkeypatch.context() as patched:
+            # At the start, before the first wait, and after it.
+            patched.setattr(time, "monotonic", iter([0.0, 0.0, 3.5 * step_s]).__next__)
+            assert serve(swarm.server, orders) is True
+    finally:
+        os.close(orders)
+        os.close(parent)
+    assert swarm.server.surroundings.t == 3
+    assert swarm.server.figures().late_steps == 2
+    frames = FrameReader().feed(b"".join(drained(swarm.vehicle[1])))
+    assert [frame.message_id for frame in frames].count(NAMED_VALUE_FLOAT) == 1
+
+
+def test_the_world_stands_still_until_it_is_started(make_swarm) -> None:
+    swarm = make_swarm(2)
+    swarm.server.step()
+    assert swarm.server.surroundings.t == 0
+    swarm.server.started = True
+    swarm.server.step()
+    assert swarm.server.surroundings.t == 1
 
 
 def test_surroundings_are_those_of_virtual_time() -> None:

@@ -1,0 +1,283 @@
+"""The process that the air of a swarm of real processes lives in, be it a mock swarm or one that flies.
+
+Every node has two sockets of its own here, both on 127.0.0.1. To the first one the node sends all that it says to its
+neighbours; the air passes it on to those in range, with loss, doubling, overtaking and latency as the scenario has
+them. Behind the second one is the node's flight controller. All ports are chosen by the system, here and in the nodes,
+so none can be in use: the parent tells each node its two ports, and the air learns a node's ports from the source of
+what it sends.
+
+The process is started with the name of an `AirOrder` file (JSON). It says its `Ports` in one line on stdout, takes
+orders on stdin, a line each, and says its `Figures` in the last line. When stdin ends, so does the process: it never
+outlives its parent.
+
+    start           a mock world begins to turn; until then it stands at step 0
+    off NODE        this node's process is dead: what it said last is passed on, then it hears nothing until it speaks
+    stop            say the figures and end
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import IO, Any, Generic, TypeVar
+
+import msgspec
+
+from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
+from rass_mav.errors import ConfigError, MalformedError, RassError
+from rass_mav.mavlink.messages import HEARTBEAT
+from rass_mav.mavlink.tlog import TlogWriter
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.swarm.neighbours import RangeGraph
+from rass_mav.swarm.radio import Radio, Record
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.swarm.wires import Wires
+from rass_mav.wire import decode
+
+# Longest line of orders, bytes.
+_MAX_ORDER = 4096
+
+
+class AirOrder(msgspec.Struct):
+    """What the air is made of."""
+
+    scenario: Scenario
+    record: str | None = None
+    """A .tlog file for every frame put on the air; None: none."""
+
+
+class Ports(msgspec.Struct):
+    """The first line: where a node is listened to on 127.0.0.1, by node id."""
+
+    air: list[int]
+    vehicle: list[int]
+    """Where a node finds its autopilot."""
+
+
+class Figures(msgspec.Struct):
+    """The last line: what was counted. Only the air hears all nodes, also those that are killed."""
+
+    sent: int = 0
+    """Frames put on the air."""
+    received: int = 0
+    """Frames passed on, one for each hearer and time."""
+    dropped: int = 0
+    """Frames lost, one for each hearer that lost it; by the scenario's loss, or because a socket was full."""
+    malformed: int = 0
+    """What was sent to the air and is not one frame of ours."""
+    bytes_sent: int = 0
+    sha256: str = ""
+    """Over all frames put on the air, in order."""
+    data_sent: int = 0
+    """Data, copies and chunks in these frames, retransmissions included."""
+    max_hop_count: int = 0
+    """Largest hop count in any beacon."""
+    heartbeats: int = 0
+    """Heartbeats of nodes that their flight controllers got."""
+    late_steps: int = 0
+    """Steps that were made up for because the machine was late; mock flight controllers kept silent in them."""
+
+
+F = TypeVar("F", bound=Figures)
+A = TypeVar("A", bound=AirOrder)
+
+
+class Air(ABC, Generic[F]):
+    """Sockets and the radio. `wires.poll`, `step` and `look` do all the work; the caller brings the time."""
+
+    def __init__(self, order: AirOrder, graph: RangeGraph, counted: F) -> None:
+        """`graph`: who hears whom; `counted`: the figures, all 0.
+
+        Raises `ConfigError` for a file that cannot be written, `LinkError` for a port in use.
+        """
+        scenario = order.scenario
+        nodes = range(scenario.nodes)
+        self._payload_type = scenario.mavlink.payload_type
+        self._graph = graph
+        self._files = contextlib.ExitStack()
+        record = None if order.record is None else _recorder(self._opened(order.record, "wb"))
+        self._radio = Radio(scenario.radio, random.Random(f"{scenario.seed}:radio"), record=record)
+        self._noise_rng = random.Random(f"{scenario.seed}:noise")
+        self.wires = Wires()
+        self._air = [self.wires.new(self._hear_node, node) for node in nodes]
+        self._companion = [self.wires.new(self._hear_companion, node) for node in nodes]
+        self._ears = list(self._air)
+        """The wire on which each node hears the others."""
+        self._step = 0
+        self.step_s = scenario.node.step_s
+        self.started = False
+        """Whether the order `start` was heard."""
+        self.counted = counted
+        """So far, but for what `figures` adds."""
+
+    @property
+    def ports(self) -> Ports:
+        """Where the nodes send to."""
+        return Ports([wire.port for wire in self._air], [wire.port for wire in self._companion])
+
+    @property
+    def due(self) -> float:
+        """When the next step is due, seconds since the start."""
+        return (self._step + 1) * self.step_s
+
+    def step(self) -> None:
+        """A step later: frames that were late arrive."""
+        self._step += 1
+        self._radio.begin_step(self._step)
+        self._deliver()
+
+    @abstractmethod
+    def look(self, now: float) -> float:
+        """Let the flight controllers say what is due at `now`, and say when to do so again; seconds since the start."""
+
+    def off(self, node: int) -> None:
+        """The process of a node is dead. It hears nothing until its successor speaks."""
+        self._air[node].forget()
+        self._companion[node].forget()
+
+    def figures(self) -> F:
+        """What has been counted so far."""
+        radio = self._radio
+        return msgspec.structs.replace(
+            self.counted,
+            sent=radio.sent,
+            bytes_sent=radio.bytes_sent,
+            sha256=radio.sha256,
+            dropped=self.counted.dropped + radio.dropped + sum(wire.overrun for wire in self._ears),
+            malformed=self.counted.malformed + sum(wire.reader.malformed for wire in self._ears),
+        )
+
+    def close(self) -> None:
+        """Release sockets and files."""
+        self.wires.close()
+        self._files.close()
+
+    def _opened(self, path: str, mode: str) -> IO[Any]:
+        try:
+            return self._files.enter_context(Path(path).open(mode))
+        except OSError as error:
+            raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+
+    def _hear_node(self, node: int, frame: bytes) -> None:
+        """What a node says to its neighbours, a frame a datagram."""
+        self._count(frame)
+        self._put_on_air(node, frame)
+
+    def _put_on_air(self, node: int, frame: bytes) -> None:
+        self._radio.send(node, frame, self._step)
+        self._deliver()
+
+    def _deliver(self) -> None:
+        for _, hearer, frame in self._radio.arrivals(self._step, self._graph.neighbours):
+            wire = self._ears[hearer]
+            if wire.peer is None:
+                continue
+            if wire.send(frame):
+                self.counted.received += 1
+            else:
+                self.counted.dropped += 1
+
+    def _hear_companion(self, node: int, data: bytes) -> None:
+        """What a node says to its flight controller."""
+        frames = self._companion[node].reader.feed(data)
+        self.counted.heartbeats += sum(frame.message_id == HEARTBEAT for frame in frames)
+
+    def _count(self, frame: bytes) -> None:
+        counted = self.counted
+        fields = tunnel_from_datagram(frame)
+        if fields is None or fields[4] != self._payload_type:
+            counted.malformed += 1
+            return
+        try:
+            message = decode(fields[5], 0.0)
+        except MalformedError:
+            counted.malformed += 1
+            return
+        if isinstance(message, Beacon):
+            if message.hops != NO_ROUTE:
+                counted.max_hop_count = max(counted.max_hop_count, message.hops)
+        elif isinstance(message, Data):
+            counted.data_sent += len(message.handovers)
+        elif isinstance(message, (Chunk, Put)):
+            counted.data_sent += 1
+
+
+def _recorder(file: IO[bytes]) -> Record:
+    tape = TlogWriter(file)
+    return lambda frame, step: tape.record(frame, time.time())
+
+
+class _Orders:
+    """The lines on stdin."""
+
+    def __init__(self, air: Air[Any], file: int) -> None:
+        self._air = air
+        self._file = file
+        self._rest = b""
+        self.stopped = False
+        self.orphaned = False
+
+    def read(self) -> None:
+        data = os.read(self._file, _MAX_ORDER)
+        if not data:
+            self.orphaned = True
+            return
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            match line.decode("ascii").split():
+                case ["start"]:
+                    self._air.started = True
+                case ["off", node]:
+                    self._air.off(int(node))
+                case ["stop"]:
+                    self.stopped = True
+                case words:
+                    raise ValueError(f"not an order: {words}")
+
+
+def serve(air: Air[Any], orders: int) -> bool:
+    """Run the air in real time until the file descriptor `orders` says stop. False: the parent is gone."""
+    told = _Orders(air, orders)
+    air.wires.watch(orders, told.read)
+    boot = time.monotonic()
+    next_look = 0.0
+    while not (told.stopped or told.orphaned):
+        air.wires.poll(min(air.due, next_look) - (time.monotonic() - boot))
+        now = time.monotonic() - boot
+        # A step that is missed is made up for, so that the world keeps the time.
+        while air.due <= now:
+            air.counted.late_steps += air.due + air.step_s <= now
+            air.step()
+        if now >= next_look:
+            next_look = air.look(now)
+    return not told.orphaned
+
+
+def main(make: Callable[[A], Air[Any]], kind: type[A], arguments: Iterable[str]) -> int:
+    """The process: 0 when it was told to stop, 1 when its parent has gone, or a port or a file cannot be had.
+
+    `make`: the air, by its order, which is one of this `kind`.
+    """
+    (path,) = arguments
+    order = msgspec.json.decode(Path(path).read_bytes(), type=kind)
+    try:
+        with contextlib.closing(make(order)) as air:
+            _say(air.ports)
+            if not serve(air, sys.stdin.fileno()):
+                return 1
+            _say(air.figures())
+    except RassError as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    return 0
+
+
+def _say(struct: msgspec.Struct) -> None:
+    sys.stdout.buffer.write(msgspec.json.encode(struct) + b"\n")
+    sys.stdout.buffer.flush()
