@@ -15,10 +15,10 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MAY_IMPORT: dict[str, set[str]] = {"config": set(), "core": {"config"}}
 for _room in ("policy", "wire", "mavlink", "link", "store", "sensor"):
     MAY_IMPORT[_room] = {"config", "core"}
-MAY_IMPORT["firmware"] = {"core", "mavlink", "link"}
+MAY_IMPORT["params"] = {"core", "mavlink", "link"}
 MAY_IMPORT["agent"] = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor"}
 MAY_IMPORT["app"] = MAY_IMPORT["base"] = MAY_IMPORT["agent"] | {"agent"}
-MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "firmware"}
+MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
 MAY_IMPORT["swarm"] = MAY_IMPORT["app"] | {"app"}
 MAY_IMPORT["replay"] = MAY_IMPORT["experiment"] = MAY_IMPORT["swarm"] | {"swarm"}
 MAY_IMPORT["commands"] = set(MAY_IMPORT) - {"commands"}

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
-from rass_mav.firmware.files import parse_text, read_file
-from rass_mav.firmware.names import fitting_file, made_for, other_name
 from rass_mav.mavlink.vehicle_parameters import ARDUPILOT, PX4
+from rass_mav.params.files import parse_text, read_file
+from rass_mav.params.names import fitting_file, made_for, other_name
 
 FOLDER = Path(__file__).parents[2] / "firmware_params"
 SHIPPED = sorted(path for path in FOLDER.iterdir() if path.suffix in (".parm", ".params"))
