@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import pytest
-from conversation import GCS, SAID, Conversation, kinds
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,6 +21,8 @@ from rass_mav.mavlink.messages import (
     named_value_float,
 )
 from rass_mav.store.memory import MemoryStore
+
+from .conversation import GCS, SAID, Conversation, kinds
 
 
 def acks(messages: list[Any]) -> list[tuple[int, int]]:

@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from conversation import Conversation, kinds, values
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +22,8 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
+
+from .conversation import Conversation, kinds, values
 
 
 @pytest.mark.parametrize("target", [(7, 191), (7, 0), (0, 0)])

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import PolicySettings
@@ -27,6 +26,8 @@ from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFull
 from rass_mav.link.loopback import LoopbackHub
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store import MemoryStore, SqliteStore
+
+from .app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 STATUSTEXT = 253
 

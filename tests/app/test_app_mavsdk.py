@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from app_nodes import DEADLINE_S, RunningNode, free_ports
-from app_relay import autopilot
 
 from rass_mav.agent.parameters import INDEX
+
+from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_relay import autopilot
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
 

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from app_nodes import DEADLINE_S, RunningNode, command, environment, free_ports, line_of
 
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import autopilot_heartbeat, global_position_int, named_value_float
 from rass_mav.mavlink.reader import FrameReader
+
+from .app_nodes import DEADLINE_S, RunningNode, command, environment, free_ports, line_of
 
 STATUSTEXT = 253
 HEARTBEAT = 0

@@ -10,8 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from app_drivers import TIMEOUT_S, run, settings
-from app_nodes import RunningNode, command, free_ports
 
 from rass_mav.agent.agent import Agent
 from rass_mav.app.driver import SENSOR_REPORT_S, Driver
@@ -19,6 +17,9 @@ from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore
 from tests.ptys import SerialDevice
 from tests.sensor.sentences import sentence
+
+from .app_drivers import TIMEOUT_S, run, settings
+from .app_nodes import RunningNode, command, free_ports
 
 
 class HandSensor(Sensor):

@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 import os
 import random
-import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from app_drivers import TIMEOUT_S, Arrivals, run, settings
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
@@ -34,9 +32,9 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
+from tests.link.ptys import Device
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "link"))
-from ptys import Device
+from .app_drivers import TIMEOUT_S, Arrivals, run, settings
 
 #: Fast enough for a test.
 AIRTIME = AirtimeSection(bytes_s=100_000.0, duty=1.0, frames_s=1000.0)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from link_helpers import Ear
 
 from rass_mav.core.messages import BROADCAST
 from rass_mav.link.loopback import LoopbackHub
+
+from .link_helpers import Ear
 
 
 def test_only_connected_endpoints_hear_and_a_learned_one_is_addressed_alone() -> None:

@@ -11,12 +11,13 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from ptys import Device
 
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.serialport import SerialOpener
 from rass_mav.link.stream import LONGEST_PAUSE_S, MAX_PENDING_BYTES, OPENING_S, StreamPort
 from rass_mav.link.vehicle_stream import VehicleStream, open_vehicle
+
+from .ptys import Device
 
 TIMEOUT_S = 10.0
 

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from store_helpers import EPOCH, commit, datum, open_store
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.store import Store, StoredInfo
 from rass_mav.errors import StoreFullError
 from rass_mav.store import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
+
+from .store_helpers import EPOCH, commit, datum, open_store
 
 Make = Callable[..., Store]
 
