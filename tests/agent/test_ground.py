@@ -39,8 +39,8 @@ def test_messages_can_be_asked_for() -> None:
         assert message_id in [m.get_msgId() for m in heard[1:]]
     c.ask(common.MAVLink_command_int_message(7, 191, 0, mav.CMD_REQUEST_MESSAGE, 0, 0, mav.AUTOPILOT_VERSION, *[0] * 6))
     assert kinds(c.hear()) == ["COMMAND_ACK", "AUTOPILOT_VERSION"]
-    for message_id in (33.0, 99999.0, -1.0, math.nan, 1e30):
-        assert acks(c.command(mav.CMD_REQUEST_MESSAGE, message_id)) == [(mav.CMD_REQUEST_MESSAGE, mav.UNSUPPORTED)]
+    for unknown in (33.0, 99999.0, -1.0, math.nan, 1e30):
+        assert acks(c.command(mav.CMD_REQUEST_MESSAGE, unknown)) == [(mav.CMD_REQUEST_MESSAGE, mav.UNSUPPORTED)]
 
 
 def test_other_commands_are_unsupported_unless_they_are_for_all() -> None:
