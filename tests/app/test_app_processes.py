@@ -83,7 +83,7 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
 
     def has_route() -> bool:
         status.update(far.status())
-        return status["hop_count"] == 2
+        return bool(status["hop_count"] == 2)
 
     far.until(has_route)
     assert (status["hop_count"], status["next_hop"], status["role"]) == (2, 2, "drone")

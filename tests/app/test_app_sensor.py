@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -123,7 +124,7 @@ def counter(tmp_path: Path) -> Iterator[SerialDevice]:
     device.close()
 
 
-def lonely(directory: Path, **sections: object) -> RunningNode:
+def lonely(directory: Path, **sections: Any) -> RunningNode:
     (port,) = free_ports(1)
     link = {"listen": f"127.0.0.1:{port}", "peers": [{"address": "127.0.0.1:9"}]}
     return RunningNode(directory, 7, links=[link], **sections)
