@@ -130,7 +130,7 @@ class Far:
         self.vehicle: tuple[str, int] | None = None
 
     def heard(self) -> list[Frame]:
-        frames = []
+        frames: list[Frame] = []
         while True:
             try:
                 data, self.vehicle = self._sock.recvfrom(4096)
