@@ -169,7 +169,7 @@ def test_what_the_socket_does_not_take_waits_up_to_a_bound() -> None:
             sender.send(count.to_bytes(4, "big"), None)
             count += 1
         assert count == sender.sent + MAX_OUTBOX + 5
-        got = []
+        got: list[int] = []
         while len(got) < count - 5:
             data = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(theirs, 16), TIMEOUT_S)
             got.append(int.from_bytes(data, "big"))

@@ -96,10 +96,10 @@ def test_names_before_and_since_4_7_lead_to_each_other() -> None:
         assert (other_name(old), other_name(new)) == (new, old)
     assert other_name("MAV_1_CONFIG") == "SER_TEL2_PROTO"
     assert {other_name(name) for name in ("SERIAL2_OPTIONS", "MAV3_OPTIONS", "SERIAL2_BAUD", "MAV_1_MODE")} == {None}
-    old, new = (
+    before, since = (
         {entry.name for entry in read_file(FOLDER / f"ardupilot-{version}.parm").entries} for version in ("4.6", "4.7")
     )
-    assert {other_name(name) for name in old - new - {"SERIAL2_OPTIONS"}} <= new
+    assert {other_name(name) for name in before - since - {"SERIAL2_OPTIONS"}} <= since
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def store(make: Make) -> Store:
 
 def test_a_new_store_is_fresh_and_empty(store: Store) -> None:
     assert (store.epoch, store.fresh) == (EPOCH, True)
-    assert list(store.held()) == list(store.ids()) == list(store.losses()) == []
+    assert [*store.held(), *store.ids(), *store.losses()] == []
     assert store.counters() == {}
     assert store.get_meta("announcement") is None
     assert store.get(DatumId(7, EPOCH, 0)) is None
