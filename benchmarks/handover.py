@@ -80,7 +80,7 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
     from rass_mav.app.driver import Driver
     from rass_mav.core.datum import DatumId, Fate
     from rass_mav.core.observer import Observer
-    from rass_mav.link.loopback import LoopbackHub
+    from tests.link.loopback import LoopbackHub
 
     done = asyncio.Event()
 

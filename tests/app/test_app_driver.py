@@ -23,9 +23,9 @@ from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.link.loopback import LoopbackHub
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store import MemoryStore, SqliteStore
+from tests.link.loopback import LoopbackHub
 
 from .app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
