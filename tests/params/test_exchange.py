@@ -15,7 +15,6 @@ from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, compani
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.vehicle_parameters import (
     ARDUPILOT,
-    INT32,
     PX4,
     ParameterValue,
     fits,
@@ -26,7 +25,7 @@ from rass_mav.mavlink.vehicle_parameters import (
 )
 from rass_mav.params.exchange import Autopilot, Exchange, Introduction, Patience, Question, reading, setting
 
-REAL32 = 9
+INT32, REAL32 = 6, 9
 PATIENCE = Patience(answer_s=1.0, tries=3, window=2)
 _parser = common.MAVLink(None)
 
