@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 PAYLOAD_TYPE = 33200
+KEY = bytes(range(32))
 DATA_SIZES = (0, 1, 20, 45, 60, 100, 127, 128, 128, 128)
 
 Work = Callable[[], object]
@@ -29,29 +30,21 @@ Work = Callable[[], object]
 
 def _work() -> dict[str, tuple[int, Work, Work | None]]:
     """Name -> (frames in one call, our way, pymavlink's way if there is one to compare with)."""
-    from pymavlink.dialects.v20 import common
-
-    from rass_mav.mavlink import messages
-    from rass_mav.mavlink.frames import Frame, FrameWriter
-    from rass_mav.mavlink.reader import FrameReader
-    from rass_mav.mavlink.signing import Signer, Verifier
-    from rass_mav.mavlink.telemetry import Telemetry
-    from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-
     generator = random.Random(1)
     data = [generator.randbytes(size) for size in DATA_SIZES]
-    count = len(data)
-    key = bytes(32)
-    writer, signed_writer = FrameWriter(1, 191), FrameWriter(1, 191, Signer(key, 0, 1))
-    mav, signed_mav = common.MAVLink(None, 1, 191), common.MAVLink(None, 1, 191)
-    signed_mav.signing.secret_key, signed_mav.signing.sign_outgoing = key, True
-    frames = [writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
-    stream = b"".join(frames)
+    return {**_encoding(data), **_decoding(data), **_telemetry(len(data))}
 
-    def encode(writer: FrameWriter) -> Work:
+
+def _encoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]:
+    from pymavlink.dialects.v20 import common
+
+    from rass_mav.mavlink.frames import FrameWriter
+    from rass_mav.mavlink.signing import Signer
+
+    def ours(writer: FrameWriter) -> Work:
         return lambda: [writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
 
-    def their_encode(mav: Any) -> Work:
+    def theirs(mav: Any) -> Work:
         def work() -> None:
             for one in data:
                 message = common.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(one), one.ljust(128, b"\0"))
@@ -60,99 +53,97 @@ def _work() -> dict[str, tuple[int, Work, Work | None]]:
 
         return work
 
-    # The datagram path: one frame in each call, as it comes from a socket.
-    def decode() -> None:
-        for frame in frames:
-            tunnel_from_datagram(frame)
+    mav, signed_mav = common.MAVLink(None, 1, 191), common.MAVLink(None, 1, 191)
+    signed_mav.signing.secret_key, signed_mav.signing.sign_outgoing = KEY, True
+    return {
+        "tunnel_encode": (len(data), ours(FrameWriter(1, 191)), theirs(mav)),
+        "tunnel_encode_signed": (len(data), ours(FrameWriter(1, 191, Signer(KEY, 0, 1))), theirs(signed_mav)),
+    }
 
-    def read() -> None:
-        reader = FrameReader()
-        for frame in frames:
-            for one in reader.feed(frame):
-                decode_tunnel(one.payload)
 
-    def read_stream() -> None:
-        for one in FrameReader().feed(stream):
-            decode_tunnel(one.payload)
+def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]:
+    from pymavlink.dialects.v20 import common
 
-    def read_bytewise() -> None:
-        reader = FrameReader()
-        for frame in frames:
-            for position in range(len(frame)):
-                for one in reader.feed(frame[position : position + 1]):
-                    decode_tunnel(one.payload)
+    from rass_mav.mavlink.frames import FrameWriter
+    from rass_mav.mavlink.reader import FrameReader
+    from rass_mav.mavlink.signing import Signer, Verifier
+    from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 
-    def their_decode() -> None:
-        receiver = common.MAVLink(None)
-        for frame in frames:
-            for one in receiver.parse_buffer(frame):
-                bytes(one.payload[: one.payload_length])
+    def written(signer: Signer | None = None) -> list[bytes]:
+        writer = FrameWriter(1, 191, signer)
+        return [writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
 
-    def their_stream() -> None:
-        for one in common.MAVLink(None).parse_buffer(stream):
-            bytes(one.payload[: one.payload_length])
-
-    def their_bytewise() -> None:
-        receiver = common.MAVLink(None)
-        for frame in frames:
-            for position in range(len(frame)):
-                one = receiver.parse_char(frame[position : position + 1])
-                if one is not None:
-                    bytes(one.payload[: one.payload_length])
-
-    def verified() -> None:
-        reader = FrameReader(Verifier(key))
-        for frame in signed:
-            for one in reader.feed(frame):
-                decode_tunnel(one.payload)
-
-    def their_verified() -> None:
-        receiver = common.MAVLink(None)
-        receiver.signing.secret_key = key
-        for frame in signed:
-            for one in receiver.parse_buffer(frame):
-                bytes(one.payload[: one.payload_length])
-
-    signed = [signed_writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
-    position, reading = (
-        writer.message(messages.global_position_int(-35.4, 149.2, 590.0, 6.0, 12345)),
-        writer.message(messages.named_value_float("RAD", 12.5, 12345)),
-    )
-    telemetry, reader = Telemetry(1, 191), FrameReader()
-    [position_frame], [reading_frame] = reader.feed(position), reader.feed(reading)
-
-    def handle(*handled: Frame) -> Work:
+    def ours(pieces: Sequence[bytes], key: bytes | None = None) -> Work:
         def work() -> None:
-            for _ in range(count):
-                for frame in handled:
-                    telemetry.handle(frame, 1.0)
+            reader = FrameReader(Verifier(key) if key else None)
+            for piece in pieces:
+                for one in reader.feed(piece):
+                    decode_tunnel(one.payload)
 
         return work
 
-    def telemetry_bytes() -> None:
-        for _ in range(count):
-            for one in reader.feed(position):
-                telemetry.handle(one, 1.0)
-            for one in reader.feed(reading):
-                telemetry.handle(one, 1.0)
+    def theirs(pieces: Sequence[bytes], key: bytes | None = None) -> Work:
+        def work() -> None:
+            receiver = common.MAVLink(None)
+            receiver.signing.secret_key = key
+            for piece in pieces:
+                for one in receiver.parse_buffer(piece) or ():
+                    bytes(one.payload[: one.payload_length])
 
-    def telemetry_send() -> None:
+        return work
+
+    # The datagram path: one frame in each call, as it comes from a socket.
+    def datagrams() -> None:
+        for frame in frames:
+            tunnel_from_datagram(frame)
+
+    frames, signed = written(), written(Signer(KEY, 0, 1))
+    stream = b"".join(frames)
+    single = [bytes([byte]) for byte in stream]
+    count = len(data)
+    return {
+        "tunnel_decode": (count, datagrams, theirs(frames)),
+        "reader_datagrams": (count, ours(frames), theirs(frames)),
+        "reader_stream": (count, ours([stream]), theirs([stream])),
+        "reader_bytewise": (count, ours(single), theirs(single)),
+        "reader_verified": (count, ours(signed, KEY), theirs(signed, KEY)),
+    }
+
+
+def _telemetry(count: int) -> dict[str, tuple[int, Work, Work | None]]:
+    from rass_mav.mavlink import messages
+    from rass_mav.mavlink.frames import Frame, FrameWriter
+    from rass_mav.mavlink.reader import FrameReader
+    from rass_mav.mavlink.telemetry import Telemetry
+
+    writer, reader, telemetry = FrameWriter(1, 191), FrameReader(), Telemetry(1, 191)
+    position = writer.message(messages.global_position_int(-35.4, 149.2, 590.0, 6.0, 12345))
+    reading = writer.message(messages.named_value_float("RAD", 12.5, 12345))
+    [position_frame], [reading_frame] = reader.feed(position), reader.feed(reading)
+
+    def handle(frame: Frame) -> Work:
+        def work() -> None:
+            for _ in range(count):
+                telemetry.handle(frame, 1.0)
+
+        return work
+
+    def from_bytes() -> None:
+        for _ in range(count):
+            for data in (position, reading):
+                for one in reader.feed(data):
+                    telemetry.handle(one, 1.0)
+
+    def encode() -> None:
         for _ in range(count):
             writer.frame(33, messages.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345))
             writer.frame(251, messages.named_value_float_payload("RAD", 12.5, 12345))
 
     return {
-        "tunnel_encode": (count, encode(writer), their_encode(mav)),
-        "tunnel_encode_signed": (count, encode(signed_writer), their_encode(signed_mav)),
-        "tunnel_decode": (count, decode, their_decode),
-        "reader_datagrams": (count, read, their_decode),
-        "reader_stream": (count, read_stream, their_stream),
-        "reader_bytewise": (count, read_bytewise, their_bytewise),
-        "reader_verified": (count, verified, their_verified),
         "telemetry_position": (count, handle(position_frame), None),
         "telemetry_reading": (count, handle(reading_frame), None),
-        "telemetry_from_bytes": (2 * count, telemetry_bytes, None),
-        "telemetry_encode": (2 * count, telemetry_send, None),
+        "telemetry_from_bytes": (2 * count, from_bytes, None),
+        "telemetry_encode": (2 * count, encode, None),
     }
 
 

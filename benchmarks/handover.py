@@ -45,14 +45,14 @@ _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 
 def _agent_settings(side: str, scrub_items: int | None) -> Any:
-    from rass_mav.agent.settings import CustodySettings, DataSettings, StoreSettings
-    from rass_mav.app.config import NodeSection, RunConfig
+    from rass_mav.agent.settings import CustodySettings, DataSettings
+    from rass_mav.app.config import NodeSection, RunConfig, RunStoreSettings
 
     return RunConfig(
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),
         # An answer waits for the other's disk: it is not missed before a second has passed.
         custody=CustodySettings(receipts=False, retry_steps=round(1.0 / STEP_S)),
-        store=StoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
+        store=RunStoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
         data=DataSettings(interval_steps=0),
     ).agent_settings()
 
@@ -80,7 +80,7 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
     from rass_mav.app.driver import Driver
     from rass_mav.core.datum import DatumId, Fate
     from rass_mav.core.observer import Observer
-    from rass_mav.link.loopback import LoopbackHub
+    from tests.link.loopback import LoopbackHub
 
     done = asyncio.Event()
 

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +39,8 @@ def explained(data: bytes, payload_type: int = 33200) -> dict[str, str]:
     return fields(explain_frames(data, payload_type))
 
 
-def fields(lines: object) -> dict[str, str]:
-    found = [re.fullmatch(r"\s+(\S.*?)\s{2,}(\S.*)|\s+(\S+) (\S.*)", text) for text in lines]  # type: ignore[attr-defined]
+def fields(lines: Iterable[str]) -> dict[str, str]:
+    found = [re.fullmatch(r"\s+(\S.*?)\s{2,}(\S.*)|\s+(\S+) (\S.*)", text) for text in lines]
     return {(m[1] or m[3]): (m[2] or m[4]) for m in found if m}
 
 
@@ -47,6 +48,7 @@ def fields(lines: object) -> dict[str, str]:
 def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None:
     text = list(explain_payload(GOLDEN[name]))
     message = decode(GOLDEN[name], 0.0)
+    assert message is not None
     assert text[0].startswith(name.split("-")[0].capitalize())
     assert f"type {GOLDEN[name][0] & 15}, version 1" in text[0]
     on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) != ("chunk", "target")]

@@ -213,7 +213,7 @@ def test_on_another_port_ours_are_found_and_others_left_alone(tmp_path: Path) ->
     damaged = bytearray(frame(GOLDEN["accept"]))
     damaged[20] ^= 1
     found = shown(
-        tmp_path, [frame(GOLDEN["accept"]), frame(GOLDEN["accept"], payload_type=211), heartbeat, damaged], 40001
+        tmp_path, [frame(GOLDEN["accept"]), frame(GOLDEN["accept"], payload_type=211), heartbeat, bytes(damaged)], 40001
     )
     assert [fields.get("rass.type") for fields in found] == [["4"], None, None, None]
 

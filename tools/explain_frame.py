@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Kind
@@ -218,54 +218,70 @@ def _is_hex(record: Any, name: str) -> bool:
     return name != "number" or type(record).__name__ != "Beacon"
 
 
+def _flags(flags: int) -> str:
+    words = {BEACON_BASE: "base", BEACON_WANTED: "wants a newer announcement"}
+    return ", ".join(word for bit, word in words.items() if flags & bit) or "none"
+
+
+def _potential(value: int) -> str:
+    if value == 0xFFFFFFFF:
+        return "a base"
+    return f"fitness {value / (1 << 24):.6f}" if value else "no room"
+
+
+def _bits(bitmap: int, first: int) -> str:
+    """The numbers that a bitmap names, whose lowest bit means `first`."""
+    return ", ".join(str(first + i) for i in range(bitmap.bit_length()) if bitmap >> i & 1)
+
+
+def _lost(record: Any, bitmap: int) -> str:
+    return f"{_bits(bitmap, record.closed)} told lost" if bitmap else ""
+
+
+def _arrived(record: Any, bitmap: int) -> str:
+    floor = record.closed if hasattr(record, "closed") else record.next_index
+    return f"and {_bits(bitmap, floor + 1)}" if bitmap else ""
+
+
+def _closed(record: Any, _: int) -> str:
+    below = "from the floor up to it" if hasattr(record, "floor") else "below"
+    return f"all sequences {below} have arrived"
+
+
+def _no_route(beacon: Any, _: int) -> str:
+    return "no route" if beacon.hops == NO_ROUTE else ""
+
+
+#: By a field's name, or by its record's and its own where it means something else elsewhere.
+_NOTES: dict[str, Callable[[Any, int], str]] = {
+    "target": lambda _, value: "everybody" if value == BROADCAST else "",
+    "flags": lambda _, value: _flags(value),
+    "Beacon.hops": lambda _, value: "no route" if value == NO_ROUTE else "to that base",
+    "Beacon.base": _no_route,
+    "Beacon.base_epoch": _no_route,
+    "Beacon.route_number": _no_route,
+    "risk": lambda _, value: f"{value / 65535:.3f}",
+    "free": lambda _, value: "no bound" if value == UNBOUNDED_FREE else "items",
+    "potential": lambda _, value: _potential(value),
+    "kind": lambda _, value: Kind(value).name.lower() if value in list(Kind) else "unknown",
+    "Datum.crc": lambda datum, _: "good" if datum.intact else "BAD: the datum is damaged",
+    "reason": lambda _, value: _LOSS_REASONS.get(value, "unknown"),
+    "spare": lambda _, value: "custody stays with the sender" if value else "custody is offered",
+    "word": lambda _, value: _WORDS[Word(value)] if value in list(Word) else "unknown",
+    "Handover.number": lambda _, value: "hand-over" if value else "no custody offered",
+    "size": lambda _, value: "bytes",
+    "chunk_size": lambda _, value: "bytes",
+    "closed": _closed,
+    "lost": _lost,
+    "floor": lambda _, value: "nothing is said of what lies below",
+    "bitmap": _arrived,
+}
+
+
 def _note(record: Any, name: str, value: int) -> str:
     """What a number means, where that is not plain."""
-    kind = type(record).__name__
-    if name == "target" and value == BROADCAST:
-        return "everybody"
-    if name == "flags":
-        words = {BEACON_BASE: "base", BEACON_WANTED: "wants a newer announcement"}
-        return ", ".join(word for bit, word in words.items() if value & bit) or "none"
-    if name == "hops" and kind == "Beacon":
-        return "no route" if value == NO_ROUTE else "to that base"
-    if name in ("base", "base_epoch", "route_number") and kind == "Beacon" and record.hops == NO_ROUTE:
-        return "no route"
-    if name == "risk":
-        return f"{value / 65535:.3f}"
-    if name == "free":
-        return "no bound" if value == UNBOUNDED_FREE else "items"
-    if name == "potential":
-        return "a base" if value == 0xFFFFFFFF else f"fitness {value / (1 << 24):.6f}" if value else "no room"
-    if name == "kind":
-        return Kind(value).name.lower() if value in list(Kind) else "unknown"
-    if name == "crc" and isinstance(record, Datum):
-        return "good" if record.intact else "BAD: the datum is damaged"
-    if name == "reason":
-        return _LOSS_REASONS.get(value, "unknown")
-    if name == "spare":
-        return "custody stays with the sender" if value else "custody is offered"
-    if name == "word":
-        return _WORDS.get(value, "unknown")
-    if name == "number" and kind == "Handover":
-        return "no custody offered" if value == 0 else "hand-over"
-    if name in ("size", "chunk_size"):
-        return "bytes"
-    if name == "closed":
-        return (
-            "all sequences from the floor up to it have arrived"
-            if hasattr(record, "floor")
-            else ("all sequences below have arrived")
-        )
-    if name == "lost":
-        lost = [str(record.closed + i) for i in range(value.bit_length()) if value >> i & 1]
-        return f"{', '.join(lost)} told lost" if lost else ""
-    if name == "floor":
-        return "nothing is said of what lies below"
-    if name == "bitmap":
-        first = record.closed if hasattr(record, "closed") else record.next_index
-        arrived = [str(first + 1 + i) for i in range(value.bit_length()) if value >> i & 1]
-        return f"and {', '.join(arrived)}" if arrived else ""
-    return ""
+    note = _NOTES.get(f"{type(record).__name__}.{name}") or _NOTES.get(name)
+    return note(record, value) if note else ""
 
 
 def _measurement(payload: bytes, depth: int) -> Iterator[str]:

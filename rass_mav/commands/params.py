@@ -13,9 +13,9 @@ from .common import HelpFormatter, Subparsers, add_command, clean, print_json, s
 
 if TYPE_CHECKING:
     from rass_mav.app.config import RunConfig
-    from rass_mav.firmware.comparison import Comparison, Row
-    from rass_mav.firmware.exchange import Patience
-    from rass_mav.firmware.session import Session
+    from rass_mav.params.comparison import Comparison, Row
+    from rass_mav.params.exchange import Patience
+    from rass_mav.params.session import Session
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from rass_mav.firmware.files import read_file
+    from rass_mav.params.files import read_file
 
     start_logging(options.verbose)
     file = read_file(options.file)
@@ -105,8 +105,8 @@ def _agreed(question: str) -> bool:
 
 
 def _compared(options: argparse.Namespace) -> Comparison:
-    from rass_mav.firmware.comparison import compare
-    from rass_mav.firmware.files import read_file
+    from rass_mav.params.comparison import compare
+    from rass_mav.params.files import read_file
 
     file = read_file(options.file)
     config = _config(options.live)
@@ -114,7 +114,7 @@ def _compared(options: argparse.Namespace) -> Comparison:
 
 
 def _applied(options: argparse.Namespace, found: Comparison) -> list[Row]:
-    from rass_mav.firmware.comparison import apply
+    from rass_mav.params.comparison import apply
 
     config = _config(options.live)
     return _held(options.live, config, lambda session: apply(session, found.autopilot.system_id, found.rows))
@@ -131,7 +131,7 @@ def _config(path: str) -> RunConfig:
 
 def patience() -> Patience:
     """How long the autopilot has for its answers."""
-    from rass_mav.firmware.exchange import Patience
+    from rass_mav.params.exchange import Patience
 
     return Patience()
 
@@ -144,10 +144,10 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
 
     from rass_mav.app.client import ControlClient
     from rass_mav.errors import ControlError
-    from rass_mav.firmware.exchange import VehicleError
-    from rass_mav.firmware.session import Session
     from rass_mav.link.address import parse_vehicle_url
     from rass_mav.link.vehicle_stream import open_vehicle
+    from rass_mav.params.exchange import VehicleError
+    from rass_mav.params.session import Session
 
     assert config.autopilot.url is not None
     url = parse_vehicle_url(config.autopilot.url)
@@ -203,7 +203,7 @@ def _counts(rows: Sequence[Row]) -> str:
 
 
 def _plain(path: str, found: Comparison, rows: Sequence[Row]) -> dict[str, Any]:
-    from rass_mav.firmware.names import firmware_name
+    from rass_mav.params.names import firmware_name
 
     autopilot = found.autopilot
     return {

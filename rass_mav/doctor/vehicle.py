@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rass_mav.app.config import RunConfig
-from rass_mav.firmware.names import firmware_name, fitting_file
+from rass_mav.params.names import firmware_name, fitting_file
 
 from .finding import Finding, failed, passed, warned
 from .watch import Evidence, heartbeats, positions, rate, readings, unfixed

@@ -1,1 +1,1 @@
-"""Bytes in and out: UDP, and an in-process loopback. A link knows datagrams and addresses, nothing of MAVLink."""
+"""Bytes in and out: UDP and serial ports. A link knows datagrams and addresses, nothing of MAVLink."""

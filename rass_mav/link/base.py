@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 from .airtime import Budget
 
-#: Where a datagram came from: (IPv4 address, port), or the name of a loopback endpoint and 0.
+#: Where a datagram came from: (IPv4 address, port), or a name and 0.
 Address: TypeAlias = tuple[str, int]
 
 #: Datagrams that may wait in a link for the driver. Beyond it the link stops reading, and the kernel's buffer fills.
@@ -96,11 +96,6 @@ class Link(ABC):
     def trouble(self) -> str:
         """Why the port is not open; empty while it is."""
         return ""
-
-    @property
-    def waiting(self) -> bool:
-        """Whether something has arrived."""
-        return bool(self._inbox)
 
 
 def _nobody() -> None:

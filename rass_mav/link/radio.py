@@ -47,11 +47,6 @@ class SerialLink(SharedLink):
         self.port.start(wake)
 
     @property
-    def waiting(self) -> bool:
-        """Whether something has arrived."""
-        return bool(self.port.inbox)
-
-    @property
     def generation(self) -> int:
         """How often the port was opened."""
         return self.port.generation

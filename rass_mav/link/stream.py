@@ -91,11 +91,6 @@ class StreamPort:
         self._trouble = ""
 
     @property
-    def open(self) -> bool:
-        """Whether the port is open now."""
-        return self._channel is not None
-
-    @property
     def trouble(self) -> str:
         """Why the port is not open; empty while it is."""
         return "" if self._channel is not None else self._trouble

@@ -26,11 +26,6 @@ class VehiclePort(ABC):
         """Begin to read, on the running event loop. `wake` is called when something has arrived."""
 
     @property
-    @abstractmethod
-    def waiting(self) -> bool:
-        """Whether something has arrived."""
-
-    @property
     def generation(self) -> int:
         """How often the port was opened: what was half read before has no end any more."""
         return 1
@@ -88,11 +83,6 @@ class VehicleLink(VehiclePort):
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop. `wake` is called when something has arrived."""
         self._reader = Reader(self._socket, self._inbox, wake, is_echo=_never)
-
-    @property
-    def waiting(self) -> bool:
-        """Whether something has arrived."""
-        return bool(self._inbox)
 
     @property
     def generation(self) -> int:

@@ -26,11 +26,6 @@ class VehicleStream(VehiclePort):
         self.port.start(wake)
 
     @property
-    def waiting(self) -> bool:
-        """Whether something has arrived."""
-        return bool(self.port.inbox)
-
-    @property
     def generation(self) -> int:
         """How often the port was opened."""
         return self.port.generation

@@ -6,8 +6,6 @@ from __future__ import annotations
 BROADCAST = 0
 #: The component id of an autopilot.
 AUTOPILOT_COMPONENT = 1
-#: The component id that companions usually take (MAV_COMP_ID_ONBOARD_COMPUTER).
-COMPANION_COMPONENT = 191
 
 
 def addressed_to(target_system: int, target_component: int, system_id: int, component_id: int) -> bool:

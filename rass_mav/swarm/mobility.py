@@ -42,11 +42,6 @@ class Mobility(Protocol):
         """Current position of each node in metres, by id. A step that moves anything makes a new list."""
         ...
 
-    @property
-    def moves(self) -> bool:
-        """Whether any step may ever change the positions; False for a static swarm."""
-        ...
-
     def step(self, t: int) -> bool:
         """Advance to the positions of step t = 0, 1, 2, ... in order, 0 being the start. Returns whether any moved."""
         ...
@@ -54,8 +49,6 @@ class Mobility(Protocol):
 
 class Stepper:
     """What the kinds of mobility share: the positions, and the check that no step is left out or taken twice."""
-
-    moves = True
 
     def __init__(self, positions: list[Position]) -> None:
         self.positions = positions
@@ -73,8 +66,6 @@ class Stepper:
 
 class Static(Stepper):
     """Nodes that stay where they are."""
-
-    moves = False
 
     def _advance(self, t: int) -> bool:
         return False

@@ -8,7 +8,6 @@ of nodes times the number of neighbours each has, not with the square of the num
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
 #: A node's position (x, y) in metres; the arena's centre is the origin.
@@ -122,21 +121,6 @@ class RangeGraph:
             self.neighbours[i] = [
                 j for j in self.neighbours[i] if segment_distance(cylinder, positions[i], positions[j]) > radius
             ]
-
-    def connected(self, ids: Iterable[int] | None = None) -> bool:
-        """Whether these nodes (default: all) reach each other over hops between themselves. True for none or one."""
-        members = set(range(len(self.neighbours)) if ids is None else ids)
-        if len(members) <= 1:
-            return True
-        start = next(iter(members))
-        seen = {start}
-        queue = deque([start])
-        while queue:
-            for j in self.neighbours[queue.popleft()]:
-                if j in members and j not in seen:
-                    seen.add(j)
-                    queue.append(j)
-        return len(seen) == len(members)
 
     def hops_from(self, bases: Iterable[int]) -> list[int | None]:
         """Fewest hops from each node to the nearest of `bases` (0 for a base), None where there is no way."""

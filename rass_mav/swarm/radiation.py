@@ -98,13 +98,6 @@ class RadiationField:
         """Eq. 1 without its noise b: the level at (x, y) metres, >= 0, not clipped."""
         return sum(self._parts(x, y))
 
-    def reading(self, x: float, y: float, rng: Random, sigma: float) -> float:
-        """Eq. 1: the level with a sensor's noise b ~ N(0, sigma); `sigma`, >= 0, is a standard deviation.
-
-        It may be negative. With sigma 0 nothing is drawn from `rng`.
-        """
-        return self.level(x, y) + (rng.gauss(0.0, sigma) if sigma > 0 else 0.0)
-
     def corruption(self, x: float, y: float) -> float:
         """Eq. 2: the probability 0..1 that a datum stored at (x, y) metres is corrupted in one step.
 

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import pytest
-from conversation import GCS, SAID, Conversation, kinds
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,6 +22,8 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.store.memory import MemoryStore
 
+from .conversation import GCS, SAID, Conversation, kinds
+
 
 def acks(messages: list[Any]) -> list[tuple[int, int]]:
     assert all((m.target_system, m.target_component) == GCS for m in messages if m.get_msgId() == COMMAND_ACK)
@@ -38,8 +39,8 @@ def test_messages_can_be_asked_for() -> None:
         assert message_id in [m.get_msgId() for m in heard[1:]]
     c.ask(common.MAVLink_command_int_message(7, 191, 0, mav.CMD_REQUEST_MESSAGE, 0, 0, mav.AUTOPILOT_VERSION, *[0] * 6))
     assert kinds(c.hear()) == ["COMMAND_ACK", "AUTOPILOT_VERSION"]
-    for message_id in (33.0, 99999.0, -1.0, math.nan, 1e30):
-        assert acks(c.command(mav.CMD_REQUEST_MESSAGE, message_id)) == [(mav.CMD_REQUEST_MESSAGE, mav.UNSUPPORTED)]
+    for unknown in (33.0, 99999.0, -1.0, math.nan, 1e30):
+        assert acks(c.command(mav.CMD_REQUEST_MESSAGE, unknown)) == [(mav.CMD_REQUEST_MESSAGE, mav.UNSUPPORTED)]
 
 
 def test_other_commands_are_unsupported_unless_they_are_for_all() -> None:

@@ -7,14 +7,14 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from conversation import Conversation, kinds, values
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.parameters import INDEX, PARAMETERS, single
+from rass_mav.agent.parameters import INDEX, PARAMETERS
 from rass_mav.core.messages import Beacon
 from rass_mav.core.routes.costs import CostTable
 from rass_mav.mavlink import component as mav
+from rass_mav.mavlink.component import single
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
@@ -23,6 +23,8 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
+
+from .conversation import Conversation, kinds, values
 
 
 @pytest.mark.parametrize("target", [(7, 191), (7, 0), (0, 0)])
@@ -144,7 +146,7 @@ def test_what_is_forwarded_at_once_and_a_slow_link_outlive_a_new_beginning() -> 
 def test_whatever_is_set_between_steps_the_node_goes_on_and_remembers(
     policy: str, asked: list[tuple[Any, float]]
 ) -> None:
-    sections = {"policy": {"name": policy}, "risk": {"low": 0.0, "high": 300.0}}
+    sections: dict[str, Any] = {"policy": {"name": policy}, "risk": {"low": 0.0, "high": 300.0}}
     c = Conversation(**sections)
     held = [c.agent.node.put(bytes([number]), 0.0) for number in range(1, 4)]
     for step, (parameter, value) in enumerate(asked):

@@ -17,11 +17,11 @@ from rass_mav.agent.parameters import (
     recall,
     remember,
     shortest,
-    single,
 )
 from rass_mav.agent.settings import AgentSettings, PolicyName
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
+from rass_mav.mavlink.component import single
 from rass_mav.store.memory import MemoryStore
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
@@ -124,8 +124,8 @@ def test_weights_that_the_file_leaves_open_are_the_policys_own() -> None:
     literal = set_to(about, "RASS_POLICY", 1.0)
     assert (value_of(literal, "RASS_ALPHA"), value_of(literal, "RASS_BETA")) == (10.0, 1.0)
     survival = set_to(about, "RASS_POLICY", 4.0)
-    assert (value_of(survival, "RASS_HOP_COST"), value_of(survival, "RASS_ALPHA")) == (pytest.approx(0.05), 0.0)
-    assert (value_of(about, "RASS_RISK_GAIN"), value_of(survival, "RASS_RISK_GAIN")) == (1.0, pytest.approx(0.1))
+    assert (value_of(survival, "RASS_HOP_COST"), value_of(survival, "RASS_ALPHA")) == pytest.approx((0.05, 0.0))
+    assert (value_of(about, "RASS_RISK_GAIN"), value_of(survival, "RASS_RISK_GAIN")) == pytest.approx((1.0, 0.1))
     # Set to the same as another node has in its file: their potentials must be comparable.
     assert set_to(about, "RASS_ALPHA", 0.1).policy.make().tag == settings(policy={"alpha": 0.1}).policy.make().tag
 

@@ -27,10 +27,10 @@ from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Beacon, Data, Handover, Message
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
-from rass_mav.link.loopback import LoopbackLink
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode, encode
+from tests.link.loopback import LoopbackLink
 
 TIMEOUT_S = 10.0
 STEP_S = 0.02

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import PolicySettings
@@ -24,9 +23,11 @@ from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.link.loopback import LoopbackHub
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store import MemoryStore, SqliteStore
+from tests.link.loopback import LoopbackHub
+
+from .app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 STATUSTEXT = 253
 

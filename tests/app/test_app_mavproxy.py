@@ -14,10 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from app_nodes import DEADLINE_S, RunningNode, free_ports
-from app_relay import autopilot
 
 from rass_mav.agent.parameters import INDEX
+
+from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_relay import autopilot
 
 SYSTEM, COMPANION = 12, 191
 

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from app_nodes import DEADLINE_S, RunningNode, free_ports
-from app_relay import autopilot
 
 from rass_mav.agent.parameters import INDEX
+
+from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_relay import autopilot
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
 
@@ -72,7 +73,12 @@ class Station:
         return await asyncio.wait_for(first(), DEADLINE_S)
 
     async def command(self, command: int, param1: float) -> None:
-        fields = {"target_system": SYSTEM, "target_component": COMPANION, "command": command, "confirmation": 0}
+        fields: dict[str, float] = {
+            "target_system": SYSTEM,
+            "target_component": COMPANION,
+            "command": command,
+            "confirmation": 0,
+        }
         fields |= {f"param{n}": 0.0 for n in range(2, 8)}
         message = MavlinkMessage("COMMAND_LONG", 245, 190, SYSTEM, COMPANION, json.dumps({**fields, "param1": param1}))
         await self.direct.send_message(message)

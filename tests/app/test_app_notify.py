@@ -16,11 +16,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from app_nodes import DEADLINE_S, RunningNode, environment, free_ports
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.app.notify import Notifier
+
+from .app_nodes import DEADLINE_S, RunningNode, environment, free_ports
 
 
 class Manager:

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from app_nodes import DEADLINE_S, RunningNode, command, environment, free_ports, line_of
 
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import autopilot_heartbeat, global_position_int, named_value_float
 from rass_mav.mavlink.reader import FrameReader
+
+from .app_nodes import DEADLINE_S, RunningNode, command, environment, free_ports, line_of
 
 STATUSTEXT = 253
 HEARTBEAT = 0
@@ -82,7 +83,7 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
 
     def has_route() -> bool:
         status.update(far.status())
-        return status["hop_count"] == 2
+        return bool(status["hop_count"] == 2)
 
     far.until(has_route)
     assert (status["hop_count"], status["next_hop"], status["role"]) == (2, 2, "drone")

@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from app_drivers import TIMEOUT_S, run, settings
-from app_nodes import RunningNode, command, free_ports
 
 from rass_mav.agent.agent import Agent
 from rass_mav.app.driver import SENSOR_REPORT_S, Driver
@@ -19,6 +18,9 @@ from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore
 from tests.ptys import SerialDevice
 from tests.sensor.sentences import sentence
+
+from .app_drivers import TIMEOUT_S, run, settings
+from .app_nodes import RunningNode, command, free_ports
 
 
 class HandSensor(Sensor):
@@ -122,7 +124,7 @@ def counter(tmp_path: Path) -> Iterator[SerialDevice]:
     device.close()
 
 
-def lonely(directory: Path, **sections: object) -> RunningNode:
+def lonely(directory: Path, **sections: Any) -> RunningNode:
     (port,) = free_ports(1)
     link = {"listen": f"127.0.0.1:{port}", "peers": [{"address": "127.0.0.1:9"}]}
     return RunningNode(directory, 7, links=[link], **sections)

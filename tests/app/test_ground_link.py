@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from app_drivers import TIMEOUT_S, HeldExecutor, run, settings
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import GroundSettings, PolicySettings
@@ -29,6 +28,8 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, NAMED_VALUE_FLOAT
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
+
+from .app_drivers import TIMEOUT_S, HeldExecutor, run, settings
 
 
 class GroundStation(asyncio.DatagramProtocol):

@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 import os
 import random
-import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from app_drivers import TIMEOUT_S, Arrivals, run, settings
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
@@ -34,9 +32,9 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
+from tests.link.ptys import Device
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "link"))
-from ptys import Device
+from .app_drivers import TIMEOUT_S, Arrivals, run, settings
 
 #: Fast enough for a test.
 AIRTIME = AirtimeSection(bytes_s=100_000.0, duty=1.0, frames_s=1000.0)
@@ -194,7 +192,11 @@ def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(t
             reading = autopilot.writer.message(named_value_float("RAD", value, 1))
             autopilot.say(garbage, autopilot.writer.message(autopilot_heartbeat()), reading[:9])
             autopilot.say(reading[9:])
-            await until(lambda value=value: reads(node) == value)
+
+            def value_read(value: float = value) -> bool:
+                return reads(node) == value
+
+            await until(value_read)
             if value == 1.5:
                 await autopilot.until(COMMAND_LONG)
             assert loop.time() - began < 5.0
@@ -202,9 +204,13 @@ def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(t
             autopilot.say(autopilot.writer.message(named_value_float("RAD", 99.0, 1))[:15])
             device.pull_out()
             # The node goes on without it.
-            steps = node.agent.steps
+            goal = node.agent.steps + 3
+
+            def goes_on(goal: int = goal) -> bool:
+                return node.agent.steps >= goal and bool(vehicle.trouble)
+
             await node.driver.put(b"stored", 0)
-            await until(lambda steps=steps: node.agent.steps >= steps + 3 and bool(vehicle.trouble))
+            await until(goes_on)
         await node.end()
 
     run(scenario)

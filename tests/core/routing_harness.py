@@ -112,7 +112,7 @@ class Swarm:
         for i, node in self.nodes.items():
             assert node.routing.route is None or node.routing.hops <= node.settings.max_hops
             at = i
-            seen = set()
+            seen: set[int] = set()
             while True:
                 assert at not in seen, f"cycle of next hops through {sorted(seen)} at {self.now}"
                 seen.add(at)

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from rass_mav.core.messages import BEACON_BASE, Beacon, Committed, Data, Message
+from rass_mav.core.messages import BEACON_BASE, Beacon, Committed, Data, Message, Route
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.routes.table import Route
 from rass_mav.core.spares.offers import TARGET
 from rass_mav.errors import StoreFullError
 

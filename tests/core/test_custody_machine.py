@@ -38,6 +38,9 @@ class Wander:
     tag = 7
     replicates = False
     costs = None
+    risk_gain = 1.0
+    seq_period = 30
+    own_share = 0.0
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         return 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
     UNBOUNDED_FREE,
@@ -177,7 +179,7 @@ def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words(
 # -- room --------------------------------------------------------------------------------------------------------------
 
 
-def full_of_spares(capacity: int, **more: object) -> tuple[Node, list[DatumId]]:
+def full_of_spares(capacity: int, **more: Any) -> tuple[Node, list[DatumId]]:
     """A node whose every place holds an active spare, kept for node 1."""
     node = make_node(2, mirror=True, capacity_items=capacity, **more)
     spares = [datum(sequence=s) for s in range(capacity)]

@@ -176,7 +176,7 @@ def test_a_lost_answer_does_no_harm() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Corrupt and message.sender == 2  # type: ignore[attr-defined]
+    net.loses = lambda message: type(message) is Corrupt and message.sender == 2
     net.step()
     assert net.custody(id) == [2]
     net.loses = lambda message: False
@@ -353,6 +353,9 @@ class Stay:
     tag = 9
     replicates = False
     costs = None
+    risk_gain = 1.0
+    seq_period = 30
+    own_share = 0.0
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         return 1

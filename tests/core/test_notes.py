@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import pytest
 
@@ -147,7 +148,7 @@ def test_notes_outlive_a_restart() -> None:
 
 
 @pytest.mark.parametrize("settings", [{"receipts": False}, {"acknowledged": False}])
-def test_without_receipts_or_without_custody_there_are_no_notes(settings: dict[str, bool]) -> None:
+def test_without_receipts_or_without_custody_there_are_no_notes(settings: dict[str, Any]) -> None:
     node = with_base(make_node(1, receipt_steps=1, **settings))
     id = node.put(b"x", 0.0)
     corrupt(node, id)
@@ -171,11 +172,11 @@ def test_a_note_goes_from_hand_to_hand_to_the_base_which_says_so() -> None:
     assert dict(nodes[0].store.losses()) == {id: Fate.CORRUPTED}
     assert nodes[0].index is not None
     assert nodes[0].index.told_lost == 1
-    for i in (1, 2):
-        assert list(nodes[i].store.losses()) == []
-        assert nodes[i].receipts is not None
-        assert nodes[i].receipts.told_lost(id)
-        assert id not in nodes[i].archive
+    for node in (nodes[1], nodes[2]):
+        assert list(node.store.losses()) == []
+        assert node.receipts is not None
+        assert node.receipts.told_lost(id)
+        assert id not in node.archive
 
 
 def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() -> None:

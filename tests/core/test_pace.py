@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rass_mav.core.messages import Beacon, Committed, Corrupt, Data, Handover, Route, Word
@@ -111,7 +113,7 @@ def test_after_a_restart_the_old_turn_decides_how_long_to_wait() -> None:
 
 def test_a_cost_table_waits_for_a_slow_neighbour_and_holds_for_it() -> None:
     node = make_node(2, policy="survival", newborn=True)
-    base = {"flags": 1, "policy": node.policy.tag, "potential": 0xFFFFFFFF}
+    base: dict[str, Any] = {"flags": 1, "policy": node.policy.tag, "potential": 0xFFFFFFFF}
     node.receive(beacon(1, 1, BASE, **base)._replace(turn=90), 0.0)
     node.step(0.0)
     assert node.routing.next_hop == 1
@@ -131,7 +133,7 @@ def test_a_cost_table_waits_for_a_slow_neighbour_and_holds_for_it() -> None:
 
 def test_a_slow_neighbour_is_as_recent_as_a_fast_one() -> None:
     node = make_node(2, policy="survival", newborn=True)
-    near = {"policy": node.policy.tag, "potential": 1000}
+    near: dict[str, Any] = {"policy": node.policy.tag, "potential": 1000}
     node.receive(beacon(3, 1, Route(1, 11, 5, 1), **near)._replace(turn=90), 0.0)
     for number in range(1, 12):
         node.receive(beacon(4, number, Route(1, 11, 5, 1), policy=node.policy.tag, potential=5000), number)

@@ -116,7 +116,9 @@ def test_a_silent_neighbour_is_gone_with_all_it_said() -> None:
     routing.update(3.5)
     assert routing.next_hop == 1
     routing.update(3.6)
-    assert (routing.route, routing.next_hop, routing.neighbours) == (None, None, {})
+    assert routing.neighbours == {}
+    assert routing.route is None
+    assert routing.next_hop is None
 
 
 def test_doubled_and_late_beacons_are_ignored() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 from hypothesis import Phase, given, settings
@@ -32,7 +33,7 @@ def test_no_cycles_ever_and_the_right_hop_counts_once_the_network_heals(seed: in
         assert set(swarm.hops()) == set(swarm.distances())
 
 
-def line(size: int, **more: int) -> Swarm:
+def line(size: int, **more: Any) -> Swarm:
     """Node 0 is the base; 0 - 1 - 2 - ..."""
     swarm = Swarm(random.Random(1), size, 1, **more)
     swarm.links = {frozenset((i, i + 1)) for i in range(size - 1)}

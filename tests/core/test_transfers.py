@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -15,7 +16,7 @@ from rass_mav.core.policy import POTENTIAL_ONE
 from .build import beacon, datum, make_node, of, talk
 
 
-def giver_of(payload: bytes, node_id: int = 1, **more: int) -> Node:
+def giver_of(payload: bytes, node_id: int = 1, **more: Any) -> Node:
     node = make_node(node_id, **more)
     node.put(payload, 0.0)
     return node
@@ -135,7 +136,9 @@ def test_a_strangers_chunks_under_the_same_handle_are_found_by_the_checksum() ->
     [offer] = of(Offer, giver.step(0.0))
     [accept] = receiver.receive(offer, 0.0)
     chunks = giver.receive(accept, 0.0)
-    receiver.receive(chunks[0]._replace(data=bytes(123)), 0.0)  # type: ignore[union-attr]
+    strange = chunks[0]
+    assert isinstance(strange, Chunk)
+    receiver.receive(strange._replace(data=bytes(123)), 0.0)
     for chunk in chunks:
         assert of(Committed, receiver.receive(chunk, 0.0)) == []
     assert receiver.corrupt_received == 1

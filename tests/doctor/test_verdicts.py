@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from rass_mav.doctor.trial import try_out
 from rass_mav.doctor.watch import Ear, Evidence
 from tests.app.app_nodes import free_ports
 
-Change = Callable[[dict[str, Any]], Any]
+Change = Callable[[Any], None]
 AUTOPILOT = {
     "system_id": 3, "type": 3, "heartbeat_age_s": 0.2, "armed": False, "reboots": 0, "no_fix_age_s": None,
 }  # fmt: skip
@@ -48,7 +48,7 @@ def evidence(scene: tuple[RunConfig, Evidence], change: Change, *, running: bool
     first = copy.deepcopy(dict(scene[1].samples[-1]))
     first["uptime_s"] = 10.0
     first["autopilot"] = dict(AUTOPILOT)
-    samples = [first]
+    samples: list[Mapping[str, Any]] = [first]
     for number in (1, 2):
         sample = copy.deepcopy(first)
         sample["uptime_s"] = 10.0 + number

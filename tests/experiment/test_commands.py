@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
+from rass_mav.errors import ConfigError
 from rass_mav.experiment import five_drones, local_maxima, moving_sources, paper
 from rass_mav.experiment.tables import RUN_COLUMNS
 
@@ -196,7 +197,7 @@ def test_bad_usage_is_one_line(
 
 def test_a_missing_scenario_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(paper, "shipped", lambda: ["paper-grid"])
-    with pytest.raises(paper.ConfigError, match="no scenario reference-grid"):
+    with pytest.raises(ConfigError, match="no scenario reference-grid"):
         paper.plan(["reference"], ["grid"], ["rass"], runs=1, steps=1)
 
 

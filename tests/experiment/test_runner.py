@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +24,10 @@ from rass_mav.swarm.catalogue import load_scenario
 SMALL = ("nodes=9", "arena_m=6")
 
 
-def run(seed: int = 0, policy: str = "rass", measures: Sequence[str] = (), **options: object) -> Run:
-    keys = {"policy.name": policy, "seed": seed, "steps": 23, **options}
+def run(
+    seed: int = 0, policy: str = "rass", measures: Sequence[str] = (), options: Mapping[str, object] | None = None
+) -> Run:
+    keys = {"policy.name": policy, "seed": seed, "steps": 23, **(options or {})}
     return Run("paper", "", load_scenario("paper-grid", keys, SMALL), tuple(measures))
 
 
@@ -86,8 +88,8 @@ def test_a_damaged_file_is_a_run_that_has_not_been_done(tmp_path: Path) -> None:
 
 def test_everything_that_determines_a_run_is_in_its_key() -> None:
     runs = [
-        run(), run(seed=1), run(policy="hop-count"), run(measures=["basins"]), run(steps=24),
-        run(**{"radio.loss": 0.1}), replace(run(), world="other"), replace(run(), variant="v"),
+        run(), run(seed=1), run(policy="hop-count"), run(measures=["basins"]), run(options={"steps": 24}),
+        run(options={"radio.loss": 0.1}), replace(run(), world="other"), replace(run(), variant="v"),
         replace(run(), code="other"),
     ]  # fmt: skip
     assert len({r.key for r in runs}) == len(runs)
@@ -125,7 +127,9 @@ def test_a_run_without_dask_installed_says_what_to_install(tmp_path: Path, monke
 
 
 def test_what_is_measured_adds_up(tmp_path: Path) -> None:
-    (result,) = run_all([run(measures=["origins", "basins"], **{"radiation.random_sources": 9})], tmp_path).results
+    (result,) = run_all(
+        [run(measures=["origins", "basins"], options={"radiation.random_sources": 9})], tmp_path
+    ).results
     summary, series = result.summary, result.series
     assert series.step == [0, 5, 10, 15, 20, 22]
     assert series.created[-1] == summary["created"] > 0

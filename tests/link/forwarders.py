@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from shared_radio import Simulation
-
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, autopilot_heartbeat
+
+from .shared_radio import Simulation
 
 MAX_ROUTES = 20
 ARDUPILOT_BUFFER_BYTES = 1024

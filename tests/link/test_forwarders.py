@@ -8,15 +8,30 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import pytest
-from forwarders import Forwarder, wire
-from shared_radio import Arrivals, RadioNode, Simulation
 
 from rass_mav.app.links import AirtimeSection
 from rass_mav.link.airtime import Urgency
 from rass_mav.mavlink.frames import FrameWriter
 
+from .forwarders import Forwarder, Port, wire
+from .shared_radio import Air, Arrivals, RadioNode, Simulation
+
 RADIO_BYTES_S, COMPANION_BYTES_S = 5760.0, 92160.0
 DURATION_S = 60.0
+
+
+class Cable(Air):
+    """What a companion takes for the air: its autopilot's port."""
+
+    def __init__(self, simulation: Simulation, forwarder: Forwarder, port: Port) -> None:
+        super().__init__(simulation)
+        self._forwarder = forwarder
+        self._port = port
+        self.sent = 0
+
+    def send(self, sender: int | None, frame: bytes, urgency: Urgency | None) -> None:
+        self.sent += 1
+        self._forwarder.hear(self._port, frame)
 
 
 class Companion(RadioNode):
@@ -26,21 +41,10 @@ class Companion(RadioNode):
         self.forwarder = forwarder
         self.port = forwarder.port(COMPANION_BYTES_S)
         self.port.deliver = self.hear
-        self.sent = 0
-
-        class Way:
-            """What a node takes for the air."""
-
-            hearers: list[Any] = []  # noqa: RUF012
-
-            @staticmethod
-            def send(sender: int, frame: bytes, urgency: Urgency | None) -> None:
-                self.sent += 1
-                forwarder.hear(self.port, frame)
-
+        self.cable = Cable(simulation, forwarder, self.port)
         super().__init__(
-            simulation, Way, node_id, AirtimeSection().budget(shared=True), rng=random.Random(node_id), **options
-        )  # type: ignore[arg-type]
+            simulation, self.cable, node_id, AirtimeSection().budget(shared=True), rng=random.Random(node_id), **options
+        )
 
     def say(self, frames: Any) -> None:
         for frame in self.agent.to_vehicle:
@@ -56,7 +60,7 @@ class Result(NamedTuple):
 
     @property
     def sent(self) -> int:
-        return sum(node.sent for node in self.nodes)
+        return sum(node.cable.sent for node in self.nodes)
 
     @property
     def copies(self) -> int:

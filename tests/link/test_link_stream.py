@@ -11,12 +11,13 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from ptys import Device
 
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.serialport import SerialOpener
 from rass_mav.link.stream import LONGEST_PAUSE_S, MAX_PENDING_BYTES, OPENING_S, StreamPort
 from rass_mav.link.vehicle_stream import VehicleStream, open_vehicle
+
+from .ptys import Device
 
 TIMEOUT_S = 10.0
 
@@ -47,7 +48,12 @@ async def readable(fd: int) -> bytes:
     """What comes out of the far end next."""
     loop = asyncio.get_running_loop()
     came = loop.create_future()
-    loop.add_reader(fd, lambda: came.done() or came.set_result(None))
+
+    def arrived() -> None:
+        if not came.done():
+            came.set_result(None)
+
+    loop.add_reader(fd, arrived)
     try:
         await asyncio.wait_for(came, TIMEOUT_S)
     finally:
@@ -112,8 +118,13 @@ def test_a_device_that_is_pulled_out_comes_back_under_its_name(tmp_path: Path) -
             device.plug_in()
             began = loop.time()
             await watched.opened(turn)
-            device.say(b"%d half a fra" % turn)
-            await watched.until(lambda turn=turn: watched.heard.endswith(b"%d half a fra" % turn))
+            half = b"%d half a fra" % turn
+            device.say(half)
+
+            def heard(half: bytes = half) -> bool:
+                return watched.heard.endswith(half)
+
+            await watched.until(heard)
             assert loop.time() - began < 5.0
             watched.port.send(b"here")
             assert await readable(device.far) == b"here"

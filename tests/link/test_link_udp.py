@@ -7,7 +7,6 @@ import contextlib
 import socket
 
 import pytest
-from link_helpers import TIMEOUT_S, Ear
 
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import LinkError
@@ -15,6 +14,8 @@ from rass_mav.link.base import MAX_INBOX, MAX_OUTBOX
 from rass_mav.link.interface import find_interface
 from rass_mav.link.sockets import MAX_PER_WAKE, Sender
 from rass_mav.link.udp import MAX_LEARNED, Peer, UdpLink
+
+from .link_helpers import TIMEOUT_S, Ear
 
 ANY = ("127.0.0.1", 0)
 
@@ -168,7 +169,7 @@ def test_what_the_socket_does_not_take_waits_up_to_a_bound() -> None:
             sender.send(count.to_bytes(4, "big"), None)
             count += 1
         assert count == sender.sent + MAX_OUTBOX + 5
-        got = []
+        got: list[int] = []
         while len(got) < count - 5:
             data = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(theirs, 16), TIMEOUT_S)
             got.append(int.from_bytes(data, "big"))

@@ -6,11 +6,12 @@ import asyncio
 import socket
 
 import pytest
-from link_helpers import vehicle_bytes
 
 from rass_mav.errors import ConfigError, LinkError
 from rass_mav.link.address import VehicleUrl, parse_address, parse_multicast, parse_vehicle_url
 from rass_mav.link.vehicle import VehicleLink
+
+from .link_helpers import vehicle_bytes
 
 ANY = ("127.0.0.1", 0)
 

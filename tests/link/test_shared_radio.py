@@ -7,12 +7,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import pytest
-from shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
 from rass_mav.app.links import AirtimeSection
 from rass_mav.link.airtime import VEHICLE_PART, Urgency
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
+
+from .shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
 TELEMETRY_BYTES_S = 2000.0
 #: A NAMED_VALUE_FLOAT on the air.

@@ -67,7 +67,7 @@ def test_tunnel_is_pymavlinks_byte_for_byte(
     assert frame == expected
     assert ours.sequence == (sequence + 1) % 256
     ours.sequence = sequence
-    if signed:
+    if signer is not None:
         assert signer.timestamp == timestamp + 1
         signer.timestamp = timestamp
     assert ours.message(message) == expected

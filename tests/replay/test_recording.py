@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -73,7 +75,7 @@ def test_no_position_and_no_reading(tmp_path: Path) -> None:
 
 
 def test_the_largest_reading_by_its_name(tmp_path: Path) -> None:
-    paths = [write(tmp_path / f"{n}.tlog", vehicle(n, 5, reading=lambda t, n=n: 10.0 * n + t)) for n in (1, 2)]
+    paths = [write(tmp_path / f"{n}.tlog", vehicle(n, 5, reading=partial(operator.add, 10.0 * n))) for n in (1, 2)]
     assert read_logs(paths).highest == 24.0
     assert read_logs(paths, reading_name="DOSE").highest is None
 

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from store_helpers import EPOCH, commit, datum, open_store
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.store import Store, StoredInfo
 from rass_mav.errors import StoreFullError
 from rass_mav.store import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
+
+from .store_helpers import EPOCH, commit, datum, open_store
 
 Make = Callable[..., Store]
 
@@ -40,7 +41,7 @@ def store(make: Make) -> Store:
 
 def test_a_new_store_is_fresh_and_empty(store: Store) -> None:
     assert (store.epoch, store.fresh) == (EPOCH, True)
-    assert list(store.held()) == list(store.ids()) == list(store.losses()) == []
+    assert [*store.held(), *store.ids(), *store.losses()] == []
     assert store.counters() == {}
     assert store.get_meta("announcement") is None
     assert store.get(DatumId(7, EPOCH, 0)) is None

@@ -9,13 +9,14 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from store_helpers import commit, datum, epochs, open_store
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.store import SqliteReader, SqliteStore
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.store.sqlite import MAX_BUFFERED_BYTES, MAX_WAITING_REMOVALS
+
+from .store_helpers import commit, datum, epochs, open_store
 
 
 @pytest.fixture

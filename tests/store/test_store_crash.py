@@ -7,20 +7,19 @@ import subprocess
 import sys
 from pathlib import Path
 
-from store_helpers import ROOT, open_store, payload
-
 from rass_mav.store import SqliteReader
+
+from .store_helpers import ROOT, open_store, payload
 
 # Before each commit the child says what it is going to put and to remove, afterwards that it is done.
 CHILD = """
 import random, sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from store_helpers import commit, datum, open_store
 from rass_mav.core.datum import Fate
+from tests.store.store_helpers import commit, datum, open_store
 
 store = open_store(Path(sys.argv[1]))
-draw = random.Random(int(sys.argv[3]))
+draw = random.Random(int(sys.argv[2]))
 while True:
     gone = [id for id in store.ids() if draw.random() < 1 / 3]
     for id in gone:
@@ -39,7 +38,7 @@ while True:
 def run_and_kill(path: Path, seed: int, commits: int) -> list[str]:
     """Let a child do at least `commits` commits and kill it wherever it is by then. Returns the lines that it said."""
     child = subprocess.Popen(
-        [sys.executable, "-c", CHILD, str(path), str(Path(__file__).parent), str(seed)],
+        [sys.executable, "-c", CHILD, str(path), str(seed)],
         stdout=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import SqliteReader
+
+from .store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
 NEW_EPOCH = 77
 COUNT = 40

@@ -9,17 +9,17 @@ import sys
 from pathlib import Path
 
 import pytest
-from store_helpers import ROOT, commit, datum, open_store
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.store import SqliteReader, SqliteStore
 
+from .store_helpers import ROOT, commit, datum, open_store
+
 HOLDER = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from store_helpers import open_store
+from tests.store.store_helpers import open_store
 store = open_store(Path(sys.argv[1]))
 print("open", flush=True)
 sys.stdin.read()
@@ -111,7 +111,7 @@ def test_two_stores_cannot_have_one_file(path: Path) -> None:
 
 def test_the_lock_ends_with_the_process_that_holds_it(path: Path) -> None:
     child = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(path), str(Path(__file__).parent)],
+        [sys.executable, "-c", HOLDER, str(path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -18,12 +18,13 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from store_helpers import EPOCH, open_store
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreError
 from rass_mav.store import MemoryStore, SqliteReader
 from rass_mav.store.quota import ROW_OVERHEAD
+
+from .store_helpers import EPOCH, open_store
 
 IDS = st.builds(DatumId, st.sampled_from([1, 0xFFFE]), st.just(EPOCH), st.integers(0, 3))
 ALL_IDS = [DatumId(origin, EPOCH, sequence) for origin in (1, 0xFFFE) for sequence in range(4)]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from store_helpers import datum
 
 from rass_mav.core.datum import Fate
 from rass_mav.store import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
+
+from .store_helpers import datum
 
 
 def test_a_flipped_bit_is_found_by_the_checksum_and_flips_back() -> None:

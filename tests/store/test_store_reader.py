@@ -7,11 +7,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from store_helpers import EPOCH, commit, datum, open_store
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import SqliteReader
+
+from .store_helpers import EPOCH, commit, datum, open_store
 
 
 def test_the_reader_sees_one_moment_of_a_running_node(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,12 @@ class Fleet:
 
     def __init__(self, directory: Path) -> None:
         self.paths = [directory / f"{n}.db" for n in range(3)]
-        self.stores = [SqliteStore.open(path, draw_epoch=lambda n=n: 100 + n) for n, path in enumerate(self.paths)]
+        self.stores = [self._opened(path, 100 + n) for n, path in enumerate(self.paths)]
         self.census = Census(self.paths, 1, step_s=0.5)
+
+    @staticmethod
+    def _opened(path: Path, epoch: int) -> SqliteStore:
+        return SqliteStore.open(path, draw_epoch=lambda: epoch)
 
     def create(self, node: int, created: float = 0.0) -> Datum:
         store = self.stores[node]
@@ -39,7 +44,7 @@ class Fleet:
 
 
 @pytest.fixture
-def fleet(tmp_path: Path):
+def fleet(tmp_path: Path) -> Iterator[Fleet]:
     fleet = Fleet(tmp_path)
     yield fleet
     fleet.close()

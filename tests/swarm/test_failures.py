@@ -71,7 +71,8 @@ def test_where_nothing_radiates_nobody_dies_of_it_and_a_certain_death_comes_at_o
 
 @pytest.mark.parametrize("kind", ["reboot", "wipe"])
 def test_reboots_and_wipes_have_the_rate_that_was_asked_for(kind: str) -> None:
-    planned = plan(100, 101, **{f"{kind}_rate": 0.1, "reboot_steps": 0})
+    keys: dict[str, Any] = {f"{kind}_rate": 0.1, "reboot_steps": 0}
+    planned = plan(100, 101, **keys)
     assert len(nodes_of(planned)) / (100 * 100) == pytest.approx(0.1, abs=0.01)
     for t, due in planned.items():
         assert {(failure.back, failure.wiped) for failure in due} == {(t, kind == "wipe")}

@@ -6,6 +6,8 @@ import os
 import random
 import socket
 import time
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -26,7 +28,7 @@ PATIENCE_S = 5.0
 class Swarm:
     """The air, and a bare socket for each node of a line."""
 
-    def __init__(self, nodes: int = 3, **radio: float) -> None:
+    def __init__(self, nodes: int = 3, **radio: Any) -> None:
         self.scenario = Scenario(
             nodes=nodes, topology="line", radio=RadioSection(**radio), radiation=RadiationSection(noise=0.0)
         )
@@ -62,6 +64,9 @@ class Swarm:
             sock.close()
 
 
+MakeSwarm = Callable[..., Swarm]
+
+
 def drained(sock: socket.socket) -> list[bytes]:
     frames = []
     while True:
@@ -78,8 +83,8 @@ def beacon(node: int, hops: int = NO_ROUTE) -> bytes:
 
 
 @pytest.fixture
-def make_swarm(request: pytest.FixtureRequest):
-    def make(nodes: int = 3, **radio: float) -> Swarm:
+def make_swarm(request: pytest.FixtureRequest) -> MakeSwarm:
+    def make(nodes: int = 3, **radio: Any) -> Swarm:
         swarm = Swarm(nodes, **radio)
         request.addfinalizer(swarm.close)
         return swarm
@@ -87,7 +92,7 @@ def make_swarm(request: pytest.FixtureRequest):
     return make
 
 
-def test_all_in_range_hear_a_frame_and_nobody_else(make_swarm) -> None:
+def test_all_in_range_hear_a_frame_and_nobody_else(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(4)
     swarm.introduce()
     swarm.say(1, b"hello")
@@ -97,7 +102,7 @@ def test_all_in_range_hear_a_frame_and_nobody_else(make_swarm) -> None:
     assert swarm.heard(3) == []
 
 
-def test_a_lossy_radio_drops_for_each_hearer_and_counts(make_swarm) -> None:
+def test_a_lossy_radio_drops_for_each_hearer_and_counts(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(3, loss=1.0)
     swarm.introduce()
     before = swarm.server.figures()
@@ -109,14 +114,14 @@ def test_a_lossy_radio_drops_for_each_hearer_and_counts(make_swarm) -> None:
     assert after.sent - before.sent == 1
 
 
-def test_a_doubled_frame_is_heard_twice(make_swarm) -> None:
+def test_a_doubled_frame_is_heard_twice(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2, duplicate=1.0)
     swarm.introduce()
     swarm.say(0, b"hello")
     assert swarm.heard(1) == [b"hello", b"hello"]
 
 
-def test_latency_holds_frames_back_for_steps(make_swarm) -> None:
+def test_latency_holds_frames_back_for_steps(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2, latency_steps=2)
     swarm.introduce()
     for _ in range(2):
@@ -129,7 +134,7 @@ def test_latency_holds_frames_back_for_steps(make_swarm) -> None:
     assert swarm.heard(1) == [b"hello"]
 
 
-def test_a_dead_node_hears_nothing_until_its_successor_speaks(make_swarm) -> None:
+def test_a_dead_node_hears_nothing_until_its_successor_speaks(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2)
     swarm.introduce()
     swarm.air[1].send(b"last words")
@@ -144,7 +149,7 @@ def test_a_dead_node_hears_nothing_until_its_successor_speaks(make_swarm) -> Non
     assert swarm.heard(1) == [b"welcome back"]
 
 
-def test_the_flight_controller_says_place_and_reading_and_hears_heartbeats(make_swarm) -> None:
+def test_the_flight_controller_says_place_and_reading_and_hears_heartbeats(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2)
     swarm.server.look(0.1)
     assert drained(swarm.vehicle[1]) == []
@@ -162,7 +167,7 @@ def test_the_flight_controller_says_place_and_reading_and_hears_heartbeats(make_
     assert swarm.server.figures().heartbeats == 1
 
 
-def test_figures_count_what_the_frames_say(make_swarm) -> None:
+def test_figures_count_what_the_frames_say(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2)
     swarm.say(0, beacon(0, hops=0))
     swarm.say(1, beacon(1, hops=7))
@@ -177,7 +182,7 @@ def test_figures_count_what_the_frames_say(make_swarm) -> None:
     assert figures.sent == 4
 
 
-def test_the_air_goes_when_its_parent_has_gone(make_swarm) -> None:
+def test_the_air_goes_when_its_parent_has_gone(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2)
     orders, parent = os.pipe()
     os.close(parent)
@@ -187,7 +192,7 @@ def test_the_air_goes_when_its_parent_has_gone(make_swarm) -> None:
         os.close(orders)
 
 
-def test_orders_in_pieces_are_obeyed(make_swarm) -> None:
+def test_orders_in_pieces_are_obeyed(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2)
     swarm.introduce()
     orders, parent = os.pipe()
@@ -225,7 +230,7 @@ def test_a_late_world_catches_up_and_its_flight_controllers_speak_once(
     assert [frame.message_id for frame in frames].count(NAMED_VALUE_FLOAT) == 1
 
 
-def test_the_world_stands_still_until_it_is_started(make_swarm) -> None:
+def test_the_world_stands_still_until_it_is_started(make_swarm: MakeSwarm) -> None:
     swarm = make_swarm(2)
     swarm.server.step()
     assert swarm.server.surroundings.t == 0

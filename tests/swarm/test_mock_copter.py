@@ -32,7 +32,6 @@ from rass_mav.mavlink.mission import (
     FRAME_GLOBAL,
     FRAME_NO_PLACE,
     FRAME_RELATIVE,
-    MISSION_ACK,
     SIM_STATE,
     MissionItem,
     true_place,
@@ -130,7 +129,7 @@ class Far:
         self.vehicle: tuple[str, int] | None = None
 
     def heard(self) -> list[Frame]:
-        frames = []
+        frames: list[Frame] = []
         while True:
             try:
                 data, self.vehicle = self._sock.recvfrom(4096)
@@ -198,7 +197,7 @@ def test_it_takes_a_mission_item_by_item(desk: Callable[..., tuple[MockCopter, l
         )
         listen(copter)
     (done,) = map(parse, ground.heard())
-    assert (done.get_msgId(), done.type) == (MISSION_ACK, common.MAV_MISSION_ACCEPTED)
+    assert (done.get_msgId(), done.type) == (common.MAVLINK_MSG_ID_MISSION_ACK, common.MAV_MISSION_ACCEPTED)
     assert [item.command for item in copter.flight.items] == [CMD_WAYPOINT, CMD_TAKEOFF]
     assert copter.flight.items[1].altitude == 10.0
 

@@ -69,21 +69,6 @@ def test_hops_lead_to_the_nearest_base_and_end_at_gaps() -> None:
     assert graph.hops_from([]) == [None] * 5
 
 
-def test_connected_looks_only_at_hops_between_the_nodes_named() -> None:
-    graph = RangeGraph([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (9.0, 0.0)], 1.0)
-    assert graph.connected([0, 1, 2])
-    assert not graph.connected([0, 2])
-    assert not graph.connected()
-    assert graph.connected([3])
-    assert graph.connected([])
-
-
-@given(places)
-def test_connected_agrees_with_the_hops(positions: list[tuple[float, float]]) -> None:
-    graph = RangeGraph(positions, 3.0)
-    assert graph.connected() == (None not in graph.hops_from([0][: len(positions)]))
-
-
 @pytest.mark.parametrize("range_m", [0.0, -1.0, math.nan, math.inf])
 def test_a_range_that_is_none_is_our_own_mistake(range_m: float) -> None:
     with pytest.raises(ValueError, match="range_m"):

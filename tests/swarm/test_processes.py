@@ -85,7 +85,7 @@ def test_the_summary_has_the_keys_of_virtual_time() -> None:
 
 
 def test_a_node_that_dies_unasked_fails_the_run_with_its_name() -> None:
-    killed = []
+    killed: list[psutil.Process] = []
 
     def kill_node_2(step: int) -> None:
         if not killed:

@@ -60,28 +60,6 @@ def test_corruption_is_a_probability_and_never_more_than_the_level(where: list[S
     assert 0 <= field.corruption(x, y) <= min(1.0, field.level(x, y)) + 1e-12
 
 
-def test_a_reading_is_the_level_with_normal_noise() -> None:
-    field = RadiationField([Source(0.0, 0.0, 0.2)])
-    rng = Random(1)
-    readings = [field.reading(0.0, 0.0, rng, 0.05) for _ in range(4000)]
-    mean = sum(readings) / len(readings)
-    deviation = math.sqrt(sum((r - mean) ** 2 for r in readings) / len(readings))
-    # Four standard errors each.
-    assert mean == pytest.approx(0.2, abs=4 * 0.05 / math.sqrt(4000))
-    assert deviation == pytest.approx(0.05, abs=4 * 0.05 / math.sqrt(8000))
-
-
-def test_noise_makes_readings_negative_far_from_the_sources() -> None:
-    rng = Random(1)
-    assert min(RadiationField([]).reading(0.0, 0.0, rng, 0.05) for _ in range(20)) < 0
-
-
-def test_a_sensor_without_noise_draws_nothing() -> None:
-    rng = Random(1)
-    assert RadiationField([Source(0.0, 0.0, 0.2)]).reading(0.0, 0.0, rng, 0.0) == pytest.approx(0.2)
-    assert rng.getstate() == Random(1).getstate()
-
-
 @given(seeds)
 def test_random_sources_are_those_of_the_paper(seed: int) -> None:
     drawn = random_sources(Random(seed))

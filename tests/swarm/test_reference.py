@@ -79,7 +79,7 @@ def test_each_seed_has_its_sources_and_the_cylinders_of_the_slipped_run() -> Non
     assert radiation.sources_of(7) == radiation.sets[7]
     assert radiation.sources_of(37) == radiation.sets[7]
     shown = {0: 0, 1: 0, 10: 9, 11: 0, 29: 8, 30: 0, 41: 0}
-    assert {seed: radiation.sets.index(radiation.cylinders_of(seed)) for seed in shown} == shown  # type: ignore[arg-type]
+    assert {seed: radiation.sets.index(radiation.cylinders_of(seed)) for seed in shown} == shown
 
 
 def test_the_grid_has_other_sources_than_the_later_runs() -> None:

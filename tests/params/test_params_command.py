@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.firmware.exchange import Patience
+from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import RunningNode
 from tests.link.ptys import Device
 from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
@@ -130,8 +130,8 @@ def test_write_shows_the_list_first_and_reads_back(
     path, port = config
     vehicle = ardupilot()
 
-    class Person(io.StringIO):
-        def readline(self, *_: Any) -> str:
+    class Person:
+        def readline(self) -> str:
             self.shown = capsys.readouterr()
             assert vehicle.sets == []
             return "y\n"
@@ -231,7 +231,7 @@ def test_an_armed_vehicle_is_left_alone(tmp_path: Path, config: tuple[str, int],
 
 
 def values_of(file: str, kind: Callable[[str], int]) -> dict[str, tuple[float, int]]:
-    from rass_mav.firmware.files import read_file
+    from rass_mav.params.files import read_file
 
     return {entry.name: (entry.value, kind(entry.name)) for entry in read_file(FOLDER / file).entries}
 

@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from rass_mav.errors import MalformedError
-from rass_mav.firmware.exchange import Autopilot, Exchange, Introduction, Patience, Question, reading, setting
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.vehicle_parameters import (
     ARDUPILOT,
-    INT32,
     PX4,
     ParameterValue,
     fits,
@@ -25,8 +23,9 @@ from rass_mav.mavlink.vehicle_parameters import (
     read_value,
     same,
 )
+from rass_mav.params.exchange import Autopilot, Exchange, Introduction, Patience, Question, reading, setting
 
-REAL32 = 9
+INT32, REAL32 = 6, 9
 PATIENCE = Patience(answer_s=1.0, tries=3, window=2)
 _parser = common.MAVLink(None)
 

@@ -1,4 +1,4 @@
-"""Links within one process, for tests of the driver and for playing with it. No delay, no order lost, no bytes changed;
+"""Links within one process, for the driver. No delay, no order lost, no bytes changed;
 what it does lose is what finds the hearer's inbox full, and that is counted there."""
 
 from __future__ import annotations
@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
+from rass_mav.link.base import MAX_INBOX, Address, Datagram, Link, LinkCounters
 
 
 class LoopbackHub:

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
-from rass_mav.firmware.files import parse_text, read_file
-from rass_mav.firmware.names import fitting_file, made_for, other_name
 from rass_mav.mavlink.vehicle_parameters import ARDUPILOT, PX4
+from rass_mav.params.files import parse_text, read_file
+from rass_mav.params.names import fitting_file, made_for, other_name
 
 FOLDER = Path(__file__).parents[2] / "firmware_params"
 SHIPPED = sorted(path for path in FOLDER.iterdir() if path.suffix in (".parm", ".params"))
@@ -96,10 +96,10 @@ def test_names_before_and_since_4_7_lead_to_each_other() -> None:
         assert (other_name(old), other_name(new)) == (new, old)
     assert other_name("MAV_1_CONFIG") == "SER_TEL2_PROTO"
     assert {other_name(name) for name in ("SERIAL2_OPTIONS", "MAV3_OPTIONS", "SERIAL2_BAUD", "MAV_1_MODE")} == {None}
-    old, new = (
+    before, since = (
         {entry.name for entry in read_file(FOLDER / f"ardupilot-{version}.parm").entries} for version in ("4.6", "4.7")
     )
-    assert {other_name(name) for name in old - new - {"SERIAL2_OPTIONS"}} <= new
+    assert {other_name(name) for name in before - since - {"SERIAL2_OPTIONS"}} <= since
 
 
 @pytest.mark.parametrize(
