@@ -9,7 +9,7 @@ from rass_mav import __version__
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_ONE, Policy
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
-from rass_mav.core.routes.table import Neighbour, is_base
+from rass_mav.core.routes.neighbours import Neighbour, is_base
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.store.quota import ROW_OVERHEAD
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from rass_mav.core.custody.keeper import Keeper
@@ -37,7 +36,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
 from rass_mav.core.replica import Replica
 from rass_mav.core.risk import RiskEstimator
-from rass_mav.core.routes.costs import CostTable
+from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.serial import following, newer
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
 from rass_mav.core.settings import NodeSettings
@@ -106,16 +105,11 @@ class Node(Keeper):
         self.rng = rng
         lifetime = (settings.neighbour_steps + 0.5) * settings.step_s
         slow = store.get_meta("turn") or 0
-        make_table = RoutingTable if policy.costs is None else partial(CostTable, policy.costs)
-        self.routing: RoutingTable = make_table(
-            self.id,
+        self.routing = RoutingTable(
+            settings,
             store.epoch,
-            base=self.base,
-            lifetime_s=lifetime,
-            step_s=settings.step_s,
+            ByHops() if policy.costs is None else ByCost(policy.costs),
             turn_s=slow / 10,
-            max_neighbours=settings.max_neighbours,
-            max_hops=settings.max_hops,
             restarted=None if newborn else now,
             number=following(store.get_meta("announcement") or 0),
         )

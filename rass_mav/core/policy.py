@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST
 from rass_mav.core.routes.costs import CostRules
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 #: Potentials are 32-bit fixed point on the wire: this many units are a fitness of 1.
 POTENTIAL_ONE = 1 << 24

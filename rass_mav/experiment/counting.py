@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon
+from rass_mav.core.routes.ranks import ByHops
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.experiment.figures import OTHERS, Curve, Panel, draw
@@ -82,8 +83,9 @@ class Ours:
     def __init__(self, neighbours: Sequence[Sequence[int]]) -> None:
         self._settings = NodeSettings(node_id=0)
         self._neighbours = neighbours
-        lifetime = self._settings.neighbour_steps + 0.5
-        self._tables = [RoutingTable(n, n, base=n == 0, lifetime_s=lifetime) for n in range(len(neighbours))]
+        self._tables = [
+            RoutingTable(NodeSettings(n, base=n == 0), epoch=n, rank=ByHops()) for n in range(len(neighbours))
+        ]
         self._said: dict[int, Beacon] = {}
         self._step = 0
 

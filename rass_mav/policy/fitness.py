@@ -7,7 +7,7 @@ from itertools import islice
 
 from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Transfer, View
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 #: Hop count that stands for "no route" in Eq. 3 unless another is set: more than any real one.
 UNREACHABLE_HOPS = 255

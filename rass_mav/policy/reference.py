@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import islice
 
 from rass_mav.core.policy import Transfer, View
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import FitnessPolicy
 

@@ -8,7 +8,7 @@ from itertools import islice
 from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
 from rass_mav.core.policy import POTENTIAL_BASE, Transfer, View
 from rass_mav.core.routes.costs import COST_ONE, NO_COST, CostRules
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import policy_tag
 
@@ -22,7 +22,7 @@ class SurvivalPolicy:
     A datum that is exposed once to each risk on its way survives with probability exp(-sum of -log(1 - r)), so with
     a = 0 the cheapest way is the safest one; `hop_cost` a is what a hop is worth in that currency. Every node that has
     a way has a neighbour that is cheaper than itself, so there are no local maxima of fitness where data rot. How costs
-    spread without loops, and where data stay when no base is reachable: `rass_mav.core.routes.costs`.
+    spread without loops, and where data stay when no base is reachable: `rass_mav.core.routes.ranks.ByCost`.
     """
 
     name = "survival"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.parameters import INDEX, PARAMETERS
 from rass_mav.core.messages import Beacon
-from rass_mav.core.routes.costs import CostTable
+from rass_mav.core.routes.ranks import ByCost
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.component import single
 from rass_mav.mavlink.dialect import common
@@ -114,8 +114,8 @@ def test_under_survival_a_new_hop_cost_makes_a_new_routing_table() -> None:
     assert values(c.set("RASS_HOP_COST", 0.25)) == {"RASS_HOP_COST": 0.25}
     node = c.agent.node
     assert node.policy.tag != tag
-    assert isinstance(node.routing, CostTable)
-    assert node.routing.rules == node.policy.costs
+    assert isinstance(node.routing.rank, ByCost)
+    assert node.routing.rank.rules == node.policy.costs
     assert list(node.inventory) == [id]
     assert values(c.set("RASS_ALPHA", 2.0)) == {"RASS_ALPHA": 0.0}, "it has no such weight"
     assert values(c.set("RASS_RISK_WORST", 0.5)) == {"RASS_RISK_WORST": 0.5}

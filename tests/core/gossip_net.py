@@ -9,7 +9,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Receipt
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.receipts import MAX_ORIGINS, Receipts
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import decode, encode
 
 from .build import beacon

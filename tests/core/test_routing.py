@@ -1,15 +1,31 @@
 from __future__ import annotations
 
+import copy
+from typing import Any
+
 import pytest
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Route
-from rass_mav.core.routes.table import CHANGE_OVER_HOPS, HOLD_LIFETIMES, MAX_BASES, RoutingTable
+from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByHops, Rank
+from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, RoutingTable
+from rass_mav.core.settings import NodeSettings
 
 from .build import beacon
 
 
-def table(node_id: int = 5, **more: object) -> RoutingTable:
-    return RoutingTable(node_id, 50 + node_id, lifetime_s=3.5, **more)  # type: ignore[arg-type]
+def table(
+    node_id: int = 5, *, rank: Rank | None = None, restarted: float | None = None, number: int = 0, **settings: Any
+) -> RoutingTable:
+    rank = rank or ByHops()
+    return RoutingTable(NodeSettings(node_id, **settings), 50 + node_id, rank, restarted=restarted, number=number)
+
+
+def feasible(routing: RoutingTable, route: Route) -> bool:
+    """Whether it is taken where nothing else is heard, long after anybody counts on another base's."""
+    later = copy.deepcopy(routing)
+    later.hear(beacon(99, route=route), 1e6)
+    later.update(1e6)
+    return later.next_hop == 99
 
 
 def announce(routing: RoutingTable, now: float = 0.0) -> Route | None:
@@ -93,11 +109,11 @@ def test_after_an_announcement_only_shorter_or_newer_routes_are_feasible() -> No
     routing.hear(beacon(1, 0, Route(0, 9, 5, 2)), 0.0)
     routing.update(0.0)
     assert announce(routing) == Route(0, 9, 5, 3)
-    assert routing.feasible(Route(0, 9, 5, 2))
-    assert not routing.feasible(Route(0, 9, 5, 3))
-    assert not routing.feasible(Route(0, 9, 4, 0))
-    assert routing.feasible(Route(0, 9, 6, 200))
-    assert routing.feasible(Route(0, 10, 1, 200))
+    assert feasible(routing, Route(0, 9, 5, 2))
+    assert not feasible(routing, Route(0, 9, 5, 3))
+    assert not feasible(routing, Route(0, 9, 4, 0))
+    assert feasible(routing, Route(0, 9, 6, 200))
+    assert feasible(routing, Route(0, 10, 1, 200))
     routing.hear(beacon(1, 1, Route(0, 9, 5, 3)), 1.0)
     routing.update(1.0)
     assert routing.route is None
@@ -107,7 +123,7 @@ def test_without_an_announcement_nothing_is_forbidden() -> None:
     routing = table()
     routing.hear(beacon(1, 0, Route(0, 9, 5, 2)), 0.0)
     routing.update(0.0)
-    assert routing.feasible(Route(0, 9, 5, 100))
+    assert feasible(routing, Route(0, 9, 5, 100))
 
 
 def test_a_silent_neighbour_is_gone_with_all_it_said() -> None:
@@ -119,6 +135,27 @@ def test_a_silent_neighbour_is_gone_with_all_it_said() -> None:
     assert routing.neighbours == {}
     assert routing.route is None
     assert routing.next_hop is None
+
+
+def test_a_slow_neighbour_that_has_become_fast_is_forgotten_sooner() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0)._replace(turn=90), 0.0)
+    routing.update(0.0)
+    assert routing.longest_s == pytest.approx(3.5 * 9)
+    routing.hear(beacon(1, 1), 1.0)
+    routing.update(4.5)
+    assert (list(routing.neighbours), routing.longest_s) == ([1], 3.5)
+    routing.update(4.6)
+    assert not routing.neighbours
+
+
+def test_a_beacon_taken_in_late_counts_from_when_it_was_heard() -> None:
+    routing = table()
+    routing.hear(beacon(1, 0), 5.0)
+    routing.update(5.0)
+    routing.hear(beacon(1, 1), 2.0)
+    routing.update(5.6)
+    assert not routing.neighbours
 
 
 def test_doubled_and_late_beacons_are_ignored() -> None:
@@ -245,4 +282,4 @@ def test_feasibility_of_the_route_in_use_outlives_many_other_bases() -> None:
         routing.hear(beacon(2, 2 * n + 1, Route(1000 + n, 9, 1, 0)), at + 50)
         routing.update(at + 50)
         assert announce(routing, at + 50) == Route(1000 + n, 9, 1, 1)
-        assert not routing.feasible(Route(0, 9, 5, 2))
+        assert not feasible(routing, Route(0, 9, 5, 2))

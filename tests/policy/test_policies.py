@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Beacon
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Policy, View
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.errors import ConfigError
 from rass_mav.policy import POLICIES, Weights, make_policy
 

@@ -10,7 +10,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
 from rass_mav.core.policy import POTENTIAL_BASE, View
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.errors import ConfigError
 from rass_mav.policy import Weights, make_policy
 

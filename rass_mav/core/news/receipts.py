@@ -28,7 +28,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Receipt, ReceiptEntry, ReceiptSpan
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.arrivals import NOTHING, Known, canonical, has_arrived, is_told_lost, merged, one
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 #: How many (origin, epoch) pairs a node knows of at most. A base's own are not counted.
 MAX_ORIGINS = 1024

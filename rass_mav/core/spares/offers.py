@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, Committed, Data, Handover, Message
-from rass_mav.core.routes.table import Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 if TYPE_CHECKING:
     from rass_mav.core.node import Node
