@@ -48,7 +48,7 @@ def test_a_reboot_costs_memory_and_time_but_no_datum() -> None:
     far, own = put(world, 3), put(world, 2)
     world.crash(2, world.t + 5)
     node = world.agents[2].node
-    assert list(node.inventory) == [own]
+    assert list(node.holdings.custody) == [own]
     assert node.routing.route is None
     assert not node.routing.neighbours
     world.run(5, after=check)
@@ -78,7 +78,7 @@ def test_with_a_drone_dies_what_nobody_else_has() -> None:
     assert (summary["held"], lost(world)) == (1, {"died": 1})
     assert summary["reliability"] == pytest.approx(2 / 3, abs=1e-6)
     # Node 3 has lost its only neighbour: the dead one is as good as gone.
-    assert list(world.agents[3].node.inventory) == [elsewhere]
+    assert list(world.agents[3].node.holdings.custody) == [elsewhere]
     assert not world.agents[3].node.routing.neighbours
 
 
@@ -119,7 +119,7 @@ def test_a_datum_that_was_in_the_air_when_its_drone_died_is_held_again() -> None
     assert lost(world) == {"died": 1}
     world.run(4, after=check)
     assert lost(world) == {}
-    assert list(world.agents[1].node.inventory) == [id]
+    assert list(world.agents[1].node.holdings.custody) == [id]
     world.run(6, after=check)
     assert list(world.ledger.arrived) == [id]
 
@@ -206,7 +206,7 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     world.agents[1].node.take_custody(2, 77, datum)
     world.crash(1, None)
     # The giver hears late that the datum was taken over, and lets go of its copy.
-    world.agents[2].node.drop(id, Fate.PASSED_ON)
+    world.agents[2].node.keeper.drop(id, Fate.PASSED_ON)
     assert lost(world) == {"died": 1}
 
 

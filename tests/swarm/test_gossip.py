@@ -44,8 +44,8 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(topology: str, mirr
     assert ledger.held == 0
     assert lost or mirror
     base = world.agents[0].node
-    assert base.index is not None
-    assert {id for id in ledger.born if base.index.is_lost(id)} == lost == dict(base.store.losses()).keys()
+    assert base.archive is not None
+    assert {id for id in ledger.born if base.archive.is_lost(id)} == lost == dict(base.store.losses()).keys()
     first, *others = receipts_of(world)
     assert all(receipts.known() == first.known() for receipts in others)
     assert {receipts.digest for receipts in receipts_of(world)} == {first.digest}
