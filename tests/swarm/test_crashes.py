@@ -102,7 +102,7 @@ def test_a_copy_elsewhere_outlives_a_dead_drone() -> None:
     # Node 2 has taken it over, and its word is lost on the way back.
     datum = world.stores[3].get(id)
     assert datum is not None
-    assert world.agents[2].node.take_custody(3, 77, datum)
+    assert world.agents[2].node.keeper.take_custody(3, 77, datum)
     assert world.ledger.copies == {id: 2}
     world.crash(3, None)
     assert lost(world) == {}
@@ -203,7 +203,7 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     id = put(world, 2)
     datum = world.stores[2].get(id)
     assert datum is not None
-    world.agents[1].node.take_custody(2, 77, datum)
+    world.agents[1].node.keeper.take_custody(2, 77, datum)
     world.crash(1, None)
     # The giver hears late that the datum was taken over, and lets go of its copy.
     world.agents[2].node.keeper.drop(id, Fate.PASSED_ON)
