@@ -108,7 +108,7 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
                     observer=watch if side == "drone" else None, newborn=True,
                 )  # fmt: skip
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
-            held = drivers["drone"].agent.node.inventory
+            held = drivers["drone"].agent.node.holdings.custody
             count = watch.left = len(held)
             spent = time.process_time()
             begin = time.perf_counter()
@@ -122,7 +122,7 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
             await asyncio.gather(*runs)
             if watch.left:
                 raise RuntimeError(f"{watch.left} of {count} data were not handed over")
-            sent = drivers["drone"].agent.node.sent_data
+            sent = drivers["drone"].agent.node.pace.sent
     return {
         "per_s": count / seconds,
         "cpu_us": spent / count * 1e6,

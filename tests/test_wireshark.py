@@ -17,8 +17,6 @@ from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import (
     Beacon,
     Chunk,
-    Corrupt,
-    CorruptEntry,
     Data,
     Handover,
     Message,
@@ -27,6 +25,8 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     ReceiptSpan,
     Sack,
+    WordEntry,
+    Words,
 )
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import common
@@ -183,7 +183,7 @@ def test_full_frames_and_measurements(tmp_path: Path) -> None:
         Receipt(1, 2, tuple(ReceiptEntry(n, n + 1, n + 2, n + 3) for n in range(1, 9))),
         Receipt(1, 2, (), tuple(ReceiptSpan(n, n + 1, n + 2, n + 3, n + 4, n) for n in range(1, 7))),
         PassedOn(7, 8, tuple(DatumId(n, n + 1, n + 2) for n in range(12))),
-        Corrupt(7, 8, tuple(CorruptEntry(DatumId(n, n + 1, n + 2), n) for n in range(11))),
+        Words(7, 8, tuple(WordEntry(DatumId(n, n + 1, n + 2), n) for n in range(11))),
     ]
     payloads = [part for message in messages for part in encode(message, 0.0)]
     fields = shown(tmp_path, [frame(part) for part in payloads])

@@ -17,7 +17,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 -- Fields --------------------------------------------------------------------------------------------------------------
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
-    "Query", "Passed on", "Corrupt" }
+    "Query", "Passed on", "Words" }
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished" }
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still" }

@@ -17,6 +17,8 @@ from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
+from rass_mav.core.participant import Participant
+from rass_mav.core.replica import Replica
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError, StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -166,11 +168,13 @@ class Agent:
         for error in unfit:
             self.tell_ground(_WARNING, f"RASS: not taken over: {error}")
 
-    def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Node:
+    def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Participant:
         settings = self.settings
-        return Node(
-            settings.node_settings(), self.store, settings.policy.make(), settings.risk.estimator(settings.policy),
-            self._rng, now=now, observer=observer, newborn=newborn,
+        policy = settings.policy.make()
+        kind = Replica if policy.replicates else Node
+        return kind(
+            settings.node_settings(), self.store, policy, settings.risk.estimator(settings.policy), self._rng,
+            now=now, observer=observer, newborn=newborn,
         )  # fmt: skip
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
@@ -188,18 +192,13 @@ class Agent:
             self.node = self._make_node(now, node.observer, False)
             self._observe_again()
             return
-        node.settings = settings.node_settings()
-        # Until the link's pace is looked at again, in the next step.
-        node.bandwidth_items = node.settings.bandwidth_items
-        node.policy = policy
+        node.adopt(settings.node_settings(), policy)
         risk, old = settings.risk, before.risk
-        estimator = risk.estimator(settings.policy)
-        if (risk.low, risk.high) != (old.low, old.high):
-            # What was averaged was on another scale.
-            node.risk = estimator
+        # What was averaged was on another scale.
+        rescaled = (risk.low, risk.high) != (old.low, old.high)
+        node.risk.adopt(risk.estimator(settings.policy), forget=rescaled)
+        if rescaled:
             self._observe_again()
-        else:
-            node.risk.gain, node.risk.stale_s, node.risk.worst = estimator.gain, risk.stale_s, risk.worst
 
     def _observe_again(self) -> None:
         if self.last_reading is not None:
@@ -330,8 +329,8 @@ class Agent:
         out: list[Outgoing] = []
         node = self.node
         step_s = self.settings.step_s
-        if node.turn_s <= step_s or now >= self._next_turn - 0.5 * step_s:
-            self._next_turn = now + self._until_next_turn(node.turn_s, step_s)
+        if node.pace.turn_s <= step_s or now >= self._next_turn - 0.5 * step_s:
+            self._next_turn = now + self._until_next_turn(node.pace.turn_s, step_s)
             out = self._encoded(node.step(now), now)
         if self.node.rivals and now >= self._next_rival_report:
             self._report_rivals(now)

@@ -295,7 +295,7 @@ class Ground:
             None if node.base or not costs else -1.0 if node.potential >= NO_COST else node.potential / COST_ONE,
             -1.0 if hops == NO_ROUTE else float(hops),
             node.risk.risk(now),
-            None if capacity is None else len(node.inventory) / capacity,
+            None if capacity is None else len(node.holdings.custody) / capacity,
         )
 
 

@@ -11,7 +11,6 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
-    Corrupt,
     Data,
     Message,
     Offer,
@@ -20,6 +19,7 @@ from rass_mav.core.messages import (
     Query,
     Receipt,
     Sack,
+    Words,
 )
 from rass_mav.core.store import Store
 from rass_mav.link.airtime import Urgency
@@ -32,9 +32,9 @@ _URGENCIES: dict[type, Urgency] = {
     Accept: Urgency.ANSWER,
     Sack: Urgency.ANSWER,
     PassedOn: Urgency.ANSWER,
-    Corrupt: Urgency.ANSWER,
+    Words: Urgency.ANSWER,
 }
-_PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack, Corrupt))
+_PROMISES_NOTHING = frozenset((Beacon, Query, Accept, Chunk, Sack, Words))
 _FOR_EVERYBODY = frozenset((Beacon, Receipt, Put))
 
 

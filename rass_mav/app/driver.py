@@ -256,7 +256,7 @@ class Driver:
             self.agent.pace_vehicle(pacer.vehicle_rate)
         step_s = self.agent.settings.step_s
         turn_s, items = common_pace(self.lanes, step_s, node.settings.bandwidth_items)
-        node.pace(turn_s, items, self.now(), slowest_turn(self.lanes, step_s))
+        node.keep_pace(turn_s, items, self.now(), slowest_turn(self.lanes, step_s))
 
     def _watch(self, sensor: Sensor, now: float) -> None:
         """Tell the ground when the sensor falls silent, and when it reads again."""

@@ -68,12 +68,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "store": _store(driver),
         "ledger": {
             **node.store.counters(),
-            "sent_data": node.sent_data,
-            "refused": node.refused,
-            "corrupt_received": node.corrupt_received,
-            "handovers_pending": len(node.custody.pending),
-            **({} if node.index is None else {"told_lost": node.index.told_lost}),
-            **({} if node.notes is None else {"loss_notes": len(node.notes.waiting)}),
+            **node.figures(),
         },
         "commits": {
             "done": driver.commits,
@@ -143,7 +138,7 @@ def _store(driver: Driver) -> dict[str, Any]:
     items = len(list(node.store.ids()))
     return {
         "items": items,
-        "spares": node.inventory.spares,
+        "spares": len(node.holdings) - len(node.holdings.custody),
         "bytes": node.store.used_bytes - items * ROW_OVERHEAD,
         "capacity_items": None if node.sink else settings.capacity_items,
         "capacity_bytes": None if node.sink else settings.capacity_bytes,

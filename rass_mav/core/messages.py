@@ -236,7 +236,7 @@ class PassedOn(NamedTuple):
 
 
 class Word(enum.IntEnum):
-    """What a custodian and its backer say about a datum in `Corrupt`."""
+    """What custodians and backers say to each other about a datum."""
 
     AGAIN = 0
     """The sender has no good copy: the receiver is to take its spare into custody. Answered by TAKEN or NONE."""
@@ -253,7 +253,7 @@ class Word(enum.IntEnum):
     """Answer to WANTED: a spare is here. The first one is asked AGAIN."""
 
 
-class CorruptEntry(NamedTuple):
+class WordEntry(NamedTuple):
     """What is said of one datum."""
 
     id: DatumId
@@ -261,14 +261,14 @@ class CorruptEntry(NamedTuple):
     """A `Word`; unknown values are ignored."""
 
 
-class Corrupt(NamedTuple):
-    """Custodian and backer about copies that are gone: "mine is corrupt, send yours again", and the like."""
+class Words(NamedTuple):
+    """Custodians and backers about their copies: "mine is corrupt, take yours back", and the like."""
 
     sender: int
     target: int
-    entries: tuple[CorruptEntry, ...]
+    entries: tuple[WordEntry, ...]
 
 
 Message: TypeAlias = (
-    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Corrupt
+    Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Words
 )

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST
 from rass_mav.core.routes.costs import CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
@@ -18,14 +17,12 @@ POTENTIAL_ONE = 1 << 24
 POTENTIAL_BASE = 0xFFFFFFFF
 
 
-class Transfer(NamedTuple):
-    """One item of a policy's plan."""
+class Dispatch(NamedTuple):
+    """One item of a policy's plan: custody of a datum is to be handed over."""
 
     id: DatumId
     neighbour: int
-    """Node id, or BROADCAST (copies only)."""
-    move: bool
-    """True: hand custody over. False: a copy, which never lets the giver delete."""
+    """Node id."""
 
 
 @dataclass(slots=True)
@@ -46,8 +43,6 @@ class View:
     """How many items may still be sent this step."""
     data: Callable[[int], Iterator[DatumId]]
     """Data that can be handed to a neighbour (node id) now, least recently used first."""
-    fresh: dict[DatumId, None]
-    """Data that came in since they were last broadcast; a policy that broadcasts removes them from here."""
     rng: random.Random
     """For choosing among equals."""
 
@@ -65,7 +60,7 @@ class Policy(Protocol):
 
     @property
     def replicates(self) -> bool:
-        """Whether data are broadcast and kept by all (then a base is an ordinary peer with an ordinary store)."""
+        """Whether data are broadcast and kept by all, as `rass_mav.core.replica` does; then nothing is planned."""
 
     @property
     def costs(self) -> CostRules | None:
@@ -88,8 +83,5 @@ class Policy(Protocol):
 
         With `costs`: what a hop from this node adds to the cost of its way."""
 
-    def plan(self, view: View) -> list[Transfer]:
+    def plan(self, view: View) -> list[Dispatch]:
         """What to send this step, at most `view.budget` items."""
-
-
-__all__ = ["BROADCAST", "POTENTIAL_BASE", "POTENTIAL_ONE", "Policy", "Transfer", "View"]

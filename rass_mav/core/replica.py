@@ -1,4 +1,6 @@
-"""Replication for policies that copy instead of handing over: Buzz's virtual stigmergy.
+"""Virtual stigmergy (Buzz; Pinciroli and Beltrame, 2016): a participant that copies instead of handing over.
+
+What is new is broadcast once by whoever learned it, and kept by everybody with room. A base is a peer like the others.
 
 An entry whose value was found corrupt keeps its place in the store: the node knows the key, asks a neighbour at random
 for the value (as Buzz does when it reads an entry), and takes it back. So what is in the store stays in all stores, and
@@ -7,19 +9,36 @@ new entries find no room: this is why the paper sees the stigmergy fill up once 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import random
+from collections.abc import Callable
+from itertools import islice
+from typing import Any
 
+from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import Message, Put, Query
-
-if TYPE_CHECKING:
-    from rass_mav.core.node import Node
-
-
-def wins(lamport: int, writer: int, over_lamport: int, over_writer: int) -> bool:
-    """Whether a write beats another: the later Lamport timestamp, between equals the higher robot id."""
-    return (lamport, writer) > (over_lamport, over_writer)
-
+from rass_mav.core.messages import (
+    Accept,
+    Beacon,
+    Chunk,
+    Committed,
+    Data,
+    LossNote,
+    Message,
+    Offer,
+    PassedOn,
+    Put,
+    Query,
+    Receipt,
+    Sack,
+    Words,
+)
+from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.observer import Observer
+from rass_mav.core.participant import Participant
+from rass_mav.core.policy import Policy
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.settings import NodeSettings
+from rass_mav.core.store import Store
 
 #: Keys in one query (what fits a frame).
 QUERY_IDS = 12
@@ -27,93 +46,215 @@ QUERY_IDS = 12
 MAX_QUERIES = 50
 
 
-class Replica:
-    """A node's share of the stigmergy: versions of what the inventory holds, and the keys whose values are lost."""
+def wins(lamport: int, writer: int, over_lamport: int, over_writer: int) -> bool:
+    """Whether a write beats another: the later Lamport timestamp, between equals the higher robot id."""
+    return (lamport, writer) > (over_lamport, over_writer)
 
-    __slots__ = ("missing", "node", "versions")
 
-    def __init__(self, node: Node) -> None:
-        self.node = node
+class Replica(Participant):
+    """A participant in a virtual stigmergy."""
+
+    __slots__ = ("_fresh", "_stirred", "missing", "refused", "versions")
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        store: Store,
+        policy: Policy,
+        risk: RiskEstimator,
+        rng: random.Random,
+        *,
+        now: float,
+        observer: Observer | None = None,
+        newborn: bool = False,
+    ) -> None:
+        """As for `Node`."""
+        super().__init__(settings, store, policy, risk, rng, now, observer, newborn)
+        self.receipts = NoReceipts()
+        self.holdings = Holdings(
+            store, capacity_items=settings.capacity_items, capacity_bytes=settings.capacity_bytes,
+            own_share=settings.own_share,
+        )  # fmt: skip
         self.versions: dict[DatumId, tuple[int, int]] = {}
         """(Lamport timestamp, robot id of the writer) of each entry held."""
         self.missing: dict[DatumId, int] = {}
         """Keys whose values were lost to corruption, and how often they were asked for. Bounded by the capacity."""
+        self.refused = 0
+        """Entries refused for want of room."""
+        self._fresh: dict[DatumId, None] = {}
+        """Entries that came in since they were last broadcast."""
+        self._stirred = False
+        """Whether something came in that `forward` has not looked at."""
 
-    def wrote(self, id: DatumId) -> None:
-        """This node wrote an entry: it is new to everybody."""
-        lamport, _ = self.versions.get(id, (0, 0))
-        # 16 bits on the wire: at the end of the scale a write is no longer later than another.
-        self.versions[id] = (min(lamport + 1, 0xFFFF), self.node.id)
-        self.node.fresh[id] = None
+    # -- Alg. 1, with copies -------------------------------------------------------------------------------------------
 
-    def message(self, datum: Datum) -> Put:
-        """The entry as it is broadcast."""
-        lamport, writer = self.versions.get(datum.id, (1, datum.id.origin))
-        return Put(self.node.id, lamport, writer, datum)
+    def step(self, now: float) -> list[Message]:
+        """One turn. Returns what to send, the beacon first."""
+        self._steps += 1
+        for holding in self.holdings.damaged(self.settings.scrub_items):
+            self._drop(holding, Fate.CORRUPTED)
+        self.pace.begin_turn()
+        if self.settings.lifetime_s is not None:
+            for holding in self.holdings.older(now - self.settings.lifetime_s):
+                self._drop(holding, Fate.EXPIRED)
+        self.update_routing_table(now)
+        out: list[Message] = [self.update_fitness(now)]
+        self._ask(out)
+        self._stirred = False
+        self._broadcast(out)
+        return out
 
-    def forget(self, id: DatumId, fate: Fate) -> None:
-        """The entry is not held any more. If it was corrupt its place is kept."""
-        self.versions.pop(id, None)
-        self.node.fresh.pop(id, None)
-        if fate is Fate.CORRUPTED:
-            self.missing[id] = 0
-            self.node.inventory.reserved = len(self.missing)
+    def forward(self, now: float) -> list[Message]:
+        """What is new is broadcast at once."""
+        out: list[Message] = []
+        if self._stirred:
+            self._stirred = False
+            self._broadcast(out)
+        return out
 
-    def _found(self, id: DatumId) -> None:
-        if self.missing.pop(id, None) is not None:
-            self.node.inventory.reserved = len(self.missing)
-
-    def ask(self, out: list[Message]) -> None:
-        """Ask a neighbour, chosen at random, for lost values."""
-        node = self.node
-        if not self.missing or not node.routing.neighbours:
+    def _broadcast(self, out: list[Message]) -> None:
+        """What is new, first in first out, within the bandwidth."""
+        if not self.routing.neighbours:
             return
-        neighbours = list(node.routing.neighbours)
+        for id in list(islice(self._fresh, max(self.pace.left - self.pace.kept, 0))):
+            del self._fresh[id]
+            self._say(id, out)
+
+    def _say(self, id: DatumId, out: list[Message]) -> None:
+        holding = self.holdings.get(id)
+        datum = None if holding is None else self._load(holding)
+        if datum is not None:
+            self.pace.spend()
+            lamport, writer = self.versions.get(id, (1, id.origin))
+            out.append(Put(self.id, lamport, writer, datum))
+
+    def _ask(self, out: list[Message]) -> None:
+        """Ask a neighbour, chosen at random, for lost values."""
+        if not self.missing or not self.routing.neighbours:
+            return
+        neighbours = list(self.routing.neighbours)
         ids = list(self.missing)[:QUERY_IDS]
-        out.append(Query(node.id, neighbours[node.rng.randrange(len(neighbours))], tuple(ids)))
+        out.append(Query(self.id, neighbours[self.rng.randrange(len(neighbours))], tuple(ids)))
         for id in ids:
             tries = self.missing.pop(id) + 1
             if tries < MAX_QUERIES:
                 # To the end, so that the others have their turn.
                 self.missing[id] = tries
-        node.inventory.reserved = len(self.missing)
+        self.holdings.reserved = len(self.missing)
 
-    def answer(self, query: Query) -> list[Message]:
-        """The values asked for, as far as they are here and bandwidth is left in this step."""
-        node = self.node
-        out: list[Message] = []
-        for id in query.ids:
-            if node.percolation.budget <= 0:
-                break
-            datum = node.load(id) if id in node.inventory else None
-            if datum is not None:
-                node.percolation.spend()
-                out.append(self.message(datum))
-        return out
+    # -- what is held --------------------------------------------------------------------------------------------------
 
-    def merge(self, put: Put) -> None:
+    @property
+    def most_bytes(self) -> int:
+        """An entry goes whole in one frame."""
+        return self.settings.inline_bytes
+
+    def _has_room(self, size: int, *, own: bool) -> bool:
+        return self.holdings.room_for(size, own=own) and self.store.room_for(size)
+
+    def _has_room_for_own(self, size: int) -> bool:
+        return self._has_room(size, own=True)
+
+    def _keep_own(self, datum: Datum) -> None:
+        self._keep(datum)
+        self.versions[datum.id] = (1, self.id)
+        self._fresh[datum.id] = None
+
+    def _keep(self, datum: Datum) -> None:
+        self.holdings.add(datum)
+        self._stirred = True
+        self.observer.gained(datum)
+
+    def _load(self, holding: Holding) -> Datum | None:
+        """The value of an entry. None: it is corrupt, and has been dropped."""
+        datum = self.store.get(holding.id)
+        if datum is not None and datum.intact:
+            return datum
+        self._drop(holding, Fate.CORRUPTED)
+        return None
+
+    def _drop(self, holding: Holding, fate: Fate) -> None:
+        """The entry is not held any more. If it was corrupt its place is kept."""
+        id = holding.id
+        self.store.count(fate.value)
+        self.versions.pop(id, None)
+        self._fresh.pop(id, None)
+        if fate is Fate.CORRUPTED:
+            self.missing[id] = 0
+            self.holdings.reserved = len(self.missing)
+        self.holdings.remove(holding, fate)
+        self.observer.dropped(id, fate)
+
+    def figures(self) -> dict[str, int]:
+        """What was counted in this life, by name, for `status`."""
+        return {"sent_data": self.pace.sent, "refused": self.refused, "corrupt_received": 0, "handovers_pending": 0}
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def receive(self, message: Message, now: float) -> list[Message]:
+        """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
+        return HANDLERS[type(message)](self, message, now)
+
+    def _on_put(self, put: Put, now: float) -> list[Message]:
         """A neighbour broadcast an entry: keep it if it wins and there is room, and tell it on."""
-        node = self.node
-        id = put.datum.id
-        lost = id in self.missing
-        self._found(id)
-        held = id in node.inventory
-        if held:
+        id, size = put.datum.id, len(put.datum.payload)
+        if not put.datum.intact:
+            return []
+        lost = self.missing.pop(id, None) is not None
+        self.holdings.reserved = len(self.missing)
+        held = self.holdings.get(id)
+        if held is not None:
             lamport, writer = self.versions.get(id, (1, id.origin))
             if not wins(put.lamport, put.writer, lamport, writer):
-                return
-            growth = len(put.datum.payload) - node.inventory.info(id).size
-            if growth > 0 and not (node.store.room_for(growth) and node.inventory.room_to_grow(growth)):
-                node.refused += 1
-                return
-            node.inventory.add(put.datum.arrived())
-        elif node.may_accept(len(put.datum.payload)):
-            node.hold(put.datum.arrived())
+                return []
+            growth = size - held.size
+            if growth > 0 and not (self.store.room_for(growth) and self.holdings.room_to_grow(growth)):
+                self.refused += 1
+                return []
+            self.holdings.add(put.datum.arrived())
+        elif self.store.accepting and self._has_room(size, own=False):
+            self._keep(put.datum.arrived())
         else:
-            node.refused += 1
-            return
+            self.refused += 1
+            return []
         self.versions[id] = (put.lamport, put.writer)
         if not lost:
-            node.fresh[id] = None
-        if node.base:
-            node.observer.delivered(put.datum)
+            self._fresh[id] = None
+        if self.base:
+            self.observer.delivered(put.datum)
+        return []
+
+    def _on_query(self, query: Query, now: float) -> list[Message]:
+        """The values asked for, as far as they are here and bandwidth is left in this step."""
+        out: list[Message] = []
+        for id in query.ids:
+            if self.pace.left <= 0:
+                break
+            self._say(id, out)
+        return out
+
+    def _on_data(self, data: Data, now: float) -> list[Message]:
+        """Custody is refused: nobody here would move the data on."""
+        numbers = tuple(number for number, _ in data.handovers if number)
+        return [Committed(self.id, data.sender, (), numbers)] if numbers else []
+
+    def _on_offer(self, offer: Offer, now: float) -> list[Message]:
+        return [Committed(self.id, offer.sender, (), (offer.number,))]
+
+
+#: How each message is taken in. What is said of custody, arrivals and losses is for `Node`.
+HANDLERS: dict[type, Callable[[Replica, Any, float], list[Message]]] = {
+    Beacon: Replica._on_beacon,
+    Data: Replica._on_data,
+    Committed: Replica._ignore,
+    Offer: Replica._on_offer,
+    Accept: Replica._ignore,
+    Chunk: Replica._ignore,
+    Sack: Replica._ignore,
+    Receipt: Replica._ignore,
+    LossNote: Replica._ignore,
+    Put: Replica._on_put,
+    Query: Replica._on_query,
+    PassedOn: Replica._ignore,
+    Words: Replica._ignore,
+}

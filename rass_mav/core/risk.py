@@ -38,6 +38,12 @@ class RiskEstimator:
             self._mean = self.gain * reading + (1.0 - self.gain) * self._mean
         self._at = now
 
+    def adopt(self, other: RiskEstimator, *, forget: bool) -> None:
+        """Go on with the settings of another estimator. `forget`: without what was averaged."""
+        self.gain, self.stale_s, self.worst = other.gain, other.stale_s, other.worst
+        if forget:
+            self._at = None
+
     def known(self, now: float) -> bool:
         """Whether there is a reading young enough to be believed."""
         return self._at is not None and now - self._at <= self.stale_s

@@ -57,6 +57,9 @@ class Store(Protocol):
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
 
+    def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
+        """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
+
     def durable(self, id: DatumId) -> bool:
         """Whether a stored datum is on disk, so that it would be there after a crash."""
 

@@ -179,13 +179,13 @@ class Basins:
             [
                 POTENTIAL_BASE
                 if node.sink
-                else node.policy.potential(node.routing.distance, min(levels[i], 1.0), node.inventory.free())
+                else node.policy.potential(node.routing.distance, min(levels[i], 1.0), node.holdings.free())
                 for i, node in enumerate(nodes)
             ],
         )
         counts["node_steps"] += len(drones)
         for node in drones:
-            held = len(nodes[node].inventory)
+            held = len(nodes[node].holdings.custody)
             counts["stored"] += held
             if self._announced[node]:
                 counts["basins"] += 1

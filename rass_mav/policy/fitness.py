@@ -6,7 +6,7 @@ import zlib
 from itertools import islice
 
 from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
-from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Transfer, View
+from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Dispatch, View
 from rass_mav.core.routes.neighbours import Neighbour
 
 #: Hop count that stands for "no route" in Eq. 3 unless another is set: more than any real one.
@@ -62,7 +62,7 @@ class FitnessPolicy:
         # Never 0: that says there is no room.
         return max(1, int(POTENTIAL_ONE / cost + 0.5))
 
-    def plan(self, view: View) -> list[Transfer]:
+    def plan(self, view: View) -> list[Dispatch]:
         """Everything to the fittest neighbour if this node is unfit, within the budget and the neighbour's room."""
         best = self.threshold * view.potential
         fittest: list[Neighbour] = []
@@ -85,4 +85,4 @@ class FitnessPolicy:
         free = target.beacon.free
         count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
         id = target.id
-        return [Transfer(datum_id, id, True) for datum_id in islice(view.data(id), count)]
+        return [Dispatch(datum_id, id) for datum_id in islice(view.data(id), count)]

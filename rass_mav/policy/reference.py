@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from itertools import islice
 
-from rass_mav.core.policy import Transfer, View
+from rass_mav.core.policy import Dispatch, View
 from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import FitnessPolicy
@@ -30,7 +30,7 @@ class ReferencePolicy(FitnessPolicy):
 
     family = "reference"
 
-    def plan(self, view: View) -> list[Transfer]:
+    def plan(self, view: View) -> list[Dispatch]:
         """ceil(n/2) of the n data held to the fittest neighbour, least recently used first, within the budget."""
         neighbours = view.neighbours
         if not neighbours:
@@ -40,7 +40,7 @@ class ReferencePolicy(FitnessPolicy):
             return []
         id = fittest.id
         held = sum(1 for _ in view.data(id))
-        return [Transfer(datum_id, id, True) for datum_id in islice(view.data(id), min((held + 1) // 2, view.budget))]
+        return [Dispatch(datum_id, id) for datum_id in islice(view.data(id), min((held + 1) // 2, view.budget))]
 
 
 def _rank(neighbour: Neighbour) -> tuple[int, tuple[int, int, int]]:

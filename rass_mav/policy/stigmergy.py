@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import islice
-
-from rass_mav.core.messages import BROADCAST
-from rass_mav.core.policy import Transfer, View
+from rass_mav.core.policy import Dispatch, View
 
 from .fitness import policy_tag
 
 
 class Stigmergy:
-    """A shared key-value store without a centre: what is new is broadcast once by whoever learned it.
-
-    Conflicts are resolved by `wins`. There is no base: it is a peer with an ordinary store. Nothing is deleted.
-    """
+    """A shared key-value store without a centre: `rass_mav.core.replica` does what there is to do."""
 
     name = "stigmergy"
     replicates = True
@@ -28,9 +22,6 @@ class Stigmergy:
         """Nobody is fitter than anybody: 1 with room, 0 without."""
         return 1 if free > 0 else 0
 
-    def plan(self, view: View) -> list[Transfer]:
-        """Broadcast what is new, first in first out, within the budget."""
-        ids = list(islice(view.fresh, view.budget))
-        for id in ids:
-            del view.fresh[id]
-        return [Transfer(id, BROADCAST, False) for id in ids]
+    def plan(self, view: View) -> list[Dispatch]:
+        """Nothing is handed over."""
+        return []

@@ -6,7 +6,7 @@ import math
 from itertools import islice
 
 from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
-from rass_mav.core.policy import POTENTIAL_BASE, Transfer, View
+from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.routes.costs import COST_ONE, NO_COST, CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
@@ -49,7 +49,7 @@ class SurvivalPolicy:
         cost = self.hop_cost - math.log1p(-min(risk, MAX_RISK))
         return min(max(1, int(cost * COST_ONE + 0.5)), NO_COST - 1)
 
-    def plan(self, view: View) -> list[Transfer]:
+    def plan(self, view: View) -> list[Dispatch]:
         """Everything to the next hop, within the budget and its room."""
         target = view.way or self._stranger(view)
         if target is None:
@@ -57,7 +57,7 @@ class SurvivalPolicy:
         free = target.beacon.free
         count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
         id = target.id
-        return [Transfer(datum_id, id, True) for datum_id in islice(view.data(id), count)]
+        return [Dispatch(datum_id, id) for datum_id in islice(view.data(id), count)]
 
     def _stranger(self, view: View) -> Neighbour | None:
         """Without a way of its own kind: a neighbour of another policy that knows one, judged by its hops.

@@ -20,7 +20,9 @@ class MemoryStore:
     The data outlive a restart of the node for as long as the object is kept: see `restart`.
     """
 
-    __slots__ = ("_counters", "_data", "_epoch", "_fresh", "_losses", "_meta", "_quota", "_sequence", "_used")
+    __slots__ = (
+        "_counters", "_data", "_epoch", "_fresh", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used",
+    )  # fmt: skip
 
     def __init__(self, epoch: int, *, quota_bytes: int | None = None) -> None:
         """`epoch`: 32 bits. `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound."""
@@ -31,6 +33,8 @@ class MemoryStore:
         self._sequence = 0
         # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum goes to the end.
         self._data: dict[DatumId, Datum] = {}
+        self._struck: set[DatumId] = set()
+        """What may not fit its checksum: bytes in memory change by `flip_bit` only."""
         self._losses: dict[DatumId, Fate] = {}
         self._counters: dict[str, int] = {}
         self._meta: dict[str, int] = {}
@@ -83,11 +87,17 @@ class MemoryStore:
             self._used = charge(self._used, freed, len(datum.payload), self._quota)
         if id in data:
             del data[id]
+            self._struck.discard(id)
         data[id] = datum
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now, or None."""
         return self._data.get(id)
+
+    def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
+        """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
+        struck = self._struck
+        return [id for id in ids if id in struck and not self._data[id].intact] if struck else []
 
     def durable(self, id: DatumId) -> bool:
         """Always: what is here outlives a restart of the node."""
@@ -98,6 +108,7 @@ class MemoryStore:
         datum = self._data.pop(id, None)
         if datum is None:
             return
+        self._struck.discard(id)
         if self._quota is not None:
             self._used -= len(datum.payload) + ROW_OVERHEAD
         if fate in RECORDED:
@@ -120,6 +131,7 @@ class MemoryStore:
         id, kind, created, hops, crc, payload = self._data[id]
         if not 0 <= bit < 8 * len(payload):
             raise IndexError(f"bit {bit} of a payload of {len(payload)} bytes")
+        self._struck.add(id)
         flipped = bytearray(payload)
         flipped[bit >> 3] ^= 1 << (bit & 7)
         self._data[id] = Datum(id, kind, created, hops, crc, bytes(flipped))

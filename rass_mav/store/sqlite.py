@@ -194,6 +194,10 @@ class SqliteStore:
         self._used = used
         self._buffered += size + ROW_OVERHEAD
 
+    def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
+        """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
+        return [id for id in ids if (datum := self.get(id)) is None or not datum.intact]
+
     def durable(self, id: DatumId) -> bool:
         """Whether a stored datum is on disk."""
         return id not in self._changes.puts and id not in self._in_flight().puts

@@ -30,6 +30,7 @@ class CrashStore(MemoryStore):
         # They fit: all of this was stored at the time of the last commit.
         for datum in list(self._removed.values()):
             super().put(datum)
+            self._struck.add(datum.id)
         for id, fate in self._found.items():
             if fate is not None:
                 super().lose(id, fate)

@@ -59,7 +59,7 @@ class Statistics:
         """An agent's life ends, and another one takes its place: what it counted still counts."""
         self._received += agent.frames_received
         self._malformed += agent.malformed + agent.peer_reader.malformed
-        self._sent_data += agent.node.sent_data
+        self._sent_data += agent.node.pace.sent
 
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, but for the wall times."""
@@ -75,7 +75,7 @@ class Statistics:
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
         received = self._received + sum(agent.frames_received for agent in world.agents)
         malformed = self._malformed + sum(a.malformed + a.peer_reader.malformed for a in world.agents)
-        sent_data = self._sent_data + sum(agent.node.sent_data for agent in world.agents)
+        sent_data = self._sent_data + sum(agent.node.pace.sent for agent in world.agents)
         summary = {
             "nodes": len(world.agents),
             "bases": bases,

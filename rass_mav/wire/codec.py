@@ -17,8 +17,6 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
-    Corrupt,
-    CorruptEntry,
     Data,
     Handover,
     LossNote,
@@ -32,6 +30,8 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     ReceiptSpan,
     Sack,
+    WordEntry,
+    Words,
 )
 from rass_mav.core.replica import QUERY_IDS
 from rass_mav.errors import MalformedError
@@ -41,7 +41,7 @@ MAX_TUNNEL = 128
 #: Major version of the format, the high four bits of the first byte.
 VERSION = 1
 
-BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, CORRUPT = range(1, 14)
+BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
 
 _BEACON = struct.Struct("<HIHBHIHBHHHHHII")
 # Behind it only if it is not 0: most nodes say a beacon in every step.
@@ -217,12 +217,12 @@ def _encode_passed_on(m: PassedOn, now: float) -> list[bytes]:
     return frames
 
 
-def _encode_corrupt(m: Corrupt, now: float) -> list[bytes]:
+def _encode_words(m: Words, now: float) -> list[bytes]:
     each = (MAX_TUNNEL - _TO.size) // _WORD.size
     frames = []
     for start in range(0, len(m.entries) or 1, each):
         part = m.entries[start : start + each]
-        head = _TO.pack(_head(CORRUPT), m.sender, m.target, len(part))
+        head = _TO.pack(_head(WORDS), m.sender, m.target, len(part))
         frames.append(head + b"".join([_WORD.pack(*e.id, e.word) for e in part]))
     return frames
 
@@ -240,7 +240,7 @@ _ENCODERS: dict[type, Callable[..., list[bytes]]] = {
     Put: _encode_put,
     Query: _encode_query,
     PassedOn: _encode_passed_on,
-    Corrupt: _encode_corrupt,
+    Words: _encode_words,
 }
 
 
@@ -373,13 +373,13 @@ def _decode_passed_on(p: bytes, now: float) -> PassedOn:
     return PassedOn(sender, target, tuple([DatumId._make(_ID.unpack_from(p, i)) for i in starts]))
 
 
-def _decode_corrupt(p: bytes, now: float) -> Corrupt:
+def _decode_words(p: bytes, now: float) -> Words:
     _, sender, target, count = _TO.unpack_from(p)
     entries = []
     for i in range(count):
         origin, epoch, sequence, word = _WORD.unpack_from(p, _TO.size + i * _WORD.size)
-        entries.append(CorruptEntry(DatumId(origin, epoch, sequence), word))
-    return Corrupt(sender, target, tuple(entries))
+        entries.append(WordEntry(DatumId(origin, epoch, sequence), word))
+    return Words(sender, target, tuple(entries))
 
 
 _DECODERS: dict[int, Callable[[bytes, float], Message]] = {
@@ -395,7 +395,7 @@ _DECODERS: dict[int, Callable[[bytes, float], Message]] = {
     _head(PUT): _decode_put,
     _head(QUERY): _decode_query,
     _head(PASSED_ON): _decode_passed_on,
-    _head(CORRUPT): _decode_corrupt,
+    _head(WORDS): _decode_words,
 }
 #: Types whose target node id stands in bytes 3 and 4.
-_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, QUERY, PASSED_ON, CORRUPT))
+_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, QUERY, PASSED_ON, WORDS))

@@ -116,18 +116,18 @@ def test_under_survival_a_new_hop_cost_makes_a_new_routing_table() -> None:
     assert node.policy.tag != tag
     assert isinstance(node.routing.rank, ByCost)
     assert node.routing.rank.rules == node.policy.costs
-    assert list(node.inventory) == [id]
+    assert list(node.holdings.custody) == [id]
     assert values(c.set("RASS_ALPHA", 2.0)) == {"RASS_ALPHA": 0.0}, "it has no such weight"
     assert values(c.set("RASS_RISK_WORST", 0.5)) == {"RASS_RISK_WORST": 0.5}
     assert c.agent.node is node, "this needs no new beginning"
     assert node.risk.gain == pytest.approx(0.1), "what the file leaves to the policy stays the policy's"
     c.set("RASS_BANDWIDTH", 3.0)
-    assert node.bandwidth_items == 3
+    assert node.pace.items == 3
 
 
 def test_what_is_forwarded_at_once_and_a_slow_link_outlive_a_new_beginning() -> None:
     c = Conversation(policy={"name": "survival"})
-    c.agent.node.pace(9.0, 2, 0.0)
+    c.agent.node.keep_pace(9.0, 2, 0.0)
     before = c.agent.node
     c.set("RASS_STEP_S", 2.0)
     node = c.agent.node
@@ -156,7 +156,7 @@ def test_whatever_is_set_between_steps_the_node_goes_on_and_remembers(
         [beacon] = [m for m in map(said, c.agent.step(c.now)) if isinstance(m, Beacon)]
         assert beacon.policy == c.agent.settings.policy.make().tag
         assert 0 <= beacon.risk <= 65535
-        assert set(held) <= set(c.agent.node.inventory), f"after step {step}"
+        assert set(held) <= set(c.agent.node.holdings.custody), f"after step {step}"
     again = Conversation(store=c.store, **sections)
     assert again.agent.settings == c.agent.settings
 

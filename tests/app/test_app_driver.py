@@ -26,6 +26,7 @@ from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFull
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
+from tests.nodes import node_of
 
 from .app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
@@ -78,7 +79,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             neighbour.hand_over(1, 100, first)
             await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
             # It is held in memory, but not durable: only beacons go out, and what arrives meanwhile is the next batch.
-            assert first.id in driver.agent.node.archive
+            assert first.id in node_of(driver.agent).keeper.arrived
             neighbour.hand_over(1, 101, a_datum(1))
             neighbour.hand_over(1, 102, a_datum(2))
             await neighbour.beacons(3)

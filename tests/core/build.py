@@ -10,6 +10,7 @@ from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover, Message, Ro
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
+from rass_mav.core.replica import Replica
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
 from rass_mav.policy import make_policy
@@ -42,6 +43,21 @@ def make_node(
         now=now,
         observer=observer,
         newborn=store.fresh if newborn is None else newborn,
+    )
+
+
+def make_replica(node_id: int, *, store: DurableStore | None = None, **settings: Any) -> Replica:
+    """A participant in a virtual stigmergy, in no danger."""
+    estimator = RiskEstimator(stale_s=1e9)
+    estimator.observe(0.0, 0.0)
+    return Replica(
+        NodeSettings(node_id=node_id, **settings),
+        store or DurableStore(epoch=1000 + node_id),
+        make_policy("stigmergy"),
+        estimator,
+        random.Random(node_id),
+        now=0.0,
+        newborn=True,
     )
 
 

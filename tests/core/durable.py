@@ -64,6 +64,9 @@ class DurableStore:
         used = sum(len(d.payload) for d in self._live.data.values())
         return self.quota_bytes is None or used + size <= self.quota_bytes
 
+    def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
+        return [id for id in ids if not self._live.data[id].intact]
+
     def durable(self, id: DatumId) -> bool:
         return id in self.disk.data
 

@@ -10,6 +10,7 @@ from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 
+from .books import backers, check_node
 from .build import make_node
 from .durable import DurableStore
 
@@ -86,7 +87,7 @@ class Net:
                     queue += [(i, message) for message in node.step(self.now)]
             self.deliver(queue)
             for node in self.nodes.values():
-                assert node.mirrors is None or node.mirrors.disagreement() == ""
+                check_node(node)
 
     def put(self, i: int, payload: bytes = b"reading") -> DatumId:
         node = self.nodes[i]
@@ -96,20 +97,18 @@ class Net:
 
     def custody(self, id: DatumId) -> list[int]:
         """Who has custody of a datum."""
-        return [i for i, node in self.nodes.items() if id in node.inventory]
+        return [i for i, node in self.nodes.items() if id in node.holdings.custody]
 
     def spares(self, id: DatumId) -> list[int]:
         """Who has a spare of it."""
-        return [i for i, node in self.nodes.items() if node.inventory.holds(id) and id not in node.inventory]
+        return [i for i, node in self.nodes.items() if id in node.holdings and id not in node.holdings.custody]
 
     def active(self, id: DatumId) -> list[int]:
         """Who has an active spare of it."""
-        return [i for i, node in self.nodes.items() if node.inventory.is_active(id)]
+        return [i for i, node in self.nodes.items() if id in node.holdings.spare]
 
     def backer(self, i: int, id: DatumId) -> int | None:
-        mirrors = self.nodes[i].mirrors
-        assert mirrors is not None
-        return mirrors.backer.get(id)
+        return backers(self.nodes[i]).get(id)
 
     def strike(self, i: int, id: DatumId) -> None:
         self.stores[i].flip_bit(id)

@@ -12,6 +12,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.spares.offers import TARGET
 from rass_mav.errors import StoreFullError
 
+from .books import backers, check_node, mirrors
 from .build import beacon, data, datum, make_node, of
 
 #: The neighbours of node 1: 2 is a base, the others are drones with these risks.
@@ -57,8 +58,7 @@ def test_where_nobody_moves_away_a_datum_that_moves_on_gets_no_spare() -> None:
 
 def enough(node: Node, risk: float) -> list[int]:
     """Which of `NEAR` a datum should have spares on, by the rule of `core.spares`."""
-    assert node.mirrors is not None
-    gone = node.mirrors.offers.gone
+    gone = mirrors(node)._offers.gone
     assert 0.05 < gone < 0.5
     loss, chosen = risk, []
     for id, near in sorted(NEAR.items(), key=lambda item: item[1]):
@@ -72,8 +72,7 @@ def enough(node: Node, risk: float) -> list[int]:
 @pytest.mark.parametrize("risk", [0.0, 0.01, 0.05, 0.9])
 def test_where_neighbours_come_and_go_new_data_are_not_exposed_alone(risk: float) -> None:
     node, now = surrounded(risk, gone=True)
-    assert node.mirrors is not None
-    expected = enough(node, risk * node.mirrors.offers.gone)
+    expected = enough(node, risk * mirrors(node)._offers.gone)
     moved, spares = put(node, now)
     assert [f.target for f in moved] == [2]
     # The safest ones, one after the other until it is safe enough.
@@ -108,9 +107,8 @@ def test_one_more_copy_does_no_harm_when_all_answer() -> None:
         [(number, held)] = frame.handovers
         answers += node.receive(Committed(frame.target, 1, ((number, held.crc),), ()), now)
     assert answers == []
-    assert node.mirrors is not None
-    assert node.mirrors.backer[id] in NEAR
-    assert node.mirrors.disagreement() == ""
+    assert backers(node)[id] in NEAR
+    check_node(node)
 
 
 def test_offers_that_nobody_answers_are_made_anew_and_stay_bounded() -> None:
@@ -122,8 +120,7 @@ def test_offers_that_nobody_answers_are_made_anew_and_stay_bounded() -> None:
             node.receive(said, now)
         now += 1.0
         offers += node.step(now)
-        assert node.mirrors is not None
-        assert node.mirrors.disagreement() == ""
+        check_node(node)
     assert len({f.handovers[0].number for f in of(Data, offers)}) == len(of(Data, offers)) >= 9
 
 
@@ -137,7 +134,7 @@ def test_a_part_of_the_bandwidth_is_left_for_new_data() -> None:
     relayed = of(Data, node.forward(now))
     assert sum(len(f.handovers) for f in relayed) == 9
     # What waits has a backer, its giver.
-    assert len(node.inventory) == 20
+    assert len(node.holdings.custody) == 20
     _, spares = put(node, now)
     assert [len(f.handovers) for f in spares] == [1]
     assert spares[0].handovers[0].datum.id.origin == 1
@@ -145,14 +142,14 @@ def test_a_part_of_the_bandwidth_is_left_for_new_data() -> None:
 
 def test_others_data_leave_room_for_own_measurements() -> None:
     node = make_node(1, capacity_items=5, own_share=0.4)
-    assert node.inventory.free() == 5 - 2
+    assert node.holdings.free() == 5 - 2
     for s in range(4):
         node.receive(data(3, 1, (s + 1, datum(sequence=s))), 0.0)
-    assert len(node.inventory) == 3
-    assert node.refused == 1
+    assert len(node.holdings.custody) == 3
+    assert node.keeper.refused == 1
     assert of(Beacon, node.step(1.0))[0].free == 0
     own = [node.put(b"own", 1.0) for _ in range(2)]
-    assert set(own) < set(node.inventory)
+    assert set(own) < set(node.holdings.custody)
     with pytest.raises(StoreFullError):
         node.put(b"own", 1.0)
 
@@ -160,9 +157,9 @@ def test_others_data_leave_room_for_own_measurements() -> None:
 def test_the_same_with_bytes() -> None:
     node = make_node(1, capacity_items=None, capacity_bytes=100, own_share=0.4)
     node.receive(data(3, 1, (1, datum(payload=bytes(61)))), 0.0)
-    assert len(node.inventory) == 0
+    assert len(node.holdings.custody) == 0
     node.receive(data(3, 1, (2, datum(payload=bytes(60)))), 0.0)
-    assert len(node.inventory) == 1
-    assert node.inventory.free() == 0
+    assert len(node.holdings.custody) == 1
+    assert node.holdings.free() == 0
     node.put(bytes(40), 0.0)
-    assert node.inventory.bytes == 100
+    assert node.holdings.custody_bytes == 100

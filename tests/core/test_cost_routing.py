@@ -10,7 +10,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.core.node import ANNOUNCEMENTS_CLAIMED
+from rass_mav.core.participant import ANNOUNCEMENTS_CLAIMED
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.serial import following, newer
 from rass_mav.core.routes.table import HOLD_LIFETIMES
@@ -135,12 +135,12 @@ def test_a_full_neighbour_is_passed_by() -> None:
         swarm.turn()
     routing = swarm.nodes[3].routing
     assert routing.next_hop == 1
-    swarm.nodes[1].inventory.capacity_items = 0
+    swarm.nodes[1].holdings.capacity_items = 0
     for _ in range(4):
         swarm.turn()
     assert routing.next_hop == 2
     assert routing.metric == toll(0.1) + toll(0.0)
-    swarm.nodes[2].inventory.capacity_items = 0
+    swarm.nodes[2].holdings.capacity_items = 0
     for _ in range(4):
         swarm.turn()
     # Nobody has room: the cheaper way will be the first to have some.

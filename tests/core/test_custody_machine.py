@@ -19,11 +19,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.node import Node
-from rass_mav.core.policy import Policy, Transfer, View
+from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.errors import StoreFullError
 from rass_mav.policy import make_policy
 from rass_mav.wire import decode, encode
 
+from .books import check_node
 from .build import make_node
 from .durable import DurableStore
 
@@ -45,10 +46,10 @@ class Wander:
     def potential(self, hops: int, risk: float, free: int) -> int:
         return 1
 
-    def plan(self, view: View) -> list[Transfer]:
+    def plan(self, view: View) -> list[Dispatch]:
         around = sorted(n.id for n in view.neighbours)
         ids = list(view.data(0xFFFE))[: view.budget] if around else []
-        return [Transfer(id, view.rng.choice(around), True) for id in ids]
+        return [Dispatch(id, view.rng.choice(around)) for id in ids]
 
 
 class Swarm(RuleBasedStateMachine):
@@ -238,7 +239,7 @@ class Swarm(RuleBasedStateMachine):
         for i, store in self.stores.items():
             node = self.nodes.get(i)
             for id, d in store.disk.data.items():
-                spare = node is not None and not node.sink and id not in node.inventory
+                spare = node is not None and not node.sink and id not in node.holdings.custody
                 if d.intact and not spare:
                     assert found.setdefault(id, d.payload) == d.payload
         return found
@@ -255,11 +256,7 @@ class Swarm(RuleBasedStateMachine):
     @invariant()
     def memory_agrees_with_itself(self) -> None:
         for node in getattr(self, "nodes", {}).values():
-            assert set(node.custody.pending) <= set(node.inventory)
-            assert {p.number for p in node.custody.pending.values()} == set(node.custody._numbers)
-            for transfer in node.transfers._out.values():
-                assert node.custody.pending[transfer.datum.id].number == transfer.number
-            assert node.mirrors is None or node.mirrors.disagreement() == ""
+            check_node(node)
 
     def teardown(self) -> None:
         """Liveness: once the network is perfect and a base can be reached, everything arrives."""

@@ -8,17 +8,18 @@ from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
     UNBOUNDED_FREE,
     Committed,
-    Corrupt,
-    CorruptEntry,
     Data,
     Handover,
     Message,
     PassedOn,
     Word,
+    WordEntry,
+    Words,
 )
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
 
+from .books import mirrors, spares
 from .build import data, datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
 
@@ -87,8 +88,8 @@ def test_a_lost_passed_on_is_asked_for() -> None:
     asked: list[Message] = []
     for _ in range(ASK_STEPS):
         net.step()
-        asked += [m for m in net.of(Corrupt) if m.sender == 1]
-    assert asked == [Corrupt(1, 2, (CorruptEntry(id, Word.STILL),))]
+        asked += [m for m in net.of(Words) if m.sender == 1]
+    assert asked == [Words(1, 2, (WordEntry(id, Word.STILL),))]
     assert net.active(id) == [2]
 
 
@@ -98,7 +99,7 @@ def test_a_backer_asks_once_in_so_many_steps() -> None:
     asked = 0
     for _ in range(3 * ASK_STEPS):
         net.step()
-        asked += len(net.of(Corrupt))
+        asked += len(net.of(Words))
     assert asked == 3
 
 
@@ -135,10 +136,10 @@ def test_a_late_passed_on_does_not_touch_custody() -> None:
     assert copy is not None
     [answer] = of(Committed, node.receive(data(2, 1, (9, copy)), net.now))
     assert answer == Committed(1, 2, ((9, copy.crc),), ())
-    assert id in node.inventory
-    assert node.inventory.spares == 0
+    assert id in node.holdings.custody
+    assert spares(node) == 0
     node.receive(PassedOn(2, 1, (id,)), net.now)
-    assert id in node.inventory
+    assert id in node.holdings.custody
     assert node.store.get(id) is not None
 
 
@@ -160,7 +161,7 @@ def test_custody_of_a_datum_kept_as_a_spare_is_taken_only_with_a_good_copy() -> 
     kept = net.stores[1].get(id)
     assert kept is not None
     assert kept.intact
-    assert id in net.nodes[1].inventory
+    assert id in net.nodes[1].holdings.custody
 
 
 def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words() -> None:
@@ -182,22 +183,22 @@ def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words(
 def full_of_spares(capacity: int, **more: Any) -> tuple[Node, list[DatumId]]:
     """A node whose every place holds an active spare, kept for node 1."""
     node = make_node(2, mirror=True, capacity_items=capacity, **more)
-    spares = [datum(sequence=s) for s in range(capacity)]
-    for s, d in enumerate(spares):
+    data = [datum(sequence=s) for s in range(capacity)]
+    for s, d in enumerate(data):
         node.receive(Data(1, 2, (Handover(s + 1, d),), True), 0.0)
-    assert node.inventory.spares == capacity
-    return node, [d.id for d in spares]
+    assert spares(node) == capacity
+    return node, [d.id for d in data]
 
 
 def test_spares_yield_to_custody_the_oldest_first_and_who_counts_on_them_is_told() -> None:
     node, ids = full_of_spares(3)
-    assert node.inventory.free() == 3
+    assert node.holdings.free() == 3
     new = datum(sequence=9)
     said = node.receive(data(3, 2, (7, new)), 0.0)
-    assert said == [Committed(2, 3, ((7, new.crc),), ()), Corrupt(2, 1, (CorruptEntry(ids[0], Word.NONE),))]
-    assert set(node.inventory.everything()) == {new.id, *ids[1:]}
+    assert said == [Committed(2, 3, ((7, new.crc),), ()), Words(2, 1, (WordEntry(ids[0], Word.NONE),))]
+    assert set(node.holdings) == {new.id, *ids[1:]}
     own = node.put(b"own", 0.0)
-    assert set(node.inventory.everything()) == {new.id, own, ids[2]}
+    assert set(node.holdings) == {new.id, own, ids[2]}
 
 
 def test_spares_that_nobody_counts_on_go_first() -> None:
@@ -205,8 +206,8 @@ def test_spares_that_nobody_counts_on_go_first() -> None:
     node.receive(PassedOn(1, 2, (ids[2],)), 0.0)
     new = datum(sequence=9)
     said = node.receive(data(3, 2, (7, new)), 0.0)
-    assert of(Corrupt, said) == []
-    assert set(node.inventory.everything()) == {new.id, *ids[:2]}
+    assert of(Words, said) == []
+    assert set(node.holdings) == {new.id, *ids[:2]}
 
 
 def test_a_spare_never_takes_the_place_of_custody_or_of_a_spare_that_counts() -> None:
@@ -215,17 +216,17 @@ def test_a_spare_never_takes_the_place_of_custody_or_of_a_spare_that_counts() ->
     assert node.receive(Data(3, 2, (Handover(7, late),), True), 0.0) == [Committed(2, 3, (), (7,))]
     node.receive(PassedOn(1, 2, (ids[1],)), 0.0)
     assert node.receive(Data(3, 2, (Handover(8, late),), True), 0.0) == [Committed(2, 3, ((8, late.crc),), ())]
-    assert set(node.inventory.everything()) == {ids[0], late.id}
+    assert set(node.holdings) == {ids[0], late.id}
 
 
 def test_spares_yield_bytes_too() -> None:
     node = make_node(2, mirror=True, capacity_bytes=10)
     node.receive(Data(1, 2, (Handover(1, datum(payload=b"1234567")),), True), 0.0)
-    assert node.inventory.room_for(10, own=False)
+    assert node.holdings.room_for(10, own=False)
     id = node.put(b"12345", 0.0)
-    assert list(node.inventory.everything()) == [id]
+    assert list(node.holdings) == [id]
     node.receive(Data(1, 2, (Handover(2, datum(payload=b"12345")),), True), 0.0)
-    assert node.inventory.spare_bytes == 5
+    assert node.holdings.spare_bytes == 5
     assert node.receive(Data(1, 2, (Handover(3, datum(sequence=1)),), True), 0.0) == [Committed(2, 1, (), (3,))]
 
 
@@ -235,13 +236,13 @@ def test_spares_yield_the_quota_and_the_beacon_counts_it_as_free() -> None:
     node = net.start(2)
     for s in range(2):
         node.receive(Data(1, 2, (Handover(s + 1, datum(sequence=s)),), True), 0.0)
-    assert node.inventory.spares == 2
+    assert spares(node) == 2
     assert not node.store.room_for(7)
     [said] = node.step(1.0)
     assert said.free == UNBOUNDED_FREE  # type: ignore[union-attr]
     for _ in range(2):
         node.put(b"1234567", 1.0)
-    assert node.inventory.spares == 0
+    assert spares(node) == 0
     [said, *_] = node.step(2.0)
     assert said.free == 0  # type: ignore[union-attr]
 
@@ -252,7 +253,6 @@ def test_the_memory_of_what_was_passed_on_is_bounded() -> None:
     for _ in range(MAX_PASSED + 5):
         net.put(1)
     net.step()
-    mirrors = net.nodes[1].mirrors
-    assert mirrors is not None
-    assert len(mirrors.custodian) == MAX_PASSED + 5
-    assert len(mirrors._passed) == MAX_PASSED
+    node = net.nodes[1]
+    assert len(node.holdings.spare) == MAX_PASSED + 5
+    assert len(mirrors(node)._passed) == MAX_PASSED

@@ -15,17 +15,18 @@ from rass_mav.core.messages import (
     UNBOUNDED_FREE,
     Beacon,
     Committed,
-    Corrupt,
-    CorruptEntry,
     Data,
     Handover,
     PassedOn,
     Route,
     Word,
+    WordEntry,
+    Words,
 )
-from rass_mav.core.policy import POTENTIAL_BASE, Transfer, View
+from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.spares.mirrors import ASK_STEPS
 
+from .books import mirrors, spares
 from .build import beacon, data, datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
 
@@ -38,9 +39,9 @@ def test_the_giver_keeps_a_spare_that_counts_as_free() -> None:
     giver = net.nodes[1]
     assert net.active(id) == [1]
     assert net.backer(2, id) == 1
-    assert giver.inventory.free() == 3
-    assert len(giver.inventory) == 0
-    assert list(giver.inventory) == []
+    assert giver.holdings.free() == 3
+    assert len(giver.holdings.custody) == 0
+    assert list(giver.holdings.custody) == []
     assert giver.store.get(id) is not None
     assert net.book.copies[id] == 2
 
@@ -67,17 +68,16 @@ def test_a_base_needs_no_backer() -> None:
     net.step(12)
     id = net.put(2)
     net.step(2)
-    assert id in net.nodes[0].archive
+    assert id in net.nodes[0].keeper.arrived
     assert net.spares(id) == []
-    assert net.nodes[2].mirrors is not None
-    assert not net.nodes[2].mirrors.partners
+    assert not net.nodes[2].holdings.partners
 
 
 def test_without_mirrors_nothing_is_kept_and_nothing_more_is_said() -> None:
     net = Net(RISKS, CHAIN, mirror=False)
     id = at_rest(net)
     assert net.spares(id) == []
-    assert net.of(PassedOn) == net.of(Corrupt) == []
+    assert net.of(PassedOn) == net.of(Words) == []
 
 
 # -- repair ------------------------------------------------------------------------------------------------------------
@@ -89,8 +89,8 @@ def test_a_corrupt_copy_is_repaired_from_the_backer() -> None:
     net.strike(3, id)
     net.step()
     # 3 found it, asked 2, and 2 has it in custody again.
-    assert Corrupt(3, 2, (CorruptEntry(id, Word.AGAIN),)) in net.of(Corrupt)
-    assert Corrupt(2, 3, (CorruptEntry(id, Word.TAKEN),)) in net.of(Corrupt)
+    assert Words(3, 2, (WordEntry(id, Word.AGAIN),)) in net.of(Words)
+    assert Words(2, 3, (WordEntry(id, Word.TAKEN),)) in net.of(Words)
     assert net.custody(id) == [2]
     net.step()
     assert net.custody(id) == [3]
@@ -101,8 +101,7 @@ def test_a_corrupt_copy_is_repaired_from_the_backer() -> None:
     # It was never lost.
     assert list(net.stores[3].losses()) == []
     assert "corrupted" not in net.stores[3].counters()
-    assert net.nodes[3].mirrors is not None
-    assert not net.nodes[3].mirrors.repairs.searches
+    assert not mirrors(net.nodes[3])._repairs.searches
 
 
 def test_what_is_taken_back_gets_a_spare_at_once() -> None:
@@ -128,43 +127,43 @@ def test_with_both_copies_corrupt_the_datum_is_lost() -> None:
     assert net.stores[3].counters()["corrupted"] == 1
     assert list(net.stores[2].losses()) == []
     net.step(3)
-    assert net.of(Corrupt) == []
+    assert net.of(Words) == []
 
 
 def test_what_a_backer_answers() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
-    node, ask = net.nodes[1], Corrupt(2, 1, (CorruptEntry(id, Word.AGAIN),))
+    node, ask = net.nodes[1], Words(2, 1, (WordEntry(id, Word.AGAIN),))
     # It finds only now that its spare is no better, and looks for one.
     net.strike(1, id)
     assert node.receive(ask, net.now) == [
-        Corrupt(1, 2, (CorruptEntry(id, Word.NONE),)),
-        Corrupt(1, BROADCAST, (CorruptEntry(id, Word.WANTED),)),
+        Words(1, 2, (WordEntry(id, Word.NONE),)),
+        Words(1, BROADCAST, (WordEntry(id, Word.WANTED),)),
     ]
-    assert not node.inventory.holds(id)
+    assert id not in node.holdings
     # Of what it never had it has no copy either.
     other = DatumId(7, 7, 7)
-    assert node.receive(Corrupt(2, 1, (CorruptEntry(other, Word.AGAIN),)), net.now) == [
-        Corrupt(1, 2, (CorruptEntry(other, Word.NONE),)),
-        Corrupt(1, BROADCAST, (CorruptEntry(other, Word.WANTED),)),
+    assert node.receive(Words(2, 1, (WordEntry(other, Word.AGAIN),)), net.now) == [
+        Words(1, 2, (WordEntry(other, Word.NONE),)),
+        Words(1, BROADCAST, (WordEntry(other, Word.WANTED),)),
     ]
     # What it has handed to somebody else may have gone on to the one that asks: rather a copy too many.
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
-    said = net.nodes[2].receive(Corrupt(1, 2, (CorruptEntry(id, Word.AGAIN),)), net.now)
-    assert said[-1] == Corrupt(2, 1, (CorruptEntry(id, Word.TAKEN),))
+    said = net.nodes[2].receive(Words(1, 2, (WordEntry(id, Word.AGAIN),)), net.now)
+    assert said[-1] == Words(2, 1, (WordEntry(id, Word.TAKEN),))
     assert net.custody(id) == [2, 3]
     # 1 has no copy any more. It gave the datum to 2: so 3 need not worry, but 2 may.
     for asker, word in ((3, Word.TAKEN), (2, Word.NONE)):
-        said = net.nodes[1].receive(Corrupt(asker, 1, (CorruptEntry(id, Word.AGAIN),)), net.now)
-        assert said[0] == Corrupt(1, asker, (CorruptEntry(id, word),))
+        said = net.nodes[1].receive(Words(asker, 1, (WordEntry(id, Word.AGAIN),)), net.now)
+        assert said[0] == Words(1, asker, (WordEntry(id, word),))
 
 
 def test_a_lost_request_is_repeated() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Corrupt
+    net.loses = lambda message: type(message) is Words
     net.step(3)
     assert net.custody(id) == []
     net.loses = lambda message: False
@@ -176,7 +175,7 @@ def test_a_lost_answer_does_no_harm() -> None:
     net = Net(RISKS, CHAIN)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Corrupt and message.sender == 2
+    net.loses = lambda message: type(message) is Words and message.sender == 2
     net.step()
     assert net.custody(id) == [2]
     net.loses = lambda message: False
@@ -189,11 +188,11 @@ def test_a_request_that_nobody_answers_ends() -> None:
     net = Net(RISKS, CHAIN, max_tries=3)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Corrupt
+    net.loses = lambda message: type(message) is Words
     asked = 0
     for _ in range(6):
         net.step()
-        asked += len([m for m in net.of(Corrupt) if m.sender == 3])
+        asked += len([m for m in net.of(Words) if m.sender == 3])
     assert asked == 3
     assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
     # 2 still has its spare, and asks after it in the end.
@@ -208,7 +207,7 @@ def test_a_corrupt_spare_is_told_and_replaced() -> None:
     id = at_rest(net)
     net.strike(2, id)
     net.step()
-    assert Corrupt(2, 3, (CorruptEntry(id, Word.NONE),)) in net.of(Corrupt)
+    assert Words(2, 3, (WordEntry(id, Word.NONE),)) in net.of(Words)
     assert net.custody(id) == [3]
     # 2 is the only neighbour that 3 has.
     assert net.active(id) == [2]
@@ -230,14 +229,14 @@ def resting(net: Net, i: int) -> DatumId:
 def test_a_datum_at_rest_is_mirrored_on_the_safest_neighbour() -> None:
     net = Net({1: 0.0, 2: 0.5, 3: 0.2, 4: 0.3}, [(1, 2), (1, 3), (1, 4), (2, 3)])
     id = resting(net, 1)
-    sent = net.nodes[1].sent_data
+    sent = net.nodes[1].pace.sent
     net.step()
     [spare] = net.of(Data)
     assert (spare.target, spare.spare) == (3, True)
     assert net.custody(id) == [1]
     assert net.active(id) == [3]
     assert net.backer(1, id) == 3
-    assert net.nodes[1].sent_data == sent + 1
+    assert net.nodes[1].pace.sent == sent + 1
     assert net.book.copies[id] == 2
     net.step(5)
     assert net.of(Data) == []
@@ -263,7 +262,7 @@ def test_a_full_neighbour_is_offered_none_and_a_refusal_leads_to_another() -> No
     net.step()
     assert [m.sender for m in net.of(Committed) if m.refused] == [2]
     assert net.active(id) == [3]
-    assert net.nodes[1].sent_data == 2
+    assert net.nodes[1].pace.sent == 2
 
 
 def test_a_neighbour_without_mirrors_refuses() -> None:
@@ -280,8 +279,8 @@ def test_a_neighbour_that_has_the_datum_takes_no_second_copy() -> None:
     node.receive(data(1, 2, (4, d)), 0.0)
     [answer] = node.receive(Data(3, 2, (Handover(5, d),), True), 0.0)
     assert answer == Committed(2, 3, ((5, d.crc),), ())
-    assert d.id in node.inventory
-    assert node.inventory.spares == 0
+    assert d.id in node.holdings.custody
+    assert spares(node) == 0
 
 
 def test_another_datum_under_the_same_id_is_refused() -> None:
@@ -303,7 +302,7 @@ def test_a_spare_sent_to_a_base_has_arrived() -> None:
     d = datum()
     [answer] = node.receive(Data(1, 0, (Handover(4, d),), True), 0.0)
     assert answer == Committed(0, 1, ((4, d.crc),), ())
-    assert d.id in node.archive
+    assert d.id in node.keeper.arrived
 
 
 def test_the_word_for_a_spare_never_ends_custody() -> None:
@@ -360,7 +359,7 @@ class Stay:
     def potential(self, hops: int, risk: float, free: int) -> int:
         return 1
 
-    def plan(self, view: View) -> list[Transfer]:
+    def plan(self, view: View) -> list[Dispatch]:
         return []
 
 
@@ -427,7 +426,7 @@ def test_a_mirrored_swarm_delivers_and_forgets(until_receipt: bool) -> None:
     net.step(15)
     ids = [net.put(4) for _ in range(5)]
     net.step(10)
-    assert all(id in net.nodes[0].archive for id in ids)
+    assert all(id in net.nodes[0].keeper.arrived for id in ids)
     assert all(net.custody(id) == [] for id in ids)
     left = [i for id in ids for i in net.active(id)]
     assert left == []
@@ -445,4 +444,4 @@ def test_what_a_base_has_taken_is_not_kept() -> None:
     [sent] = of(Data, node.step(0.5))
     [handover] = sent.handovers
     node.receive(Committed(0, 1, ((handover.number, handover.datum.crc),), ()), 0.5)
-    assert not node.inventory.holds(id)
+    assert id not in node.holdings

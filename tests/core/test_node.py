@@ -91,7 +91,7 @@ def test_the_fitter_neighbour_gets_the_data_and_the_giver_deletes_on_its_word() 
     talk(nodes, nodes[2].step(0.0), 0.0)
     said = talk(nodes, nodes[1].step(0.5), 0.5)
     assert [type(m) for m in said] == [Beacon, Data, Committed]
-    assert id not in nodes[1].inventory
+    assert id not in nodes[1].holdings.custody
     taken = nodes[2].store.get(id)
     assert taken is not None
     assert (taken.payload, taken.hops) == (b"x", 1)
@@ -106,7 +106,7 @@ def test_the_bandwidth_bounds_what_is_sent_retransmissions_included() -> None:
     fitter(node, number=1, now=1.0)
     again = of(Data, node.step(2.0))
     assert [h.number for d in again for h in d.handovers] == [h.number for d in first for h in d.handovers]
-    assert len(node.custody.pending) == 3
+    assert len(node.holdings.pending) == 3
 
 
 def test_the_oldest_data_go_first_and_no_more_than_the_neighbour_has_room_for() -> None:
@@ -148,9 +148,9 @@ def test_a_full_node_refuses_and_the_giver_keeps_the_datum() -> None:
     [answer] = full.receive(sent, 0.0)
     assert answer == Committed(2, 1, (), (sent.handovers[0].number,))
     giver.receive(answer, 0.0)
-    assert id in giver.inventory
-    assert not giver.custody.pending
-    assert full.refused == 1
+    assert id in giver.holdings.custody
+    assert not giver.holdings.pending
+    assert full.keeper.refused == 1
 
 
 def test_a_lost_answer_is_said_again_even_when_the_datum_has_gone_on() -> None:
@@ -159,12 +159,12 @@ def test_a_lost_answer_is_said_again_even_when_the_datum_has_gone_on() -> None:
     [first] = node.receive(data(7, 1, (55, d)), 0.0)
     [onward] = of(Data, node.step(0.5))
     node.receive(Committed(2, 1, ((onward.handovers[0].number, d.crc),), ()), 0.5)
-    assert d.id not in node.inventory
+    assert d.id not in node.holdings.custody
     assert node.receive(data(7, 1, (55, d)), 1.0) == [first]
-    assert d.id not in node.inventory
+    assert d.id not in node.holdings.custody
     # Under another number it is a new hand-over: there are no tombstones.
     node.receive(data(7, 1, (56, d)), 1.0)
-    assert d.id in node.inventory
+    assert d.id in node.holdings.custody
 
 
 def test_two_nodes_that_hand_each_other_the_same_datum_both_keep_it() -> None:
@@ -175,8 +175,8 @@ def test_two_nodes_that_hand_each_other_the_same_datum_both_keep_it() -> None:
     from_b, from_a = b.receive(to_b, 0.0), a.receive(to_a, 0.0)
     a.receive(from_b[0], 0.0)
     b.receive(from_a[0], 0.0)
-    assert d.id in a.inventory
-    assert d.id in b.inventory
+    assert d.id in a.holdings.custody
+    assert d.id in b.holdings.custody
 
 
 def test_an_answer_with_another_checksum_deletes_nothing() -> None:
@@ -184,7 +184,7 @@ def test_an_answer_with_another_checksum_deletes_nothing() -> None:
     id = node.put(b"x", 0.0)
     number = of(Data, node.step(0.0))[0].handovers[0].number
     node.receive(Committed(2, 1, ((number, 12345),), ()), 0.0)
-    assert id in node.inventory
+    assert id in node.holdings.custody
 
 
 def test_custody_is_not_taken_over_for_a_copy_that_has_gone_bad_here() -> None:
@@ -221,15 +221,15 @@ def test_without_custody_what_is_sent_is_deleted_at_once() -> None:
     id = node.put(b"x", 0.0)
     [sent] = of(Data, node.step(0.0))
     assert sent.handovers[0].number == 0
-    assert id not in node.inventory
+    assert id not in node.holdings.custody
     assert make_node(2).receive(sent, 0.0) == []
 
 
 def test_a_corrupted_frame_is_neither_taken_nor_answered() -> None:
     node, d = make_node(1), datum()
     assert node.receive(data(7, 1, (5, d._replace(payload=b"Reading"))), 0.0) == []
-    assert d.id not in node.inventory
-    assert node.corrupt_received == 1
+    assert d.id not in node.holdings.custody
+    assert node.keeper.corrupt_received == 1
 
 
 # -- care of what is held ----------------------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ def test_the_scrub_finds_a_flipped_bit() -> None:
     good, bad = node.put(b"good", 0.0), node.put(b"bad", 0.0)
     node.store.flip_bit(bad)  # type: ignore[attr-defined]
     node.step(1.0)
-    assert list(node.inventory) == [good]
+    assert list(node.holdings.custody) == [good]
     assert book.fates == [(bad, Fate.CORRUPTED)]
     assert list(node.store.losses()) == [(bad, Fate.CORRUPTED)]
     assert node.store.counters()["corrupted"] == 1
@@ -255,7 +255,7 @@ def test_a_scrub_of_a_few_items_goes_round() -> None:
     left = []
     for turn in range(6):
         node.step(float(turn))
-        left.append(len(node.inventory))
+        left.append(len(node.holdings.custody))
     assert left[0] == 3
     assert left[-1] == 0
 
@@ -266,9 +266,9 @@ def test_data_expire() -> None:
     old = node.put(b"x", 0.0)
     young = node.put(b"y", 3.0)
     node.step(5.0)
-    assert old in node.inventory
+    assert old in node.holdings.custody
     node.step(5.5)
-    assert list(node.inventory) == [young]
+    assert list(node.holdings.custody) == [young]
     assert book.fates == [(old, Fate.EXPIRED)]
 
 
@@ -279,7 +279,7 @@ def test_a_full_node_counts_its_own_measurement_as_overflow_and_gives_no_number_
     with pytest.raises(StoreFullError):
         node.put(b"y", 0.0)
     assert book.overflows == node.store.counters()["overflow"] == 1
-    node.drop(next(iter(node.inventory)), Fate.PASSED_ON)
+    node.keeper.drop(next(iter(node.holdings.custody.values())), Fate.PASSED_ON)
     assert node.put(b"z", 0.0).sequence == 1
 
 
@@ -320,11 +320,11 @@ def test_a_receipt_frees_the_copies() -> None:
     d, other = datum(), datum(sequence=1)
     node.receive(data(7, 1, (5, d), (6, other)), 0.0)
     node.receive(Receipt(0, 9, (ReceiptEntry(9, 77, 1, 0),)), 0.0)
-    assert list(node.inventory) == [other.id]
+    assert list(node.holdings.custody) == [other.id]
     # What has arrived need not be taken again.
     [answer] = node.receive(data(8, 1, (9, d)), 0.0)
     assert answer == Committed(1, 8, ((9, d.crc),), ())
-    assert list(node.inventory) == [other.id]
+    assert list(node.holdings.custody) == [other.id]
 
 
 def test_a_restarted_base_knows_what_has_arrived() -> None:
@@ -333,7 +333,7 @@ def test_a_restarted_base_knows_what_has_arrived() -> None:
     base.receive(data(7, 0, (5, datum())), 0.0)
     store.commit()
     again = make_node(0, base=True, store=store.crashed())
-    assert datum().id in again.archive
+    assert datum().id in again.keeper.arrived
     assert newer(again.routing.number, base.routing.number)
 
 
@@ -366,4 +366,4 @@ def test_with_a_failing_disk_custody_is_refused_and_own_data_are_kept() -> None:
     [answer] = node.receive(data(3, 2, (7, datum())), 0.0)
     assert isinstance(answer, Committed)
     assert (answer.committed, answer.refused) == ((), (7,))
-    assert node.put(b"measured", 0.0) in node.inventory
+    assert node.put(b"measured", 0.0) in node.holdings.custody

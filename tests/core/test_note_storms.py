@@ -9,11 +9,14 @@ import pytest
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Message
+from rass_mav.core.news.notes import LossNotes
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
+from rass_mav.core.spares.mirrors import Mirrors
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode
 
+from .books import records
 from .build import make_node
 from .durable import DurableStore
 
@@ -105,11 +108,13 @@ class Storm:
             assert at_base[self.given_up.pop()].intact
         self.told |= self.stores[0].disk.losses.keys()
         for i, node in self.nodes.items():
-            if node.notes is not None:
-                assert dict(self.stores[i].losses()) == {**node.notes.waiting, **node.notes.suspected}
-                assert node.mirrors is None or node.notes.suspected.keys() <= node.mirrors.repairs.searches.keys()
+            notes, spares = node.keeper.notes, node.keeper.spares
+            if isinstance(notes, LossNotes):
+                assert dict(self.stores[i].losses()) == {**notes.waiting, **notes.suspected}
+                if isinstance(spares, Mirrors):
+                    assert notes.suspected.keys() <= spares._repairs.searches.keys()
             if i:
-                assert all(id in at_base for id in self.created if id in node.archive)
+                assert all(id in at_base for id in self.created if id in node.keeper.arrived)
 
     def turn(self, loss: float) -> None:
         """A step of everybody; what is said arrives or is lost, and is answered."""
@@ -162,11 +167,11 @@ class Storm:
         raise AssertionError("the base does not know what has become of all data")
 
     def settled(self) -> bool:
-        index = self.nodes[0].index
+        index = self.nodes[0].archive
         assert index is not None
         losses = dict(self.stores[0].losses())
         # What is removed, but not yet from the disk, does not count.
-        intact = {id for node in self.nodes.values() for id in node.inventory.everything() if node.load(id) is not None}
+        intact = {h.id for node in self.nodes.values() for h in records(node.holdings) if node.keeper.load(h)}
         return all(id in index or (index.is_lost(id) and id in losses and id not in intact) for id in self.created)
 
 
@@ -182,7 +187,7 @@ def test_notes_reach_the_base_and_never_cost_a_datum(mirror: bool) -> None:
             storm.rage(80)
             storm.turn(0.3)
         storm.settle()
-        index = storm.nodes[0].index
+        index = storm.nodes[0].archive
         assert index is not None
         told += index.told_lost
         rescued += len(storm.told - {id for id in storm.created if index.is_lost(id)})

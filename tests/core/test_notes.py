@@ -170,13 +170,13 @@ def test_a_note_goes_from_hand_to_hand_to_the_base_which_says_so() -> None:
             out = node.step(float(t))
             talk({j: nodes[j] for j in (i, *near[i])}, out, float(t))
     assert dict(nodes[0].store.losses()) == {id: Fate.CORRUPTED}
-    assert nodes[0].index is not None
-    assert nodes[0].index.told_lost == 1
-    for node in (nodes[1], nodes[2]):
-        assert list(node.store.losses()) == []
-        assert node.receipts is not None
-        assert node.receipts.told_lost(id)
-        assert id not in node.archive
+    assert nodes[0].archive is not None
+    assert nodes[0].archive.told_lost == 1
+    for i in (1, 2):
+        assert list(nodes[i].store.losses()) == []
+        assert nodes[i].receipts is not None
+        assert nodes[i].receipts.told_lost(id)
+        assert id not in nodes[i].keeper.arrived
 
 
 def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() -> None:
@@ -190,12 +190,12 @@ def test_a_base_takes_each_reason_and_a_datum_that_turns_up_is_lost_no_longer() 
     d = datum(9, 0)
     [answer] = base.receive(data(7, 0, (5, d)), 0.0)
     assert answer == Committed(0, 7, ((5, d.crc),), ())
-    assert d.id in base.archive
+    assert d.id in base.keeper.arrived
     assert d.id not in dict(store.losses())
     store.commit()
     again = make_node(0, base=True, store=store.crashed())
-    assert again.index is not None
-    assert (again.index.told_lost, d.id in again.archive) == (5, True)
+    assert again.archive is not None
+    assert (again.archive.told_lost, d.id in again.keeper.arrived) == (5, True)
     # A note about what has arrived is of no use any more.
     [answer] = base.receive(note(7, 0, (9, d.id, 1)), 0.0)
     assert answer == Committed(0, 7, ((9, 0),), ())
@@ -208,7 +208,7 @@ def test_who_holds_a_good_copy_swallows_the_note() -> None:
     node.receive(data(7, 1, (5, d)), 0.0)
     [answer] = node.receive(note(7, 1, (6, d.id, 1)), 0.0)
     assert answer == Committed(1, 7, ((6, 0),), ())
-    assert list(node.inventory) == [d.id]
+    assert list(node.holdings.custody) == [d.id]
     assert list(node.store.losses()) == []
 
 
@@ -218,7 +218,7 @@ def test_a_note_about_a_copy_that_is_corrupt_here_too_goes_on() -> None:
     node.receive(data(7, 1, (5, d)), 0.0)
     corrupt(node, d.id)
     node.receive(note(7, 1, (6, d.id, 1)), 0.0)
-    assert list(node.inventory) == []
+    assert list(node.holdings.custody) == []
     assert list(node.store.losses()) == [(d.id, Fate.CORRUPTED)]
 
 
@@ -248,7 +248,7 @@ def test_a_good_copy_is_kept_and_handed_on_though_a_base_was_told_that_it_is_los
     d = datum()
     node.receive(data(7, 1, (5, d)), 0.0)
     node.receive(told_lost(0), 0.0)
-    assert list(node.inventory) == [d.id]
+    assert list(node.holdings.custody) == [d.id]
     # It is not answered as if it had arrived, either.
     [answer] = node.receive(data(7, 1, (8, datum(sequence=1))), 0.0)
     assert answer.committed == ((8, datum(sequence=1).crc),)  # type: ignore[union-attr]
@@ -264,6 +264,6 @@ def test_a_spare_is_taken_into_custody_when_the_datum_is_told_lost() -> None:
     assert 1 in net.spares(id)
     said = Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, 0, 0, 1 << id.sequence, 0),))
     net.nodes[1].receive(said, net.now)
-    assert id in net.nodes[1].inventory
+    assert id in net.nodes[1].holdings.custody
     net.nodes[1].receive(Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, id.sequence + 1, 0, 0, 0),)), net.now)
-    assert not net.nodes[1].inventory.holds(id)
+    assert id not in net.nodes[1].holdings

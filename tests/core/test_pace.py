@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
-from rass_mav.core.messages import Beacon, Committed, Corrupt, Data, Handover, Route, Word
+from rass_mav.core.messages import Beacon, Committed, Data, Handover, Route, Word, Words
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.table import HOLD_LIFETIMES
 
+from .books import backers
 from .build import beacon, datum, make_node, of
 from .durable import DurableStore
 
@@ -20,11 +21,11 @@ def test_the_beacon_says_the_turn_only_when_it_is_longer_than_a_step() -> None:
     node = make_node(2, newborn=True)
     [usual] = of(Beacon, node.step(0.0))
     assert usual.turn == 0
-    node.pace(9.0, 3, 1.0)
+    node.keep_pace(9.0, 3, 1.0)
     [slow] = of(Beacon, node.step(9.0))
     assert slow.turn == 90
-    node.pace(0.2, 3, 10.0)
-    assert (node.turn_s, of(Beacon, node.step(10.0))[0].turn) == (1.0, 0)
+    node.keep_pace(0.2, 3, 10.0)
+    assert (node.pace.turn_s, of(Beacon, node.step(10.0))[0].turn) == (1.0, 0)
 
 
 def test_a_neighbour_lives_as_long_as_its_own_turn_says() -> None:
@@ -75,7 +76,7 @@ def test_hand_overs_are_within_what_the_link_bears_and_repeated_once_a_turn() ->
     node = make_node(2, newborn=True)
     for n in range(5):
         node.put(bytes([n + 1]), 0.0)
-    node.pace(5.0, 2, 0.0)
+    node.keep_pace(5.0, 2, 0.0)
     node.receive(beacon(1, 1, BASE, flags=1, potential=0xFFFFFFFF), 0.0)
     [first] = of(Data, node.step(0.0))
     assert len(first.handovers) == 2
@@ -87,7 +88,7 @@ def test_hand_overs_are_within_what_the_link_bears_and_repeated_once_a_turn() ->
 def test_after_a_restart_the_old_turn_decides_how_long_to_wait() -> None:
     store = DurableStore(epoch=5)
     node = make_node(2, store=store, newborn=True)
-    node.pace(9.0, 2, 0.0)
+    node.keep_pace(9.0, 2, 0.0)
     node.receive(beacon(1, 1, BASE), 0.0)
     node.step(0.0)
     assert node.routing.hops == 1
@@ -97,7 +98,7 @@ def test_after_a_restart_the_old_turn_decides_how_long_to_wait() -> None:
     takes = None
     kept = []
     for t in range(1, 100):
-        again.pace(1.0, 2, t)
+        again.keep_pace(1.0, 2, t)
         kept.append(store.get_meta("turn"))
         again.receive(beacon(1, t + 1, BASE), t)
         again.step(t)
@@ -148,8 +149,7 @@ def test_a_slow_neighbour_is_as_recent_as_a_fast_one() -> None:
 def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
     """Asking after a spare, offering it again, and giving a custodian up."""
     node = make_node(2, mirror=True, newborn=True)
-    node.pace(turn_s, 3, 0.0)
-    assert node.mirrors is not None
+    node.keep_pace(turn_s, 3, 0.0)
     number = 0
 
     def hear(now: float) -> None:
@@ -167,15 +167,15 @@ def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
     [again] = [m for m in of(Data, node.step(2 * turn_s)) if m.spare]
     assert again.handovers[0].number != offer.handovers[0].number
     node.receive(Committed(3, 2, ((again.handovers[0].number, again.handovers[0].datum.crc),), ()), 2 * turn_s)
-    assert node.mirrors.backer == {id: 3}
+    assert backers(node) == {id: 3}
     # A spare of somebody else's: asked after in time, and taken back when its custodian is gone.
     node.receive(Data(3, 2, (Handover(7, datum()),), True), 2 * turn_s)
     asked, gone = [], None
     for turn in range(3, 40):
         now = turn * turn_s
         said = node.step(now)
-        asked += [now for m in of(Corrupt, said) if m.entries[0].word == Word.STILL]
-        if gone is None and datum().id in node.inventory:
+        asked += [now for m in of(Words, said) if m.entries[0].word == Word.STILL]
+        if gone is None and datum().id in node.holdings.custody:
             gone = now
     assert asked[0] == 12 * turn_s
     assert gone == (2 + 29) * turn_s, "eight lifetimes of three and a half turns after its last beacon"
@@ -184,12 +184,12 @@ def test_mirrors_have_the_patience_of_the_slowest(turn_s: float) -> None:
 def test_what_a_slow_node_announced_is_remembered_when_it_has_become_fast() -> None:
     """Somebody may shelter with it because of what it said at that time; it must not shelter with them."""
     node = make_node(2, policy="survival", newborn=True)
-    node.pace(9.0, 3, 0.0)
+    node.keep_pace(9.0, 3, 0.0)
     [safe] = of(Beacon, node.step(0.0))
     node.risk.observe(0.9, 1.0)
     moved = None
     for t in range(1, 200):
-        node.pace(1.0, 3, t)
+        node.keep_pace(1.0, 3, t)
         dearer = beacon(3, t, policy=node.policy.tag, potential=safe.potential + COST_ONE // 2)
         node.receive(dearer, t)
         node.step(t)

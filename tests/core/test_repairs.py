@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Corrupt, CorruptEntry, Data, PassedOn, Receipt, ReceiptEntry, Word
+from rass_mav.core.messages import BROADCAST, Data, PassedOn, Receipt, ReceiptEntry, Word, WordEntry, Words
 from rass_mav.core.spares.mirrors import ASK_STEPS
 from rass_mav.core.spares.repairs import MAX_SEARCHES
 
+from .books import mirrors
 from .build import datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest
 
 
 def said(net: Net, word: Word) -> list[tuple[int, int]]:
     """Who said a word in the last step, and to whom."""
-    return [(m.sender, m.target) for m in net.of(Corrupt) for entry in m.entries if entry.word == word]
+    return [(m.sender, m.target) for m in net.of(Words) for entry in m.entries if entry.word == word]
 
 
 def meet(net: Net, a: int, b: int) -> None:
@@ -58,9 +59,7 @@ def test_only_the_first_who_has_a_spare_takes_it_back() -> None:
     copy = net.stores[1].get(id)
     assert copy is not None
     for other in (4, 5):
-        mirrors = net.nodes[other].mirrors
-        assert mirrors is not None
-        assert mirrors.keep(3, copy)
+        assert net.nodes[other].keeper.keep_spare(3, 1, copy)
         net.nodes[other].receive(PassedOn(3, other, (id,)), net.now)
     assert net.spares(id) == [1, 2, 4, 5]
     net.strike(2, id)
@@ -97,37 +96,37 @@ def test_alone_with_no_backer_the_datum_is_lost_at_once() -> None:
 def test_what_a_neighbour_says_to_a_search() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
-    wanted = Corrupt(9, BROADCAST, (CorruptEntry(id, Word.WANTED),))
+    wanted = Words(9, BROADCAST, (WordEntry(id, Word.WANTED),))
     # 3 has custody, 2 a spare of what 3 has. 1 was told that it is not counted on.
     for node, word in ((3, Word.TAKEN), (2, Word.HERE), (1, Word.HERE)):
-        assert net.nodes[node].receive(wanted, net.now) == [Corrupt(node, 9, (CorruptEntry(id, word),))]
-    unknown = Corrupt(9, BROADCAST, (CorruptEntry(DatumId(7, 7, 7), Word.WANTED),))
+        assert net.nodes[node].receive(wanted, net.now) == [Words(node, 9, (WordEntry(id, word),))]
+    unknown = Words(9, BROADCAST, (WordEntry(DatumId(7, 7, 7), Word.WANTED),))
     assert net.nodes[1].receive(unknown, net.now) == []
     # What has arrived is not missing.
     net.nodes[1].receive(Receipt(0, 1, (ReceiptEntry(7, 7, 8, 0),), ()), net.now)
     assert net.nodes[1].receive(unknown, net.now) == [
-        Corrupt(1, 9, (CorruptEntry(DatumId(7, 7, 7), Word.TAKEN),)),
+        Words(1, 9, (WordEntry(DatumId(7, 7, 7), Word.TAKEN),)),
     ]
 
 
 def test_a_late_answer_to_a_search_is_ignored() -> None:
     node = make_node(1, mirror=True)
-    assert node.receive(Corrupt(2, 1, (CorruptEntry(datum().id, Word.HERE),)), 0.0) == []
+    assert node.receive(Words(2, 1, (WordEntry(datum().id, Word.HERE),)), 0.0) == []
 
 
 def test_who_says_here_and_then_has_nothing_does_not_end_the_search() -> None:
     net = Net(RISKS, CHAIN, mirror_until_receipt=True)
     id = at_rest(net)
     net.strike(3, id)
-    net.loses = lambda message: type(message) is Corrupt
+    net.loses = lambda message: type(message) is Words
     net.step()
     node = net.nodes[3]
-    node.receive(Corrupt(2, 3, (CorruptEntry(id, Word.NONE),)), net.now)
-    assert node.receive(Corrupt(8, 3, (CorruptEntry(id, Word.HERE),)), net.now) == [
-        Corrupt(3, 8, (CorruptEntry(id, Word.AGAIN),))
+    node.receive(Words(2, 3, (WordEntry(id, Word.NONE),)), net.now)
+    assert node.receive(Words(8, 3, (WordEntry(id, Word.HERE),)), net.now) == [
+        Words(3, 8, (WordEntry(id, Word.AGAIN),))
     ]
-    assert node.receive(Corrupt(8, 3, (CorruptEntry(id, Word.NONE),)), net.now) == [
-        Corrupt(3, BROADCAST, (CorruptEntry(id, Word.WANTED),))
+    assert node.receive(Words(8, 3, (WordEntry(id, Word.NONE),)), net.now) == [
+        Words(3, BROADCAST, (WordEntry(id, Word.WANTED),))
     ]
     net.loses = lambda message: False
     net.step()
@@ -136,31 +135,29 @@ def test_who_says_here_and_then_has_nothing_does_not_end_the_search() -> None:
 
 def test_a_search_on_anothers_behalf_ends_without_a_loss() -> None:
     node = make_node(1, mirror=True, max_tries=2)
-    node.receive(Corrupt(2, 1, (CorruptEntry(datum().id, Word.AGAIN),)), 0.0)
-    asked = [of(Corrupt, node.step(float(t))) for t in range(1, 5)]
+    node.receive(Words(2, 1, (WordEntry(datum().id, Word.AGAIN),)), 0.0)
+    asked = [of(Words, node.step(float(t))) for t in range(1, 5)]
     assert [len(step) for step in asked] == [0, 1, 0, 0]
-    assert node.mirrors is not None
-    assert not node.mirrors.repairs.searches
+    assert not mirrors(node)._repairs.searches
     assert list(node.store.losses()) == []
 
 
 def test_it_never_says_that_custody_is_where_it_only_looks_for_the_datum() -> None:
     node = make_node(1, mirror=True)
-    ask = Corrupt(2, 1, (CorruptEntry(datum().id, Word.AGAIN),))
+    ask = Words(2, 1, (WordEntry(datum().id, Word.AGAIN),))
     node.receive(ask, 0.0)
     [answer] = node.receive(ask, 0.0)
-    assert answer == Corrupt(1, 2, (CorruptEntry(datum().id, Word.NONE),))
-    [still] = node.receive(Corrupt(3, 1, (CorruptEntry(datum().id, Word.STILL),)), 0.0)
-    assert still == Corrupt(1, 3, (CorruptEntry(datum().id, Word.AGAIN),))
+    assert answer == Words(1, 2, (WordEntry(datum().id, Word.NONE),))
+    [still] = node.receive(Words(3, 1, (WordEntry(datum().id, Word.STILL),)), 0.0)
+    assert still == Words(1, 3, (WordEntry(datum().id, Word.AGAIN),))
 
 
 def test_searches_are_bounded() -> None:
     node = make_node(1, mirror=True)
     for s in range(MAX_SEARCHES + 5):
-        node.receive(Corrupt(2, 1, (CorruptEntry(datum(sequence=s).id, Word.AGAIN),)), 0.0)
-    assert node.mirrors is not None
-    assert len(node.mirrors.repairs.searches) == MAX_SEARCHES
+        node.receive(Words(2, 1, (WordEntry(datum(sequence=s).id, Word.AGAIN),)), 0.0)
+    assert len(mirrors(node)._repairs.searches) == MAX_SEARCHES
     for t in range(ASK_STEPS):
         # Neither is what is said in a step without bound.
-        entries = sum(len(m.entries) for m in of(Corrupt, node.step(1.0 + t)))
+        entries = sum(len(m.entries) for m in of(Words, node.step(1.0 + t)))
         assert entries <= 3 * 33

@@ -29,7 +29,7 @@ class UnevenSwarm(Swarm):
             if node is None:
                 self.wait[i] = 0
                 continue
-            node.pace(float(self.turns[i]), 10, self.now)
+            node.keep_pace(float(self.turns[i]), 10, self.now)
             self.wait[i] -= 1
             if self.wait[i] <= 0:
                 self.wait[i] = self.turns[i]

@@ -6,12 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.messages import Message, Put
-from rass_mav.core.node import Node
+from rass_mav.core.messages import Committed, Message, Offer, Put
 from rass_mav.core.replica import wins
 from rass_mav.errors import StoreFullError
 
-from .build import beacon, datum, make_node, of
+from .build import data, datum, make_replica, of
 from .durable import DurableStore
 
 writes = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 3)), min_size=1, max_size=5, unique=True)
@@ -22,7 +21,7 @@ def put(lamport: int, writer: int, sequence: int = 0) -> Put:
 
 
 def merged(puts: list[Put]) -> bytes:
-    node = make_node(1, policy="stigmergy")
+    node = make_replica(1)
     for p in puts:
         node.receive(p, 0.0)
     held = node.store.get(datum().id)
@@ -46,7 +45,7 @@ def test_the_later_timestamp_wins_and_between_equals_the_higher_robot() -> None:
 
 
 def test_a_line_of_nodes_converges() -> None:
-    nodes = [make_node(i, policy="stigmergy") for i in range(4)]
+    nodes = [make_replica(i) for i in range(4)]
     ids = [node.put(bytes([i]), 0.0) for i, node in enumerate(nodes)]
     for turn in range(8):
         said: list[list[Message]] = [node.step(float(turn)) for node in nodes]
@@ -56,38 +55,15 @@ def test_a_line_of_nodes_converges() -> None:
                     for m in messages:
                         nodes[j].receive(m, float(turn))
     for node in nodes:
-        assert set(node.inventory) == set(ids)
+        assert set(node.holdings.custody) == set(ids)
     assert of(Put, nodes[0].step(9.0)) == []
 
 
-def rewritten(node: Node) -> Put:
-    id = next(iter(node.inventory))
-    node.rewrite(id, b"new", 1.0)
-    node.receive(beacon(2), 1.0)
-    [said] = of(Put, node.step(1.0))
-    assert isinstance(said, Put)
-    return said
-
-
-def test_a_rewrite_wins_over_what_it_replaces() -> None:
-    node = make_node(1, policy="stigmergy")
-    node.receive(put(4, 9), 0.0)
-    said = rewritten(node)
-    assert (said.lamport, said.writer, said.datum.payload) == (5, 1, b"new")
-    assert said.datum.intact
-
-
-def test_the_timestamp_stays_within_its_16_bits() -> None:
-    node = make_node(1, policy="stigmergy")
-    node.receive(Put(7, 0xFFFF, 9, datum()), 0.0)
-    assert rewritten(node).lamport == 0xFFFF
-
-
 def test_without_room_a_neighbours_entry_is_refused_and_the_own_one_is_overflow() -> None:
-    node = make_node(1, policy="stigmergy", capacity_items=1)
+    node = make_replica(1, capacity_items=1)
     node.receive(put(1, 9), 0.0)
     node.receive(put(1, 9, sequence=1), 0.0)
-    assert len(node.inventory) == 1
+    assert len(node.holdings.custody) == 1
     assert node.refused == 1
     with pytest.raises(StoreFullError):
         node.put(b"own", 0.0)
@@ -96,7 +72,7 @@ def test_without_room_a_neighbours_entry_is_refused_and_the_own_one_is_overflow(
 
 def test_a_longer_version_of_a_held_entry_that_does_not_fit_is_refused() -> None:
     for bound in ({"store": DurableStore(1, quota_bytes=10)}, {"capacity_bytes": 10}):
-        node = make_node(1, policy="stigmergy", inline_bytes=8, **bound)
+        node = make_replica(1, inline_bytes=8, **bound)
         node.receive(Put(7, 1, 9, datum(payload=b"12345678")), 0.0)
         node.receive(Put(7, 2, 9, datum(payload=b"123456789012")), 0.0)
         held = node.store.get(datum().id)
@@ -104,4 +80,12 @@ def test_a_longer_version_of_a_held_entry_that_does_not_fit_is_refused() -> None
         assert held.payload == b"12345678"
         assert node.refused == 1
         node.receive(Put(7, 3, 9, datum(payload=b"1234567890")), 0.0)
-        assert node.inventory.bytes == 10
+        assert node.holdings.custody_bytes == 10
+
+
+def test_custody_is_refused_for_nobody_here_would_move_the_data_on() -> None:
+    node = make_replica(1)
+    assert node.receive(data(2, 1, (7, datum()), (0, datum(sequence=1))), 0.0) == [Committed(1, 2, (), (7,))]
+    offer = Offer(2, 1, 8, datum().id, 0, 0.0, 0, 0, 500, 100)
+    assert node.receive(offer, 0.0) == [Committed(1, 2, (), (8,))]
+    assert len(node.holdings) == 0

@@ -26,7 +26,7 @@ def fit(node: Node, receiver: Node, now: float) -> None:
     """The giver hears that the receiver is fitter."""
     number = int(now * 8) & 0xFFFF
     node.receive(
-        beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.inventory.free()),
+        beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.holdings.free()),
         now,
     )
 
@@ -38,12 +38,12 @@ def noise(size: int) -> bytes:
 @pytest.mark.parametrize("size", [98, 123, 124, 246, 5000, MAX_PAYLOAD])
 def test_a_large_datum_goes_over_whole(size: int) -> None:
     giver, receiver = giver_of(noise(size)), make_node(2)
-    [id] = giver.inventory
+    [id] = giver.holdings.custody
     fit(giver, receiver, 0.0)
     said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
     chunks = of(Chunk, said)
     assert len(chunks) == -(-size // 123)
-    assert id not in giver.inventory
+    assert id not in giver.holdings.custody
     taken = receiver.store.get(id)
     assert taken is not None
     assert taken.payload == noise(size)
@@ -67,7 +67,7 @@ def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, st
                     queue += receiver.receive(m, now)
                 elif isinstance(m, (Accept, Sack, Committed)):
                     queue += giver.receive(m, now)
-        if not giver.inventory:
+        if not giver.holdings.custody:
             return
 
 
@@ -75,18 +75,18 @@ def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, st
 @given(st.integers(1, 6000), st.integers(0, 1 << 32))
 def test_it_arrives_over_a_network_that_loses_doubles_and_reorders(size: int, seed: int) -> None:
     giver, receiver = giver_of(noise(size), inline_bytes=0, max_tries=50), make_node(2, inline_bytes=0)
-    [id] = giver.inventory
+    [id] = giver.holdings.custody
     bad_network(giver, receiver, random.Random(seed), 0.3, 80, dead=range(0))
     taken = receiver.store.get(id)
     assert taken is not None
     assert taken.payload == noise(size)
-    assert id not in giver.inventory
+    assert id not in giver.holdings.custody
 
 
 @pytest.mark.parametrize("silence", [2, 3, 8])
 def test_it_is_taken_up_again_after_an_interruption(silence: int) -> None:
     giver, receiver = giver_of(noise(60000), max_tries=50), make_node(2)
-    [id] = giver.inventory
+    [id] = giver.holdings.custody
     rng = random.Random(3)
     bad_network(giver, receiver, rng, 0.4, 60, dead=range(1, 1 + silence))
     taken = receiver.store.get(id)
@@ -113,7 +113,7 @@ def test_two_givers_of_different_data_to_one_receiver() -> None:
         fit(giver, nodes[3], 0.0)
         messages += giver.step(0.0)
     talk(nodes, messages, 0.0)
-    assert sorted(len(d.payload) for d in map(nodes[3].store.get, nodes[3].inventory) if d) == [3000, 4000]
+    assert sorted(len(d.payload) for d in map(nodes[3].store.get, nodes[3].holdings.custody) if d) == [3000, 4000]
 
 
 def test_two_givers_of_the_same_datum_to_one_receiver() -> None:
@@ -121,17 +121,17 @@ def test_two_givers_of_the_same_datum_to_one_receiver() -> None:
     nodes = {1: make_node(1), 2: make_node(2), 3: make_node(3)}
     messages: list[Message] = []
     for giver in (nodes[1], nodes[2]):
-        giver.hold(d)
+        giver.keeper.keep(d)
         fit(giver, nodes[3], 0.0)
         messages += giver.step(0.0)
     talk(nodes, messages, 0.0)
-    assert list(nodes[3].inventory) == [d.id]
-    assert len(nodes[1].inventory) == len(nodes[2].inventory) == 0
+    assert list(nodes[3].holdings.custody) == [d.id]
+    assert len(nodes[1].holdings.custody) == len(nodes[2].holdings.custody) == 0
 
 
 def test_a_strangers_chunks_under_the_same_handle_are_found_by_the_checksum() -> None:
     giver, receiver = giver_of(noise(300)), make_node(2)
-    [id] = giver.inventory
+    [id] = giver.holdings.custody
     fit(giver, receiver, 0.0)
     [offer] = of(Offer, giver.step(0.0))
     [accept] = receiver.receive(offer, 0.0)
@@ -141,14 +141,14 @@ def test_a_strangers_chunks_under_the_same_handle_are_found_by_the_checksum() ->
     receiver.receive(strange._replace(data=bytes(123)), 0.0)
     for chunk in chunks:
         assert of(Committed, receiver.receive(chunk, 0.0)) == []
-    assert receiver.corrupt_received == 1
-    assert id in giver.inventory
+    assert receiver.keeper.corrupt_received == 1
+    assert id in giver.holdings.custody
     # The probe after it starts afresh.
     for turn in (1.0, 2.0):
         fit(giver, receiver, turn)
         talk({1: giver, 2: receiver}, giver.step(turn), turn)
-    assert id not in giver.inventory
-    assert id in receiver.inventory
+    assert id not in giver.holdings.custody
+    assert id in receiver.holdings.custody
 
 
 def test_a_receiver_without_room_refuses_the_offer() -> None:
@@ -157,7 +157,7 @@ def test_a_receiver_without_room_refuses_the_offer() -> None:
     said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
     assert len(of(Committed, said)[0].refused) == 1
     assert of(Chunk, said) == []
-    assert len(giver.inventory) == 1
+    assert len(giver.holdings.custody) == 1
 
 
 def test_transfers_under_way_are_bounded() -> None:
@@ -195,5 +195,5 @@ def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> N
             # Aim chunks at transfers that were opened.
             if isinstance(answer, Accept):
                 node.receive(Chunk(2, answer.handle, 0, True, b"x"), 0.0)
-    assert len(node.inventory) >= 1
-    assert offer.id in node.inventory
+    assert len(node.holdings.custody) >= 1
+    assert offer.id in node.holdings.custody

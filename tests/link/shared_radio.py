@@ -134,7 +134,7 @@ class RadioNode:
         assert lane.pacer is not None
         lane.pacer.neighbours = len(agent.node.routing.neighbours)
         turn_s, items = common_pace([lane], 1.0, agent.settings.store.bandwidth_items)
-        agent.node.pace(turn_s, items, now, slowest_turn([lane], 1.0))
+        agent.node.keep_pace(turn_s, items, now, slowest_turn([lane], 1.0))
         agent.pace_vehicle(lane.pacer.vehicle_rate)
         self.say(agent.step(now))
         if agent.ground is None:

@@ -97,7 +97,7 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
         core, pacer = node.agent.node, node.lane.pacer
         assert pacer is not None
         assert pacer.budget == budget
-        assert core.turn_s >= nodes * 0.1
+        assert core.pace.turn_s >= nodes * 0.1
         assert len(core.routing.neighbours) == nodes - 1
         assert core.routing.hops == (0 if node.id == 0 else 1)
 

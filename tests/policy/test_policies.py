@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Beacon
+from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE, Beacon
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Policy, View
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.errors import ConfigError
@@ -21,8 +21,7 @@ def neighbour(id: int, potential: int, *, tag: int, free: int = 50, hops: int = 
 
 
 def view(*neighbours: Neighbour, potential: int, budget: int = 10, risk: float = 0.0, seed: int = 0) -> View:
-    fresh = dict.fromkeys(IDS)
-    return View(neighbours, None, 3, potential, risk, budget, lambda neighbour: iter(IDS), fresh, random.Random(seed))
+    return View(neighbours, None, 3, potential, risk, budget, lambda neighbour: iter(IDS), random.Random(seed))
 
 
 @pytest.mark.parametrize(
@@ -70,7 +69,7 @@ def test_all_goes_to_the_fittest_oldest_first_within_budget_and_room() -> None:
     policy = make_policy("rass")
     around = neighbour(2, 300, tag=policy.tag), neighbour(3, 400, tag=policy.tag, free=4)
     plan = policy.plan(view(*around, potential=100))
-    assert [(t.id, t.neighbour, t.move) for t in plan] == [(id, 3, True) for id in IDS[:4]]
+    assert [(t.id, t.neighbour) for t in plan] == [(id, 3) for id in IDS[:4]]
     base = neighbour(0, POTENTIAL_BASE, tag=policy.tag, free=UNBOUNDED_FREE)
     assert len(policy.plan(view(base, potential=100, budget=7))) == 7
 
@@ -100,13 +99,9 @@ def test_tags_tell_weights_apart() -> None:
     assert make_policy("rass").tag == make_policy("rass", Weights(threshold=2.0)).tag
 
 
-def test_stigmergy_broadcasts_what_is_new_once() -> None:
+def test_under_stigmergy_nothing_is_handed_over() -> None:
     policy: Policy = make_policy("stigmergy")
-    seen = view(neighbour(2, 1, tag=policy.tag), potential=1, budget=15)
-    plan = policy.plan(seen)
-    assert [(t.id, t.neighbour, t.move) for t in plan] == [(id, BROADCAST, False) for id in IDS[:15]]
-    assert [t.id for t in policy.plan(seen)] == IDS[15:]
-    assert policy.plan(seen) == []
+    assert policy.plan(view(neighbour(2, 1, tag=policy.tag), potential=1, budget=15)) == []
 
 
 def test_wrong_configurations_name_the_key() -> None:

@@ -21,7 +21,7 @@ POLICY = make_policy("survival")
 
 def view(way: Neighbour | None, *others: Neighbour, budget: int = 10) -> View:
     neighbours = [*others, way] if way else list(others)
-    return View(neighbours, way, 3, COST_ONE, 0.1, budget, lambda neighbour: iter(IDS), {}, random.Random(1))
+    return View(neighbours, way, 3, COST_ONE, 0.1, budget, lambda neighbour: iter(IDS), random.Random(1))
 
 
 def targets(view: View) -> list[tuple[DatumId, int]]:

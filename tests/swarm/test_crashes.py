@@ -14,6 +14,7 @@ from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.nodes import node_of
 
 #: Failures are possible, but none comes by itself: tests call `crash`.
 BY_HAND = {"base_off": [[10**6, 10**6 + 1]]}
@@ -48,7 +49,7 @@ def test_a_reboot_costs_memory_and_time_but_no_datum() -> None:
     far, own = put(world, 3), put(world, 2)
     world.crash(2, world.t + 5)
     node = world.agents[2].node
-    assert list(node.inventory) == [own]
+    assert list(node.holdings.custody) == [own]
     assert node.routing.route is None
     assert not node.routing.neighbours
     world.run(5, after=check)
@@ -78,7 +79,7 @@ def test_with_a_drone_dies_what_nobody_else_has() -> None:
     assert (summary["held"], lost(world)) == (1, {"died": 1})
     assert summary["reliability"] == pytest.approx(2 / 3, abs=1e-6)
     # Node 3 has lost its only neighbour: the dead one is as good as gone.
-    assert list(world.agents[3].node.inventory) == [elsewhere]
+    assert list(world.agents[3].node.holdings.custody) == [elsewhere]
     assert not world.agents[3].node.routing.neighbours
 
 
@@ -102,7 +103,7 @@ def test_a_copy_elsewhere_outlives_a_dead_drone() -> None:
     # Node 2 has taken it over, and its word is lost on the way back.
     datum = world.stores[3].get(id)
     assert datum is not None
-    assert world.agents[2].node.take_custody(3, 77, datum)
+    assert node_of(world.agents[2]).keeper.take_custody(3, 77, datum)
     assert world.ledger.copies == {id: 2}
     world.crash(3, None)
     assert lost(world) == {}
@@ -119,7 +120,7 @@ def test_a_datum_that_was_in_the_air_when_its_drone_died_is_held_again() -> None
     assert lost(world) == {"died": 1}
     world.run(4, after=check)
     assert lost(world) == {}
-    assert list(world.agents[1].node.inventory) == [id]
+    assert list(world.agents[1].node.holdings.custody) == [id]
     world.run(6, after=check)
     assert list(world.ledger.arrived) == [id]
 
@@ -203,10 +204,11 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     id = put(world, 2)
     datum = world.stores[2].get(id)
     assert datum is not None
-    world.agents[1].node.take_custody(2, 77, datum)
+    node_of(world.agents[1]).keeper.take_custody(2, 77, datum)
     world.crash(1, None)
     # The giver hears late that the datum was taken over, and lets go of its copy.
-    world.agents[2].node.drop(id, Fate.PASSED_ON)
+    giver = node_of(world.agents[2])
+    giver.keeper.drop(giver.holdings.custody[id], Fate.PASSED_ON)
     assert lost(world) == {"died": 1}
 
 

@@ -209,7 +209,7 @@ def test_orders_in_pieces_are_obeyed(make_swarm: MakeSwarm) -> None:
 
 
 def test_a_late_world_catches_up_and_its_flight_controllers_speak_once(
-    make_swarm, monkeypatch: pytest.MonkeyPatch
+    make_swarm: MakeSwarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     swarm = make_swarm(2)
     swarm.vehicle[1].send(FrameWriter(system_id(1), 191).message(companion_heartbeat()))

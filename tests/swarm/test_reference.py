@@ -184,14 +184,14 @@ def test_half_of_the_store_leaves_oldest_first_and_at_most_the_bandwidth(held: i
     world = small([[0, 0], [1, 0]], 3, store={"bandwidth_items": bandwidth, "capacity_items": 20})
     ids = put(world, 1, held)
     world.run(1)
-    assert list(world.agents[1].node.inventory) == ids[sent:]
+    assert list(world.agents[1].node.holdings.custody) == ids[sent:]
 
 
 def test_a_full_node_loses_its_oldest_datum_for_a_new_one() -> None:
     # Node 1 has no way to anywhere: it can only keep.
     world = small([[0, 0], [5, 0]], 2, store={"capacity_items": 3, "overflow": "drop-oldest"})
     ids = put(world, 1, 5)
-    assert list(world.agents[1].node.inventory) == ids[2:]
+    assert list(world.agents[1].node.holdings.custody) == ids[2:]
     assert world.ledger.losses()["overflow"] == 2
     check(world)
 
@@ -220,7 +220,7 @@ def test_among_equal_neighbours_the_last_in_the_hash_table_gets_the_data() -> No
         world = small(positions, 6)
         put(world, 23, 1)
         world.run(2)
-        assert {agent.node.id for agent in world.agents if agent.node.sent_data} == {23, chosen}
+        assert {agent.node.id for agent in world.agents if agent.node.pace.sent} == {23, chosen}
         # Without the chosen one the next in line is taken: 12 goes before 22 by the remainder of 20.
         positions[chosen] = [200, 50]
 

@@ -11,8 +11,6 @@ from rass_mav.core.messages import (
     Beacon,
     Chunk,
     Committed,
-    Corrupt,
-    CorruptEntry,
     Data,
     Handover,
     LossNote,
@@ -27,6 +25,8 @@ from rass_mav.core.messages import (
     ReceiptSpan,
     Sack,
     Word,
+    WordEntry,
+    Words,
 )
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
@@ -58,7 +58,7 @@ SAMPLES: dict[str, Message] = {
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
     "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
-    "corrupt": Corrupt(2, 3, (CorruptEntry(HELLO.id, Word.AGAIN), CorruptEntry(WORLD.id, Word.NONE))),
+    "corrupt": Words(2, 3, (WordEntry(HELLO.id, Word.AGAIN), WordEntry(WORLD.id, Word.NONE))),
 }
 
 u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))
@@ -104,6 +104,6 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
     PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple)),
-    Corrupt: st.builds(Corrupt, u16, u16, st.lists(st.builds(CorruptEntry, ids, u8), max_size=30).map(tuple)),
+    Words: st.builds(Words, u16, u16, st.lists(st.builds(WordEntry, ids, u8), max_size=30).map(tuple)),
 }
 any_message = st.one_of(*by_type.values())

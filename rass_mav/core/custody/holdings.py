@@ -1,37 +1,134 @@
-"""What a node holds: metadata in memory, in the order of eviction; the bytes lie in the store.
+"""What a node holds: one record a datum, in memory; the bytes lie in the store.
 
-Custody comes first. Spare copies (`mirrors`) lie in the room that custody leaves, and count as free: whoever adds a
-datum in custody first lets go of spares, `crowded` and `yielding` tell when and which.
+A record says all that the node knows of its copy: whether the datum is in its custody or a spare, who its partner is,
+to whom it is being handed over, and what is offered. The indexes follow from the records. Only `Holdings` changes
+either, so they cannot contradict each other.
+
+Custody comes first. Spares lie in the room that custody leaves, and count as free: whoever takes a datum into custody
+first lets go of spares, `crowded` and `yielding` tell when and which.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
+import enum
 from collections.abc import Iterator
 from itertools import chain, islice
+from math import inf
 
+from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import Store, StoredInfo
 
 
-class Inventory:
-    """The data in a node's custody, least recently used first (the paper's LRU eviction), and its spare copies.
+class State(enum.Enum):
+    """What a copy is to its holder."""
 
-    Bounded by items and by bytes of payload; None: no bound of that kind. Length, iteration and `in` mean custody.
-    """
+    CUSTODY = "in custody"
+    """The holder has to move the datum on."""
+    SPARE = "spare"
+    """The partner has custody, and counts on this copy."""
+    PASSED_ON = "passed on"
+    """A spare that nobody counts on any more, for custody has passed on from the partner."""
+
+
+#: What a copy may become, and by what; None: there is no copy. docs/protocol.md draws it.
+CHANGES: dict[tuple[State | None, State | None], str] = {
+    (None, State.CUSTODY): "created here, handed over to this node, or found at the start",
+    (None, State.SPARE): "a custodian sends a spare copy",
+    (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
+    (State.SPARE, State.PASSED_ON): "the partner says that it has passed the datum on",
+    (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
+    (State.SPARE, State.CUSTODY): "the partner is gone, or asks for it; or it is offered, or was told lost",
+    (State.PASSED_ON, State.CUSTODY): "a custodian asks for it; or it is offered, or was told lost",
+    (State.CUSTODY, None): "handed over to a base, arrived elsewhere, corrupt, expired, or no room",
+    (State.SPARE, None): "arrived, corrupt, expired, or no room",
+    (State.PASSED_ON, None): "arrived, corrupt, expired, or no room",
+}
+
+
+class Pending:
+    """A hand-over that has not been answered."""
+
+    __slots__ = ("neighbour", "number", "sending", "sent", "tries")
+
+    def __init__(self, number: int, neighbour: int, now: float, sending: Sending | None = None) -> None:
+        self.number = number
+        self.neighbour = neighbour
+        self.sending = sending
+        """The transfer, if the datum goes in chunks."""
+        self.sent = now
+        """When it was last sent, seconds."""
+        self.tries = 1
+
+
+class Partner:
+    """Another node that this one keeps spares for, or that keeps spares for this one."""
+
+    __slots__ = ("backed", "epoch", "heard", "id", "lifetime_s", "spares")
+
+    def __init__(self, id: int, epoch: int | None, heard: float, lifetime_s: float) -> None:
+        self.id = id
+        self.epoch = epoch
+        """Epoch of its store, from its beacon; None: not known yet."""
+        self.heard = heard
+        """When it was last known to be there, seconds."""
+        self.lifetime_s = lifetime_s
+        """A neighbour like this is gone when it is silent for longer: it grows with the turn that its beacons tell."""
+        self.spares: dict[DatumId, Holding] = {}
+        """Data in its custody that this node has a spare of."""
+        self.backed: dict[DatumId, Holding] = {}
+        """Data in own custody that it has a spare of."""
+
+
+class Holding:
+    """All that a node knows of a datum that it holds."""
+
+    __slots__ = ("asked", "crc", "created", "id", "offer_at", "offers", "partner", "pending", "size", "state")
+
+    def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
+        self.id = datum.id
+        self.created = datum.created
+        """Seconds."""
+        self.crc = datum.crc
+        self.size = size
+        """Bytes of payload."""
+        self.state = state
+        self.partner: Partner | None = None
+        """In custody: the backer, who keeps a spare. Spare: the custodian."""
+        self.pending: Pending | None = None
+        """The hand-over that is under way; in custody only."""
+        self.offers: dict[int, int] = {}
+        """Spares on offer: by number, to whom. In custody only."""
+        self.offer_at: float | None = None
+        """In custody without a backer: when a spare may be offered next, seconds. None: it needs no spare."""
+        self.asked = 0.0
+        """Spare: when the custodian told of it or was asked for it last, seconds."""
+
+
+class Holdings:
+    """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_active",
-        "_bytes",
-        "_items",
-        "_onward",
-        "_spare_bytes",
-        "capacity_bytes",
+        "_all",
+        "_capacity_bytes",
+        "_looked_at",
+        "_own_bytes",
+        "_own_items",
+        "_small_bytes",
+        "_store",
+        "asked",
+        "bare",
         "capacity_items",
-        "own_bytes",
-        "own_items",
+        "custody",
+        "custody_bytes",
+        "large",
+        "offers",
+        "partners",
+        "passed_on",
+        "pending",
         "reserved",
-        "store",
+        "spare",
+        "spare_bytes",
     )
 
     def __init__(
@@ -41,168 +138,254 @@ class Inventory:
         capacity_items: int | None = None,
         capacity_bytes: int | None = None,
         own_share: float = 0.0,
+        small_bytes: int = 0,
         load: bool = True,
     ) -> None:
-        """`own_share`, 0..1: of what is bounded, that part is kept for the node's own measurements.
+        """`own_share`, 0..1: of what is bounded, that part is kept for the node's own measurements. `small_bytes`: data
+        up to this size go whole in one frame.
 
         `load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers what
         was a spare, and a copy too many is allowed."""
-        self.store = store
+        self._store = store
         self.capacity_items = capacity_items
-        self.capacity_bytes = capacity_bytes
-        self.own_items = int(own_share * (capacity_items or 0))
-        """Places that others' data leave free."""
-        self.own_bytes = int(own_share * (capacity_bytes or 0))
-        self._items: OrderedDict[DatumId, StoredInfo] = OrderedDict()
-        self._active: dict[DatumId, StoredInfo] = {}
-        self._onward: dict[DatumId, StoredInfo] = {}
-        self._bytes = 0
-        self._spare_bytes = 0
+        self._capacity_bytes = capacity_bytes
+        self._own_items = int(own_share * (capacity_items or 0))
+        self._own_bytes = int(own_share * (capacity_bytes or 0))
+        self._small_bytes = small_bytes
+        self._all: dict[DatumId, Holding] = {}
+        self.custody: dict[DatumId, Holding] = {}
+        """What is in custody, least recently used first (the paper's LRU eviction)."""
+        self.spare: dict[DatumId, Holding] = {}
+        """Spares that a partner counts on, the oldest first."""
+        self.passed_on: dict[DatumId, Holding] = {}
+        """Spares that nobody counts on any more, the oldest first."""
+        self.custody_bytes = 0
+        """Bytes of payload in custody."""
+        self.spare_bytes = 0
+        """Bytes of payload of the spares of both kinds."""
+        self._looked_at = 0
         self.reserved = 0
         """Places kept for items that are to come back."""
+        self.bare: dict[DatumId, Holding] = {}
+        """Small data in custody without a backer, the longest first."""
+        self.asked: dict[DatumId, Holding] = {}
+        """Spares that a partner counts on, those asked for the longest ago first."""
+        self.pending: dict[int, Holding] = {}
+        """What is being handed over, by number, the oldest first."""
+        self.large: dict[int, Holding] = {}
+        """What is being handed over in chunks, by neighbour."""
+        self.offers: dict[int, Holding] = {}
+        """What spares are offered of, by number."""
+        self.partners: dict[int, Partner] = {}
+        """By node id; each with at least one datum."""
         for info in store.held() if load else ():
-            self._items[info.id] = info
-            self._bytes += info.size
-
-    def __len__(self) -> int:
-        return len(self._items)
+            self._enter(Holding(info, info.size, State.CUSTODY))
 
     def __contains__(self, id: object) -> bool:
-        return id in self._items
+        """Whether there is a copy here, in custody or spare."""
+        return id in self._all
+
+    def __len__(self) -> int:
+        """How many copies there are."""
+        return len(self._all)
 
     def __iter__(self) -> Iterator[DatumId]:
-        return iter(self._items)
+        """All copies: those in custody, then the spares."""
+        return chain(self.custody, self.spare, self.passed_on)
 
-    @property
-    def bytes(self) -> int:
-        """Bytes of payload in custody."""
-        return self._bytes
+    def get(self, id: DatumId) -> Holding | None:
+        """The record of a datum; None: no copy is here."""
+        return self._all.get(id)
+
+    # -- room ----------------------------------------------------------------------------------------------------------
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
-        if self.capacity_bytes is not None and self._bytes >= self.capacity_bytes - self.own_bytes:
+        if self._capacity_bytes is not None and self.custody_bytes >= self._capacity_bytes - self._own_bytes:
             return 0
         if self.capacity_items is None:
             return 0xFFFF
-        return min(max(self.capacity_items - self.own_items - len(self._items) - self.reserved, 0), 0xFFFE)
+        return min(max(self.capacity_items - self._own_items - len(self.custody) - self.reserved, 0), 0xFFFE)
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether a datum of `size` bytes of payload fits into custody. `own`: a measurement of this node."""
-        if self.capacity_bytes is not None:
-            limit = self.capacity_bytes if own else self.capacity_bytes - self.own_bytes
-            if self._bytes + size > limit:
+        if self._capacity_bytes is not None:
+            limit = self._capacity_bytes if own else self._capacity_bytes - self._own_bytes
+            if self.custody_bytes + size > limit:
                 return False
         if self.capacity_items is None:
             return True
-        limit = self.capacity_items if own else self.capacity_items - self.own_items
-        return len(self._items) + self.reserved < limit
+        limit = self.capacity_items if own else self.capacity_items - self._own_items
+        return len(self.custody) + self.reserved < limit
 
     def room_to_grow(self, growth: int) -> bool:
-        """Whether a held datum may be replaced by one that is `growth` bytes longer."""
-        return self.capacity_bytes is None or self._bytes + growth <= self.capacity_bytes
-
-    def info(self, id: DatumId) -> StoredInfo:
-        """What is known of a datum in custody; KeyError if it is not."""
-        return self._items[id]
-
-    def add(self, datum: Datum) -> None:
-        """Take a datum into custody as the most recently used one. Raises `StoreFullError` over the store's quota."""
-        self.store.put(datum)
-        id = datum.id
-        old = self._items.pop(id, None)
-        if old is not None:
-            self._bytes -= old.size
-        size = len(datum.payload)
-        self._items[id] = StoredInfo(id, datum.kind, datum.created, datum.hops, datum.crc, size)
-        self._bytes += size
-
-    def remove(self, id: DatumId, fate: Fate) -> None:
-        """Let go of a datum in custody, or of a spare; KeyError if there is neither."""
-        info = self._items.pop(id, None)
-        if info is not None:
-            self._bytes -= info.size
-        else:
-            info = self._active.pop(id, None) or self._onward.pop(id)
-            self._spare_bytes -= info.size
-        self.store.remove(id, fate)
-
-    def touch(self, id: DatumId) -> None:
-        """A datum in custody was used: it becomes the last to be evicted."""
-        self._items.move_to_end(id)
-
-    # -- spares --------------------------------------------------------------------------------------------------------
-
-    @property
-    def spares(self) -> int:
-        """How many spares there are."""
-        return len(self._active) + len(self._onward)
-
-    @property
-    def spare_bytes(self) -> int:
-        """Bytes of payload of the spares."""
-        return self._spare_bytes
-
-    def holds(self, id: DatumId) -> bool:
-        """Whether there is a copy here, in custody or spare."""
-        return id in self._items or id in self._active or id in self._onward
-
-    def is_active(self, id: DatumId) -> bool:
-        """Whether this spare is one that somebody counts on."""
-        return id in self._active
-
-    def everything(self) -> Iterator[DatumId]:
-        """All copies: those in custody, then the spares."""
-        return chain(self._items, self._active, self._onward)
-
-    def created(self, id: DatumId) -> float:
-        """When a held datum, or a spare, was created, seconds; KeyError if there is neither."""
-        return (self._items.get(id) or self._active.get(id) or self._onward[id]).created
-
-    def oldest(self, start: int, count: int) -> list[DatumId]:
-        """`count` copies from position `start` of `everything` (for a scrub that goes round)."""
-        return list(islice(self.everything(), start, start + count))
-
-    def demote(self, id: DatumId) -> None:
-        """Custody has passed on: the copy here becomes an active spare."""
-        info = self._items.pop(id)
-        self._active[id] = info
-        self._bytes -= info.size
-        self._spare_bytes += info.size
-
-    def pass_by(self, id: DatumId) -> None:
-        """An active spare is not counted on any more: it yields before the active ones."""
-        self._onward[id] = self._active.pop(id)
-
-    def activate(self, id: DatumId) -> None:
-        """An onward spare is counted on again."""
-        self._active[id] = self._onward.pop(id)
-
-    def promote(self, id: DatumId) -> None:
-        """A spare comes into custody (again), as the most recently used one."""
-        info = self._active.pop(id, None) or self._onward.pop(id)
-        self._items[id] = info
-        self._bytes += info.size
-        self._spare_bytes -= info.size
-
-    def add_spare(self, datum: Datum) -> None:
-        """Store a datum as an active spare. Raises `StoreFullError` over the store's quota."""
-        self.store.put(datum)
-        size = len(datum.payload)
-        self._active[datum.id] = StoredInfo(datum.id, datum.kind, datum.created, datum.hops, datum.crc, size)
-        self._spare_bytes += size
+        """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
+        return self._capacity_bytes is None or self.custody_bytes + growth <= self._capacity_bytes
 
     def crowded(self, size: int) -> bool:
         """Whether a datum of `size` bytes of payload does not fit beside all that is here, spares included."""
-        if (
-            self.capacity_items is not None
-            and len(self._items) + len(self._active) + len(self._onward) + self.reserved >= self.capacity_items
-        ):
+        if self.capacity_items is not None and len(self._all) + self.reserved >= self.capacity_items:
             return True
-        if self.capacity_bytes is not None and self._bytes + self._spare_bytes + size > self.capacity_bytes:
+        if self._capacity_bytes is not None and self.custody_bytes + self.spare_bytes + size > self._capacity_bytes:
             return True
-        return not self.store.room_for(size)
+        return not self._store.room_for(size)
 
-    def yielding(self, *, active: bool = True) -> DatumId | None:
-        """The spare that goes first: the oldest onward one; if there is none, and `active`, the oldest active one."""
-        id = next(iter(self._onward), None)
-        return next(iter(self._active), None) if id is None and active else id
+    def yielding(self, *, counted_on: bool) -> Holding | None:
+        """The spare that goes first: the oldest that nobody counts on; then, with `counted_on`, the oldest other."""
+        for holding in self.passed_on.values():
+            return holding
+        if counted_on:
+            for holding in self.spare.values():
+                return holding
+        return None
+
+    def older(self, than: float) -> list[Holding]:
+        """Copies of data that were created before a moment, seconds."""
+        return [self._all[id] for id in self if self._all[id].created < than]
+
+    def damaged(self, limit: int | None) -> list[Holding]:
+        """Copies whose bytes do not fit their checksum any more, of `limit` of them, going round; None: of all."""
+        if limit is None or limit >= len(self._all):
+            found = self._store.corrupt(self)
+        else:
+            if self._looked_at >= len(self._all):
+                self._looked_at = 0
+            found = self._store.corrupt(islice(self, self._looked_at, self._looked_at + limit))
+            self._looked_at += limit
+        return [self._all[id] for id in found]
+
+    # -- changes -------------------------------------------------------------------------------------------------------
+
+    def add(self, datum: Datum, state: State = State.CUSTODY) -> Holding:
+        """Take in a copy as the most recently used one. Raises `StoreFullError` over the store's quota."""
+        self._store.put(datum)
+        old = self._all.get(datum.id)
+        if old is not None:
+            self._leave(old)
+        return self._enter(Holding(datum, len(datum.payload), state))
+
+    def remove(self, holding: Holding, fate: Fate) -> None:
+        """Let go of a copy."""
+        self._leave(holding)
+        self._store.remove(holding.id, fate)
+
+    def change(self, holding: Holding, state: State) -> None:
+        """A copy becomes something else to its holder: one of `CHANGES`. It has no partner afterwards."""
+        assert (holding.state, state) in CHANGES
+        self._leave(holding)
+        holding.state = state
+        self._enter(holding)
+
+    def pair(self, holding: Holding, partner: Partner, now: float) -> None:
+        """From now on this is the datum's partner, and nobody else. It needs no more spares."""
+        self.unpair(holding)
+        self.partners[partner.id] = partner
+        holding.partner = partner
+        if holding.state is State.CUSTODY:
+            self.withdraw(holding)
+            partner.backed[holding.id] = holding
+            if holding.offer_at is not None:
+                holding.offer_at = None
+                del self.bare[holding.id]
+        else:
+            partner.spares[holding.id] = holding
+            self.ask(holding, now)
+
+    def unpair(self, holding: Holding) -> Partner | None:
+        """A datum has no partner any more. Returns who it was."""
+        partner = self._part(holding)
+        if partner is not None and holding.state is State.CUSTODY:
+            self._lay_bare(holding)
+        return partner
+
+    def ask(self, holding: Holding, now: float) -> None:
+        """The custodian of a spare has just told of it, or is asked for it."""
+        self.asked.pop(holding.id, None)
+        self.asked[holding.id] = holding
+        holding.asked = now
+
+    def give(self, holding: Holding, pending: Pending) -> None:
+        """Begin a hand-over; one that was under way is cancelled."""
+        self.cancel(holding)
+        holding.pending = pending
+        self.pending[pending.number] = holding
+        if pending.sending is not None:
+            self.large[pending.neighbour] = holding
+
+    def cancel(self, holding: Holding) -> None:
+        """Forget the hand-over of a datum, if any: answers to it will be ignored."""
+        pending, holding.pending = holding.pending, None
+        if pending is not None:
+            del self.pending[pending.number]
+            if pending.sending is not None:
+                del self.large[pending.neighbour]
+
+    def answered(self, number: int, neighbour: int) -> Holding | None:
+        """What is being handed over to this neighbour under this number; None: nothing."""
+        holding = self.pending.get(number)
+        if holding is None or holding.pending is None or holding.pending.neighbour != neighbour:
+            return None
+        return holding
+
+    def offer(self, holding: Holding, number: int, neighbour: int) -> None:
+        """A spare is offered to a neighbour, beside those offered before."""
+        holding.offers[number] = neighbour
+        self.offers[number] = holding
+
+    def offered(self, number: int, neighbour: int) -> Holding | None:
+        """What a spare is offered of to this neighbour under this number; None: nothing."""
+        holding = self.offers.get(number)
+        return holding if holding is not None and holding.offers[number] == neighbour else None
+
+    def withdraw(self, holding: Holding) -> None:
+        """Spares of a datum are not offered any more: answers will be ignored."""
+        for number in holding.offers:
+            del self.offers[number]
+        holding.offers.clear()
+
+    # -- the indexes ---------------------------------------------------------------------------------------------------
+
+    def _of(self, state: State) -> dict[DatumId, Holding]:
+        return self.custody if state is State.CUSTODY else self.spare if state is State.SPARE else self.passed_on
+
+    def _enter(self, holding: Holding) -> Holding:
+        self._all[holding.id] = holding
+        self._of(holding.state)[holding.id] = holding
+        if holding.state is State.CUSTODY:
+            self.custody_bytes += holding.size
+            self._lay_bare(holding)
+        else:
+            self.spare_bytes += holding.size
+        return holding
+
+    def _leave(self, holding: Holding) -> None:
+        self._part(holding)
+        del self._all[holding.id]
+        del self._of(holding.state)[holding.id]
+        if holding.state is State.CUSTODY:
+            self.custody_bytes -= holding.size
+            self.cancel(holding)
+            self.withdraw(holding)
+            if holding.offer_at is not None:
+                holding.offer_at = None
+                del self.bare[holding.id]
+        else:
+            self.spare_bytes -= holding.size
+
+    def _part(self, holding: Holding) -> Partner | None:
+        partner, holding.partner = holding.partner, None
+        if partner is not None:
+            if holding.state is State.CUSTODY:
+                del partner.backed[holding.id]
+            else:
+                del partner.spares[holding.id]
+                del self.asked[holding.id]
+            if not partner.spares and not partner.backed:
+                del self.partners[partner.id]
+        return partner
+
+    def _lay_bare(self, holding: Holding) -> None:
+        """In custody without a backer."""
+        if holding.size <= self._small_bytes:
+            holding.offer_at = -inf
+            self.bare[holding.id] = holding

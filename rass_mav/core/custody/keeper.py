@@ -2,100 +2,80 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Container
 
-from rass_mav.core.custody.handovers import Custody
-from rass_mav.core.custody.holdings import Inventory
+from rass_mav.core.custody.handovers import HandoverNumbers
+from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.notes import LossNotes
-from rass_mav.core.news.receipts import Pair, Receipts
+from rass_mav.core.news.notes import NoLossNotes
+from rass_mav.core.news.receipts import NoReceipts, Pair
 from rass_mav.core.observer import Observer
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
-
-if TYPE_CHECKING:
-    import random
-    from collections.abc import Container
-
-    from rass_mav.core.custody.transfers import Transfers
-    from rass_mav.core.replica import Replica
-    from rass_mav.core.spares.mirrors import Mirrors
-
 
 #: What is dropped for one of these reasons is gone, as far as this node knows.
 _BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
 
 
 class Keeper:
-    """The keeping half of a node. `Node` adds what is said to neighbours and Alg. 1."""
+    """The keeping half of a drone."""
 
     __slots__ = (
-        "_scrub_at",
-        "archive",
-        "custody",
-        "index",
-        "inventory",
-        "mirrors",
+        "arrived",
+        "corrupt_received",
+        "holdings",
         "notes",
+        "numbers",
         "observer",
         "receipts",
         "refused",
-        "replica",
         "settings",
-        "sink",
+        "spares",
         "stirred",
         "store",
-        "transfers",
     )
-
-    mirrors: Mirrors | None
-    replica: Replica | None
-    transfers: Transfers
 
     def __init__(
         self,
         settings: NodeSettings,
         store: Store,
-        rng: random.Random,
-        observer: Observer | None,
-        *,
-        sink: bool,
-        receipts: bool,
+        numbers: HandoverNumbers,
+        receipts: NoReceipts,
+        notes: NoLossNotes,
+        observer: Observer,
     ) -> None:
-        """`sink`: what comes here has arrived for good. `receipts`: bases say what has arrived, nodes tell it on."""
+        """`receipts`: what bases say has arrived. `notes`: word of lost data, on its way to a base."""
         self.settings = settings
         self.store = store
-        self.observer = observer or Observer()
-        self.sink = sink
-        """Whether what comes here has arrived for good."""
-        self.index = Archive(store.ids(), store.losses()) if sink else None
-        """At a base: what has become of all data."""
-        self.receipts: Receipts | None = None
-        """What receipts told of arrivals at bases."""
-        if receipts:
-            source = (settings.node_id, store.epoch) if sink else (0, 0)
-            # Neighbours' turns should not come together, so ids are scattered (by Knuth's multiplicative hashing).
-            phase = settings.node_id * 2654435761 % (1 << 32) >> 16
-            self.receipts = Receipts(source, archive=self.index, period=settings.receipt_steps, phase=phase)
-        heard: Container[DatumId] = frozenset() if self.receipts is None else self.receipts
-        self.archive: Container[DatumId] = heard if self.index is None else self.index
-        """What has arrived: at a base what is here, elsewhere what has reached a base as far as receipts told."""
-        self.notes = LossNotes(store) if receipts and settings.acknowledged and not sink else None
-        """Word of lost data, on its way to a base."""
-        self.inventory = Inventory(
-            store,
+        self.numbers = numbers
+        self.receipts = receipts
+        self.notes = notes
+        self.observer = observer
+        self.spares = NoSpares()
+        """Spare copies; whoever keeps them for this node sets itself here."""
+        self.arrived: Container[DatumId] = receipts
+        """What has reached a base, as far as this node knows."""
+        self.holdings = self._take_up()
+        self.refused = 0
+        """Hand-overs refused for want of room."""
+        self.corrupt_received = 0
+        """Data that came in with a checksum that does not fit."""
+        self.stirred = False
+        """Whether something came into custody that `Node.forward` has not looked at."""
+
+    def _take_up(self) -> Holdings:
+        settings = self.settings
+        return Holdings(
+            self.store,
             capacity_items=settings.capacity_items,
             capacity_bytes=settings.capacity_bytes,
             own_share=settings.own_share,
-            load=not sink,
+            small_bytes=settings.inline_bytes,
         )
-        self.custody = Custody(rng)
-        self.refused = 0
-        """Hand-overs refused for want of room."""
-        self.stirred = False
-        """Whether something came into custody that `Node.forward` has not looked at."""
-        self._scrub_at = 0
+
+    # -- taking in -----------------------------------------------------------------------------------------------------
 
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
         """Accept a datum that arrived whole and intact. False: no room, the giver keeps it."""
@@ -103,78 +83,57 @@ class Keeper:
         if self.has_custody(giver, number, id, datum.crc):
             return True
         size = len(datum.payload)
-        if self.inventory.holds(id) or not (self.may_accept(size) or self.make_room(size, own=False)):
+        if id in self.holdings or not (self.may_accept(size) or self.make_room(size, own=False)):
             self.refused += 1
             if number == 0:
                 self.observer.declined(id)
             return False
-        if self.sink:
-            self.deliver(datum.arrived())
-        else:
-            self.hold(datum.arrived())
-            if self.mirrors is not None:
-                self.mirrors.took(id, giver)
+        self.keep(datum.arrived(), giver)
         if number:
-            self.custody.accept(giver, number, id)
+            self.numbers.accept(giver, number, id)
         return True
 
     def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
         """Keep a spare copy for a neighbour that has custody. False: it cannot be kept, or not relied on."""
-        if self.sink:
-            return self.take_custody(giver, number, datum)
-        if self.mirrors is None or not self.mirrors.keep(giver, datum):
-            self.refused += 1
-            return False
-        return True
-
-    def give_away(self, id: DatumId, to: int) -> None:
-        """A neighbour has taken custody of a datum."""
-        if self.mirrors is None:
-            self.drop(id, Fate.PASSED_ON)
-        else:
-            self.mirrors.gave(id, to)
+        kept = self.spares.keep(giver, datum)
+        self.refused += not kept
+        return kept
 
     def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
         """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken.
 
-        False with `id` still in the inventory: what is held under this id is another datum, so the offer is refused.
+        False while something is held under `id`: that is another datum, so the offer is refused.
         """
-        inventory, mirrors = self.inventory, self.mirrors
-        if id in self.archive:
-            taken = True
-        elif not inventory.holds(id):
-            taken = bool(number) and self.custody.has_accepted(giver, number, id)
-        else:
+        holding = self.holdings.get(id)
+        accepted = number != 0 and self.numbers.has_accepted(giver, number, id)
+        if holding is not None and id not in self.arrived:
             # The giver will delete its copy on our word, so ours must be good at this moment; a bad one is dropped.
-            held = self.load(id)
-            if held is None or held.crc != crc:
+            if self.load(holding) is None or holding.crc != crc:
                 return False
-            taken = bool(number) and self.custody.has_accepted(giver, number, id)
-            if not taken:
-                self._comes_round(giver, number, id)
+            if not accepted:
+                self._comes_round(holding, giver, number)
                 return True
-        if taken and mirrors is not None and id not in inventory:
-            mirrors.not_here(id, giver)
-        return taken
+        elif not accepted and id not in self.arrived:
+            return False
+        if holding is None or holding.state is not State.CUSTODY:
+            self.spares.not_here(id, giver)
+        return True
 
-    def _comes_round(self, giver: int, number: int, id: DatumId) -> None:
+    def _comes_round(self, holding: Holding, giver: int, number: int) -> None:
         """A datum is offered that is here already: this copy is what the giver may rely on from now on."""
         # Whatever we offered of it, nobody's answer may delete it any more.
-        self.custody.cancel(id)
-        self.transfers.cancel(id)
+        self.holdings.cancel(holding)
         if number:
-            self.custody.accept(giver, number, id)
-        if self.mirrors is not None:
-            if id not in self.inventory:
-                self.mirrors.take_back(id)
-            self.mirrors.took(id, giver)
+            self.numbers.accept(giver, number, holding.id)
+        self.spares.take_back(holding)
+        self.spares.took(holding, giver)
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether another datum of `size` bytes of payload can be stored, if need be in place of spares.
 
         `own`: a measurement of this node."""
-        inventory = self.inventory
-        return (self.sink or inventory.room_for(size, own=own)) and self.store.room_for(size - inventory.spare_bytes)
+        holdings = self.holdings
+        return holdings.room_for(size, own=own) and self.store.room_for(size - holdings.spare_bytes)
 
     def may_accept(self, size: int) -> bool:
         """Whether custody of a datum of `size` bytes of payload can be taken over."""
@@ -182,144 +141,169 @@ class Keeper:
 
     def make_room(self, size: int, *, own: bool) -> bool:
         """With `drop_oldest`: let go of the least recently used data until `size` bytes of payload fit."""
-        if not self.settings.drop_oldest or self.sink or self.replica is not None or not self.store.accepting:
+        if not self.settings.drop_oldest or not self.store.accepting:
             return False
+        custody = self.holdings.custody
         while not self.room_for(size, own=own):
-            oldest = next(iter(self.inventory), None)
-            if oldest is None:
+            if not custody:
                 return False
-            self.drop(oldest, Fate.OVERFLOW)
+            self.drop(next(iter(custody.values())), Fate.OVERFLOW)
         return True
 
-    def hold(self, datum: Datum) -> None:
-        """Store a datum in own custody."""
-        mirrors = self.mirrors
-        if mirrors is not None:
-            mirrors.make_way(len(datum.payload))
-        self.inventory.add(datum)
-        if self.notes is not None:
-            self.notes.forget(datum.id)
+    def keep(self, datum: Datum, giver: int | None = None) -> None:
+        """Store a datum in own custody. `giver`: who handed it over; None: it was made here."""
+        self.spares.make_way(len(datum.payload))
+        holding = self.holdings.add(datum)
+        self.notes.forget(datum.id)
         self.stirred = True
-        if mirrors is not None:
-            mirrors.took(datum.id)
+        self.spares.took(holding, giver)
         self.observer.gained(datum)
 
-    def deliver(self, datum: Datum) -> None:
-        """A datum has arrived: at a base that is a sink."""
-        index = self.index
-        assert index is not None
-        self.store.put(datum)
-        if index.is_lost(datum.id):
-            self.store.found(datum.id)
-        index.add(datum.id)
-        if self.receipts is not None:
-            self.receipts.arrived(datum.id)
-        self.observer.delivered(datum)
+    # -- letting go ----------------------------------------------------------------------------------------------------
 
-    def drop(self, id: DatumId, fate: Fate) -> None:
+    def give_away(self, holding: Holding, to: int) -> None:
+        """A neighbour has taken custody of a datum."""
+        if not self.spares.gave(holding, to):
+            self.drop(holding, Fate.PASSED_ON)
+
+    def drop(self, holding: Holding, fate: Fate) -> None:
         """Let go of a datum in custody, or of a spare."""
-        mirrors = self.mirrors
-        if mirrors is not None and id not in self.inventory:
-            mirrors.drop(id, fate)
-            return
-        self.custody.cancel(id)
-        self.transfers.cancel(id)
-        noted = fate
-        if fate in (Fate.CORRUPTED, Fate.EXPIRED):
-            self.custody.forget(id)
-            if mirrors is not None and fate is Fate.CORRUPTED and mirrors.repair(id):
-                # Another node has been asked to take the datum back: only the copy is lost.
-                noted = Fate.PASSED_ON
-                if self.notes is not None:
+        id, noted = holding.id, fate
+        if holding.state is not State.CUSTODY:
+            self.spares.let_go(holding, missing=fate in (Fate.CORRUPTED, Fate.OVERFLOW))
+            # No loss to be noted here: custody lies elsewhere.
+            noted = Fate.PASSED_ON
+        else:
+            if fate in (Fate.CORRUPTED, Fate.EXPIRED):
+                self.numbers.forget(id)
+                if fate is Fate.CORRUPTED and self.spares.repair(holding):
+                    # Another node has been asked to take the datum back: only the copy is lost.
+                    noted = Fate.PASSED_ON
                     self.notes.suspect(id, fate)
-            else:
-                self.store.count(fate.value)
-        if mirrors is not None:
-            mirrors.left(id)
-        if self.replica is not None:
-            self.replica.forget(id, fate)
-        self.inventory.remove(id, noted)
+                else:
+                    self.store.count(fate.value)
+            self.spares.left(holding)
+        self.holdings.remove(holding, noted)
         self.observer.dropped(id, fate)
-        if self.notes is not None and noted in _BEYOND_REPAIR:
+        if noted in _BEYOND_REPAIR:
             self.notes.make(id, noted)
 
     def beyond_repair(self, id: DatumId, fate: Fate) -> None:
         """A datum whose copy here is gone already cannot be had from its backer either: it is lost."""
         self.store.count(fate.value)
-        if self.notes is None:
-            self.store.lose(id, fate)
-        else:
-            self.notes.make(id, fate)
+        self.notes.give_up(id, fate)
 
     # -- receipts and loss notes ---------------------------------------------------------------------------------------
 
     def heed(self, changed: set[Pair]) -> None:
         """Receipts told something new of these (origin, epoch) pairs."""
-        receipts, mirrors, notes = self.receipts, self.mirrors, self.notes
-        if receipts is None or self.sink:
-            return
-        inventory = self.inventory
-        for id in [id for id in inventory.everything() if id[:2] in changed]:
+        receipts, holdings, notes = self.receipts, self.holdings, self.notes
+        for id in [id for id in holdings if id[:2] in changed]:
+            holding = holdings.get(id)
+            assert holding is not None
             if id in receipts:
-                self.drop(id, Fate.DELIVERED)
-            elif mirrors is not None and receipts.told_lost(id) and self.load(id) is not None:
+                self.drop(holding, Fate.DELIVERED)
+            elif receipts.told_lost(id):
                 # Whoever had custody thought it the last copy.
-                mirrors.rescue(id)
-        if notes is not None:
-            for id in [id for id in notes.waiting if id[:2] in changed and (id in receipts or receipts.told_lost(id))]:
-                notes.forget(id)
+                self.spares.rescue(holding)
+        for id in [id for id in notes.waiting if id[:2] in changed and (id in receipts or receipts.told_lost(id))]:
+            notes.forget(id)
+
+    @property
+    def takes_notes(self) -> bool:
+        """Whether loss notes are taken; if not they are not answered, so they are not lost."""
+        return self.notes.told
 
     def take_note(self, id: DatumId, fate: Fate) -> bool:
         """A neighbour hands on the note that a datum is lost. False: there is no room for it."""
-        if id in self.archive:
+        if id in self.arrived:
             return True
-        if self.index is not None:
-            if self.index.lose(id):
-                self.store.lose(id, fate)
-                if self.receipts is not None:
-                    self.receipts.lost(id)
-                return True
-            return self.index.is_lost(id)
-        if self.inventory.holds(id) and self.load(id) is not None:
+        holding = self.holdings.get(id)
+        if holding is not None and self.load(holding) is not None:
             # It is not: a good copy is here.
-            if self.mirrors is not None:
-                self.mirrors.rescue(id)
+            self.spares.take_back(holding)
             return True
-        if self.receipts is not None and self.receipts.told_lost(id):
-            return True
-        return self.notes is not None and self.notes.take(id, fate)
+        return self.receipts.told_lost(id) or self.notes.take(id, fate)
 
     # -- care of what is held ------------------------------------------------------------------------------------------
 
-    def load(self, id: DatumId) -> Datum | None:
-        """A held datum (or spare) as it may be sent. None: its bytes are corrupt, and it has been dropped."""
-        datum = self.store.get(id)
+    def load(self, holding: Holding) -> Datum | None:
+        """A datum in custody, or a spare, as it may be sent. None: its bytes are corrupt, and it has been dropped."""
+        datum = self.store.get(holding.id)
         if datum is not None and datum.intact:
             return datum
-        self.drop(id, Fate.CORRUPTED)
+        self.drop(holding, Fate.CORRUPTED)
         return None
 
     def scrub(self) -> None:
         """Verify checksums of what is held, spares too, `scrub_items` of them, going round."""
-        inventory = self.inventory
-        count = len(inventory) + inventory.spares
-        if not count:
-            return
-        limit = self.settings.scrub_items
-        if limit is None or limit >= count:
-            ids = list(inventory.everything())
-        else:
-            if self._scrub_at >= count:
-                self._scrub_at = 0
-            ids = inventory.oldest(self._scrub_at, limit)
-            self._scrub_at += limit
-        get = self.store.get
-        for id in ids:
-            datum = get(id)
-            if datum is None or not datum.intact:
-                self.drop(id, Fate.CORRUPTED)
+        for holding in self.holdings.damaged(self.settings.scrub_items):
+            self.drop(holding, Fate.CORRUPTED)
 
     def expire(self, before: float) -> None:
-        inventory = self.inventory
-        for id in [id for id in inventory.everything() if inventory.created(id) < before]:
-            self.drop(id, Fate.EXPIRED)
+        """Let go of what was created before a moment, seconds."""
+        for holding in self.holdings.older(before):
+            self.drop(holding, Fate.EXPIRED)
+
+
+class Sink(Keeper):
+    """The keeping half of a base: what comes here has arrived for good."""
+
+    __slots__ = ("archive",)
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        store: Store,
+        numbers: HandoverNumbers,
+        receipts: NoReceipts,
+        archive: Archive,
+        observer: Observer,
+    ) -> None:
+        super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer)
+        self.archive = archive
+        """What has become of all data."""
+        self.arrived = archive
+
+    def _take_up(self) -> Holdings:
+        # What has arrived is the archive's.
+        return Holdings(self.store, load=False)
+
+    def room_for(self, size: int, *, own: bool) -> bool:
+        """Whether the store takes another datum of `size` bytes of payload."""
+        return self.store.room_for(size)
+
+    def make_room(self, size: int, *, own: bool) -> bool:
+        """Nothing that has arrived makes room."""
+        return False
+
+    def keep(self, datum: Datum, giver: int | None = None) -> None:
+        """A datum has arrived."""
+        self.store.put(datum)
+        if self.archive.is_lost(datum.id):
+            self.store.found(datum.id)
+        self.archive.add(datum.id)
+        self.receipts.arrived(datum.id)
+        self.observer.delivered(datum)
+
+    def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
+        """A spare copy has arrived like any other."""
+        return self.take_custody(giver, number, datum)
+
+    def heed(self, changed: set[Pair]) -> None:
+        """Nothing is held here that receipts are about."""
+
+    @property
+    def takes_notes(self) -> bool:
+        """Whether bases speak of arrivals and losses at all."""
+        return self.receipts.told
+
+    def take_note(self, id: DatumId, fate: Fate) -> bool:
+        """A neighbour says that a datum is lost. False: there is no room for the note."""
+        if id in self.archive or self.archive.is_lost(id):
+            return True
+        if not self.archive.lose(id):
+            return False
+        self.store.lose(id, fate)
+        self.receipts.lost(id)
+        return True

@@ -2,147 +2,145 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
-from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.custody.holdings import Holding, Pending
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.transfers import Transfers
+from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import Data, Handover, Message
-from rass_mav.core.policy import View
-
-if TYPE_CHECKING:
-    from rass_mav.core.node import Node
-
-#: Where data move on at once, one item in so many is kept for spares of new data, which nobody else has yet.
-KEPT_FOR_SPARES = 10
+from rass_mav.core.pace import Pace
+from rass_mav.core.policy import Policy, View
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.routes.table import RoutingTable
 
 
 class Percolation:
-    """Retransmissions first, then what the policy plans."""
+    """Retransmissions first, then what the policy plans, then spares of what rests."""
 
-    __slots__ = ("_batches", "_budget", "_node", "kept")
+    __slots__ = ("_batches", "_id", "_keeper", "_pace", "_risk", "_rng", "_routing", "_transfers", "policy")
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(
+        self,
+        keeper: Keeper,
+        transfers: Transfers,
+        routing: RoutingTable,
+        pace: Pace,
+        policy: Policy,
+        risk: RiskEstimator,
+        rng: random.Random,
+    ) -> None:
+        self._id = keeper.settings.node_id
+        self._keeper = keeper
+        self._transfers = transfers
+        self._routing = routing
+        self._pace = pace
+        self.policy = policy
+        self._risk = risk
+        self._rng = rng
         self._batches: dict[int, list[Handover]] = {}
-        self._budget = 0
-        self.kept = 0
-        """Items of this step that hand-overs leave for spares."""
+        """What goes to each neighbour, until it is said."""
 
-    @property
-    def budget(self) -> int:
-        """Items that may still be sent in this step."""
-        return self._budget
-
-    def begin_step(self) -> None:
-        """The bandwidth of a new step."""
-        node = self._node
-        self._budget = node.bandwidth_items
-        if node.settings.mirror and node.settings.immediate:
-            self.kept = node.bandwidth_items // KEPT_FOR_SPARES
-
-    def spend(self) -> None:
-        """An item is being sent."""
-        self._budget -= 1
-        self._node.sent_data += 1
-
-    def evict(self, now: float, out: list[Message]) -> None:
-        """Send what has to leave; `out` receives the messages."""
-        if self._node.custody.pending:
+    def evict(self, potential: int, now: float, out: list[Message]) -> None:
+        """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
+        if self._keeper.holdings.pending:
             self._retry(now, out)
-        self.forward(now, out)
+        self.forward(potential, now, out)
 
-    def forward(self, now: float, out: list[Message]) -> None:
-        """The same without the retransmissions: what the policy plans, then spares of what rests."""
-        node = self._node
-        batches = self._batches
-        if self._budget > 0 and node.routing.neighbours:
-            if self._budget > self.kept:
-                self._percolate(now, out)
-            if node.mirrors is not None:
-                node.mirrors.offers.spread(now, out)
-        if batches:
-            for target, handovers in batches.items():
-                out.append(Data(node.id, target, tuple(handovers)))
-            batches.clear()
+    def forward(self, potential: int, now: float, out: list[Message]) -> None:
+        """The same without the retransmissions."""
+        pace = self._pace
+        if pace.left > 0 and self._routing.neighbours:
+            if pace.left > pace.kept:
+                self._percolate(potential, now, out)
+            self._keeper.spares.spread(now, out)
+        if self._batches:
+            out += [Data(self._id, target, tuple(handovers)) for target, handovers in self._batches.items()]
+            self._batches.clear()
 
-    def _percolate(self, now: float, out: list[Message]) -> None:
-        node = self._node
-        settings = node.settings
-        neighbours = node.routing.neighbours
+    def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
+        keeper, transfers, pace, routing = self._keeper, self._transfers, self._pace, self._routing
+        neighbours = routing.neighbours
         # A neighbour whose last beacon is missing may have moved away: only if nobody else is fit is it tried.
         view = View(
             [n for n in neighbours.values() if n.heard >= now - 1.5 * n.turn_s],
-            neighbours.get(node.routing.next_hop) if node.routing.next_hop is not None else None,
-            node.routing.distance,
-            node.potential,
-            node.risk.risk(now),
-            self._budget - self.kept,
+            neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
+            routing.distance,
+            potential,
+            self._risk.risk(now),
+            pace.left - pace.kept,
             self._for_neighbour,
-            node.fresh,
-            node.rng,
+            self._rng,
         )
-        plan = node.policy.plan(view)
+        plan = self.policy.plan(view)
         if not plan and len(view.neighbours) < len(neighbours):
             view.neighbours = neighbours.values()
-            plan = node.policy.plan(view)
-        for id, target, move in plan:
-            large = node.inventory.info(id).size > settings.inline_bytes
-            if large and not node.transfers.free(target):
+            plan = self.policy.plan(view)
+        inline, acknowledged = keeper.settings.inline_bytes, keeper.settings.acknowledged
+        for id, target in plan:
+            holding = keeper.holdings.custody[id]
+            large = holding.size > inline
+            if large and not transfers.free(target):
                 continue
-            datum = node.load(id)
+            datum = keeper.load(holding)
             if datum is None:
                 continue
-            if not move:
-                if node.replica is not None:
-                    self.spend()
-                    out.append(node.replica.message(datum))
-            elif large:
-                node.transfers.begin(datum, target, now, out)
+            if large:
+                transfers.begin(holding, datum, target, now, out)
+                continue
+            number = 0
+            if acknowledged:
+                number = keeper.numbers.draw()
+                keeper.holdings.give(holding, Pending(number, target, now))
             else:
-                self.spend()
-                number = 0
-                if settings.acknowledged:
-                    number = node.custody.give(id, target, now).number
-                else:
-                    node.drop(id, Fate.PASSED_ON)
-                self._batches.setdefault(target, []).append(Handover(number, datum))
+                keeper.drop(holding, Fate.PASSED_ON)
+            self._send(target, number, datum)
+
+    def _send(self, target: int, number: int, datum: Datum) -> None:
+        self._pace.spend()
+        self._batches.setdefault(target, []).append(Handover(number, datum))
 
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
         """Held data that can be handed to a neighbour now, least recently used first.
 
         Large data wait while a transfer to it is under way, without holding up the small ones behind them.
         """
-        node = self._node
-        inventory = node.inventory
-        pending = node.custody.pending
-        if node.transfers.free(neighbour):
-            return (id for id in inventory if id not in pending) if pending else iter(inventory)
-        inline = node.settings.inline_bytes
-        return (id for id in inventory if id not in pending and inventory.info(id).size <= inline)
+        holdings = self._keeper.holdings
+        if not self._transfers.free(neighbour):
+            inline = self._keeper.settings.inline_bytes
+            return (id for id, h in holdings.custody.items() if h.pending is None and h.size <= inline)
+        if holdings.pending:
+            return (id for id, h in holdings.custody.items() if h.pending is None)
+        return iter(holdings.custody)
 
     def _retry(self, now: float, out: list[Message]) -> None:
         """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent."""
-        node = self._node
-        settings = node.settings
-        due = now - (settings.retry_steps - 0.5) * node.turn_s
+        keeper, pace = self._keeper, self._pace
+        due = now - (keeper.settings.retry_steps - 0.5) * pace.turn_s
+        for holding in list(keeper.holdings.pending.values()):
+            pending = holding.pending
+            assert pending is not None
+            if self._is_hopeless(pending, now):
+                keeper.holdings.cancel(holding)
+            elif pending.sent <= due and pace.left > 0:
+                self._send_again(holding, pending, now, out)
+
+    def _is_hopeless(self, pending: Pending, now: float) -> bool:
+        """Whether another neighbour is to be tried: this one is gone, or silent."""
+        neighbour = self._routing.neighbours.get(pending.neighbour)
+        if neighbour is None or pending.tries >= self._keeper.settings.max_tries:
+            return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another one would make a second copy.
-        neighbours = node.routing.neighbours
-        for pending in list(node.custody.pending.values()):
-            neighbour = neighbours.get(pending.neighbour)
-            if (
-                neighbour is None
-                or neighbour.heard < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
-                or pending.tries >= settings.max_tries
-            ):
-                node.custody.cancel(pending.id)
-                node.transfers.cancel(pending.id)
-                continue
-            if pending.sent > due or self._budget <= 0 or node.transfers.retry(pending, now, out):
-                continue
-            datum = node.load(pending.id)
-            if datum is not None:
-                pending.tries += 1
-                pending.sent = now
-                self.spend()
-                self._batches.setdefault(pending.neighbour, []).append(Handover(pending.number, datum))
+        return neighbour.heard < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+
+    def _send_again(self, holding: Holding, pending: Pending, now: float, out: list[Message]) -> None:
+        if pending.sending is not None:
+            self._transfers.probe(pending, pending.sending, now, out)
+            return
+        datum = self._keeper.load(holding)
+        if datum is not None:
+            pending.tries += 1
+            pending.sent = now
+            self._send(pending.neighbour, pending.number, datum)

@@ -18,7 +18,7 @@ SACK_EVERY = 8
 REORDER_MARGIN = 3
 
 
-class Outgoing:
+class Sending:
     """The giver's side of a transfer."""
 
     __slots__ = ("_acked", "_resent", "_sent", "answered", "count", "datum", "handle", "neighbour", "number", "size")
@@ -95,7 +95,7 @@ class Outgoing:
         ]
 
 
-class Incoming:
+class Receiving:
     """The receiver's side of a transfer. Holds at most one datum's bytes."""
 
     __slots__ = ("_chunks", "_next", "_since", "count", "handle", "heard", "offer")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import random
 
-from rass_mav.core.custody.handovers import Pending
-from rass_mav.core.custody.transfer import Incoming, Outgoing
-from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId
+from rass_mav.core.custody.holdings import Holding, Pending
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.transfer import Receiving, Sending
+from rass_mav.core.datum import MAX_PAYLOAD, Datum
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
-
-if TYPE_CHECKING:
-    from rass_mav.core.node import Node
+from rass_mav.core.pace import Pace
 
 #: Transfers at a time, each way. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
@@ -21,125 +20,124 @@ MAX_CHUNKS = 1 << 14
 class Transfers:
     """Offers, chunks and their acknowledgement for one node."""
 
-    def __init__(self, node: Node, lifetime_s: float) -> None:
+    __slots__ = ("_id", "_keeper", "_pace", "_receiving", "_rng", "lifetime_s")
+
+    def __init__(self, keeper: Keeper, pace: Pace, rng: random.Random, lifetime_s: float) -> None:
         """`lifetime_s`: an incoming transfer silent for longer is given up, and its bytes forgotten."""
-        self._node = node
+        self._id = keeper.settings.node_id
+        self._keeper = keeper
+        self._pace = pace
+        self._rng = rng
         self.lifetime_s = lifetime_s
-        self._out: dict[int, Outgoing] = {}
-        """By neighbour."""
-        self._in: dict[int, Incoming] = {}
+        self._receiving: dict[int, Receiving] = {}
         """By handle."""
-        self.sent_chunks = 0
+
+    # -- out -----------------------------------------------------------------------------------------------------------
 
     def free(self, neighbour: int) -> bool:
         """Whether a transfer to this neighbour can begin."""
-        return neighbour not in self._out and len(self._out) < MAX_TRANSFERS
+        large = self._keeper.holdings.large
+        return neighbour not in large and len(large) < MAX_TRANSFERS
 
-    def begin(self, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
+    def begin(self, holding: Holding, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
         """Offer a datum to a neighbour that is `free`."""
-        node = self._node
-        number = node.custody.give(datum.id, neighbour, now).number
-        transfer = Outgoing(datum, neighbour, number, node.settings.chunk_bytes)
-        self._out[neighbour] = transfer
-        out.append(transfer.offer(node.id))
+        keeper = self._keeper
+        number = keeper.numbers.draw()
+        sending = Sending(datum, neighbour, number, keeper.settings.chunk_bytes)
+        keeper.holdings.give(holding, Pending(number, neighbour, now, sending))
+        out.append(sending.offer(self._id))
 
-    def retry(self, pending: Pending, now: float, out: list[Message]) -> bool:
-        """If this hand-over is a transfer: probe it when nothing was heard since the last probe. False: it is none."""
-        transfer = self._out.get(pending.neighbour)
-        if transfer is None or transfer.number != pending.number:
-            return False
+    def probe(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
+        """Offer once more what is being handed over in chunks, when nothing was heard since the last time."""
         pending.sent = now
-        if transfer.answered:
+        if sending.answered:
             pending.tries = 1
-            transfer.answered = False
+            sending.answered = False
         else:
             pending.tries += 1
-            out.append(transfer.offer(self._node.id))
-        return True
+            out.append(sending.offer(self._id))
 
-    def cancel(self, id: DatumId) -> None:
-        """The datum is not to be handed over any more."""
-        for neighbour, transfer in self._out.items():
-            if transfer.datum.id == id:
-                del self._out[neighbour]
-                return
-
-    def age(self, now: float) -> None:
-        """Give up silent incoming transfers."""
-        if self._in:
-            for handle in [h for h, t in self._in.items() if now - t.heard > self.lifetime_s]:
-                del self._in[handle]
+    def _to(self, neighbour: int) -> Sending | None:
+        holding = self._keeper.holdings.large.get(neighbour)
+        return None if holding is None or holding.pending is None else holding.pending.sending
 
     def on_accept(self, accept: Accept, now: float) -> list[Message]:
         """The neighbour opened a transfer (again): send, from where it says."""
-        transfer = self._out.get(accept.sender)
-        if transfer is None or transfer.number != accept.number:
+        sending = self._to(accept.sender)
+        if sending is None or sending.number != accept.number:
             return []
-        return self._sent(transfer.on_accept(accept))
+        return self._sent(sending.on_accept(accept))
 
     def on_sack(self, sack: Sack, now: float) -> list[Message]:
         """The neighbour says what it has."""
-        transfer = self._out.get(sack.sender)
-        if transfer is None or transfer.handle != sack.handle:
+        sending = self._to(sack.sender)
+        if sending is None or sending.handle != sack.handle:
             return []
-        return self._sent(transfer.on_sack(sack))
+        return self._sent(sending.on_sack(sack))
 
     def _sent(self, chunks: list[Chunk]) -> list[Message]:
-        self.sent_chunks += len(chunks)
-        self._node.sent_data += len(chunks)
+        self._pace.sent += len(chunks)
         return list(chunks)
+
+    # -- in ------------------------------------------------------------------------------------------------------------
+
+    def age(self, now: float) -> None:
+        """Give up silent incoming transfers."""
+        if self._receiving:
+            for handle in [h for h, t in self._receiving.items() if now - t.heard > self.lifetime_s]:
+                del self._receiving[handle]
 
     def on_offer(self, offer: Offer, now: float) -> list[Message]:
         """A neighbour offers a large datum: it is here already, there is no room, or it may come."""
-        node = self._node
-        id = offer.id
-        if node.has_custody(offer.sender, offer.number, id, offer.crc):
-            return [Committed(node.id, offer.sender, ((offer.number, offer.crc),), ())]
-        running = next((t for t in self._in.values() if t.offer.sender == offer.sender), None)
+        keeper = self._keeper
+        if keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
+            return [self._committed(offer)]
+        running = next((t for t in self._receiving.values() if t.offer.sender == offer.sender), None)
         if running is not None:
             same = running.offer
-            if (same.id, same.crc, same.size, same.chunk_size) == (id, offer.crc, offer.size, offer.chunk_size):
+            if (same.id, same.crc, same.size, same.chunk_size) == (offer.id, offer.crc, offer.size, offer.chunk_size):
                 running.offer = offer
                 running.heard = now
-                return [running.accept(node.id)]
-            del self._in[running.handle]
+                return [running.accept(self._id)]
+            del self._receiving[running.handle]
         if not self._acceptable(offer):
-            node.refused += 1
-            return [Committed(node.id, offer.sender, (), (offer.number,))]
-        handle = node.rng.getrandbits(16)
-        while handle in self._in:
-            handle = node.rng.getrandbits(16)
-        transfer = Incoming(offer, handle, now)
-        self._in[handle] = transfer
-        return [transfer.accept(node.id)]
+            keeper.refused += 1
+            return [self._refused(offer)]
+        handle = self._rng.getrandbits(16)
+        while handle in self._receiving:
+            handle = self._rng.getrandbits(16)
+        transfer = self._receiving[handle] = Receiving(offer, handle, now)
+        return [transfer.accept(self._id)]
 
     def _acceptable(self, offer: Offer) -> bool:
-        node = self._node
         if (
             offer.size > MAX_PAYLOAD
             or -(-offer.size // offer.chunk_size) > MAX_CHUNKS
-            or len(self._in) >= MAX_TRANSFERS
-            or node.inventory.holds(offer.id)
+            or len(self._receiving) >= MAX_TRANSFERS
+            or offer.id in self._keeper.holdings
         ):
             return False
-        return node.may_accept(offer.size + sum(t.offer.size for t in self._in.values()))
+        return self._keeper.may_accept(offer.size + sum(t.offer.size for t in self._receiving.values()))
 
     def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
         """A piece of a datum; of another's transfer, if the handle is not ours."""
-        node = self._node
-        transfer = self._in.get(chunk.handle)
+        transfer = self._receiving.get(chunk.handle)
         if transfer is None:
             return []
         acknowledge = transfer.on_chunk(chunk, now)
         if not transfer.complete:
-            return [transfer.sack(node.id)] if acknowledge else []
-        del self._in[chunk.handle]
-        datum = transfer.datum()
-        offer = transfer.offer
+            return [transfer.sack(self._id)] if acknowledge else []
+        del self._receiving[chunk.handle]
+        datum, offer = transfer.datum(), transfer.offer
         if datum is None:
             # Chunks of a stranger with the same handle got mixed in: the giver's next probe starts it afresh.
-            node.corrupt_received += 1
+            self._keeper.corrupt_received += 1
             return []
-        if node.take_custody(offer.sender, offer.number, datum):
-            return [Committed(node.id, offer.sender, ((offer.number, offer.crc),), ())]
-        return [Committed(node.id, offer.sender, (), (offer.number,))]
+        taken = self._keeper.take_custody(offer.sender, offer.number, datum)
+        return [self._committed(offer) if taken else self._refused(offer)]
+
+    def _committed(self, offer: Offer) -> Committed:
+        return Committed(self._id, offer.sender, ((offer.number, offer.crc),), ())
+
+    def _refused(self, offer: Offer) -> Committed:
+        return Committed(self._id, offer.sender, (), (offer.number,))

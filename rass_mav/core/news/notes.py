@@ -29,16 +29,57 @@ def fate_of(reason: int) -> Fate:
     return _FATES.get(reason, Fate.VANISHED)
 
 
-class LossNotes:
-    """The notes of one node that is no base."""
+class NoLossNotes:
+    """Of a node that makes and takes no notes: a base, or where nobody tells of losses."""
 
-    __slots__ = ("_numbers", "_store", "_target", "suspected", "waiting")
+    __slots__ = ("_store", "waiting")
+
+    told = False
+    """Whether notes are made and taken."""
 
     def __init__(self, store: Store) -> None:
-        """Takes up what the table of losses holds from an earlier life."""
         self._store = store
         self.waiting: dict[DatumId, Fate] = {}
         """Notes to hand on, the oldest first."""
+
+    def make(self, id: DatumId, fate: Fate) -> None:
+        """A datum in own custody is beyond repair; the store knows."""
+
+    def give_up(self, id: DatumId, fate: Fate) -> None:
+        """A datum that was looked for is beyond repair."""
+        self._store.lose(id, fate)
+
+    def suspect(self, id: DatumId, fate: Fate) -> None:
+        """The copy in own custody is gone, and another node is asked for the datum: `make` or `forget` follow."""
+
+    def take(self, id: DatumId, fate: Fate) -> bool:
+        """A neighbour hands a note on. False: there is no room."""
+        return False
+
+    def forget(self, id: DatumId) -> None:
+        """There is nothing to be told of a datum (any more)."""
+
+    def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> LossNote | None:
+        """What to send, one frame at most: what was not answered again, or the oldest. `draw`: gives numbers."""
+        return None
+
+    def committed(self, number: int, sender: int) -> None:
+        """A neighbour has taken the note of this number."""
+
+    def refused(self, number: int, sender: int) -> None:
+        """A neighbour has no room for it: it is offered again under a new number."""
+
+
+class LossNotes(NoLossNotes):
+    """The notes of one drone."""
+
+    __slots__ = ("_numbers", "_target", "suspected")
+
+    told = True
+
+    def __init__(self, store: Store) -> None:
+        """Takes up what the table of losses holds from an earlier life."""
+        super().__init__(store)
         self.suspected: dict[DatumId, Fate] = {}
         """Notes held back while another node is asked for the datum. On disk too, so that a restart does not lose them.
         Bounded by `repairs.MAX_SEARCHES`."""
@@ -51,14 +92,15 @@ class LossNotes:
             self._bound()
 
     def make(self, id: DatumId, fate: Fate) -> None:
-        """A datum in own custody is beyond repair."""
         self._store.lose(id, fate)
         self.suspected.pop(id, None)
         self.waiting.setdefault(id, fate)
         self._bound()
 
+    def give_up(self, id: DatumId, fate: Fate) -> None:
+        self.make(id, fate)
+
     def suspect(self, id: DatumId, fate: Fate) -> None:
-        """The copy in own custody is gone, and another node is asked for the datum: `make` or `forget` follow."""
         self._store.lose(id, fate)
         self.suspected[id] = fate
 
@@ -68,7 +110,6 @@ class LossNotes:
             self._store.count("notes_dropped")
 
     def take(self, id: DatumId, fate: Fate) -> bool:
-        """A neighbour hands a note on. False: there is no room."""
         if id in self.waiting:
             # It has come round: whatever was offered of it, nobody's answer may delete it any more.
             self._cancel(id)
@@ -79,7 +120,6 @@ class LossNotes:
         return True
 
     def forget(self, id: DatumId) -> None:
-        """There is nothing to be told of a datum (any more)."""
         if self.waiting and self.waiting.pop(id, None) is not None:
             self._cancel(id)
             self._store.found(id)
@@ -90,7 +130,6 @@ class LossNotes:
         self._numbers = {number: other for number, other in self._numbers.items() if other != id}
 
     def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> LossNote | None:
-        """What to send, one frame at most: what was not answered again, or the oldest. `draw`: gives numbers."""
         if next_hop is None or not self.waiting:
             return None
         if next_hop != self._target or not self._numbers:
@@ -100,12 +139,10 @@ class LossNotes:
         return LossNote(sender, next_hop, tuple(entries))
 
     def committed(self, number: int, sender: int) -> None:
-        """A neighbour has taken the note of this number."""
         id = self._numbers.get(number)
         if id is not None and sender == self._target:
             self.forget(id)
 
     def refused(self, number: int, sender: int) -> None:
-        """A neighbour has no room for it: it is offered again under a new number."""
         if sender == self._target:
             self._numbers.pop(number, None)

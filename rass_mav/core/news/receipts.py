@@ -66,9 +66,54 @@ def _mark(pair: Pair, known: Known) -> int:
     return x * x >> 16 & 0xFFFFFFFF
 
 
-class Receipts:
+class NoReceipts:
+    """Of a node that neither says nor hears what has arrived."""
+
+    __slots__ = ()
+
+    told = False
+    """Whether bases say what has arrived."""
+
+    def __contains__(self, id: object) -> bool:
+        """Whether a datum is known to have arrived at a base."""
+        return False
+
+    def told_lost(self, id: DatumId) -> bool:
+        """Whether a base was told that a datum is lost, and no base is known to have got it."""
+        return False
+
+    def known(self) -> dict[Pair, Known]:
+        """All that is known, by (origin, epoch)."""
+        return {}
+
+    @property
+    def digest(self) -> int:
+        """For the beacon: equal digests, equal knowledge. 0: there is no use in comparing."""
+        return 0
+
+    def arrived(self, id: DatumId) -> None:
+        """At a base: a datum has arrived, the archive has it."""
+
+    def lost(self, id: DatumId) -> None:
+        """At a base: a datum was told lost, the archive knows."""
+
+    def learn(self, receipt: Receipt) -> set[Pair]:
+        """Take in what a neighbour says. Returns the pairs of which something new is known."""
+        return set()
+
+    def due(self, step: int) -> bool:
+        """Whether this node has its turn in a step."""
+        return False
+
+    def turn(self, neighbours: Collection[Neighbour]) -> Receipt | None:
+        """What to say, at most one frame's worth; None: nothing."""
+        return None
+
+
+class Receipts(NoReceipts):
     """What one node knows of arrivals, and what it has to say about them."""
 
+    told = True
     __slots__ = (
         "_archive",
         "_digest",
@@ -127,14 +172,12 @@ class Receipts:
     # -- what is known -------------------------------------------------------------------------------------------------
 
     def __contains__(self, id: object) -> bool:
-        """Whether a datum is known to have arrived at a base."""
         if not isinstance(id, DatumId):
             return False
         known = self._known.get((id.origin, id.epoch))
         return known is not None and has_arrived(known, id.sequence)
 
     def told_lost(self, id: DatumId) -> bool:
-        """Whether a base was told that a datum is lost, and no base is known to have got it."""
         known = self._known.get((id.origin, id.epoch))
         return known is not None and is_told_lost(known, id.sequence)
 
@@ -142,12 +185,10 @@ class Receipts:
         return len(self._known)
 
     def known(self) -> dict[Pair, Known]:
-        """All that is known, by (origin, epoch)."""
         return dict(self._known)
 
     @property
     def digest(self) -> int:
-        """For the beacon: equal digests, equal knowledge. 0: there is no use in comparing."""
         return 0 if self.forgetful else self._digest or _EMPTY
 
     def disagreement(self) -> str:
@@ -161,20 +202,17 @@ class Receipts:
     # -- learning ------------------------------------------------------------------------------------------------------
 
     def arrived(self, id: DatumId) -> None:
-        """At a base: a datum has arrived, the archive has it."""
         pair = (id.origin, id.epoch)
         held = self._known.get(pair)
         new = one(id.sequence)
         self._grow(pair, held, new if held is None else merged(held, new))
 
     def lost(self, id: DatumId) -> None:
-        """At a base: a datum was told lost, the archive knows."""
         pair = (id.origin, id.epoch)
         held = self._known.get(pair)
         self._grow(pair, held, held or NOTHING)
 
     def learn(self, receipt: Receipt) -> set[Pair]:
-        """Take in what a neighbour says. Returns the pairs of which something new is known."""
         changed: set[Pair] = set()
         get, news, going = self._known.get, self._news, self._round
         for origin, epoch, closed, bitmap in receipt.entries:
@@ -254,11 +292,9 @@ class Receipts:
     # -- telling -------------------------------------------------------------------------------------------------------
 
     def due(self, step: int) -> bool:
-        """Whether this node has its turn in a step."""
         return (step + self._phase) % self._period == 0
 
     def turn(self, neighbours: Collection[Neighbour]) -> Receipt | None:
-        """What to say, at most one frame's worth; None: nothing."""
         if not self._known:
             return None
         if not self.forgetful:

@@ -4,7 +4,7 @@ A datum has one custodian, the node that has to move it on. Beside it one other 
 
 - After a hand-over the giver keeps its copy. It is the backer until the receiver, the new custodian, says that it has
   passed the datum on in its turn. Then the spare is let go of, or (`mirror_until: receipt`) kept while there is room.
-- A datum that rests and has no backer gets one: its custodian sends a spare copy to its safest neighbour (`spares`).
+- A datum that rests and has no backer gets one: its custodian sends a spare copy to its safest neighbour (`offers`).
 
 A custodian that finds its copy corrupt asks its backer to take the datum back into custody. A backer whose custodian is
 gone for long, or was wiped, does so by itself. A backer that loses its spare says so.
@@ -16,18 +16,21 @@ to leave a datum without its spare. A backer that hears nothing for `ASK_STEPS` 
 
 from __future__ import annotations
 
-from collections import OrderedDict
+import random
 from collections.abc import Iterable
 from itertools import islice
-from typing import TYPE_CHECKING
 
+from rass_mav.core.custody.holdings import Holding, Partner, State
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, Corrupt, CorruptEntry, Message, PassedOn, Word
+from rass_mav.core.messages import BEACON_BASE, Committed, Message, PassedOn, Word, WordEntry, Words
+from rass_mav.core.pace import Pace
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.spares.offers import SpareOffers
 from rass_mav.core.spares.repairs import Repairs
-
-if TYPE_CHECKING:
-    from rass_mav.core.node import Node
+from rass_mav.core.spares.speech import Speech
 
 #: A backer that has heard nothing of a datum for so many steps (turns, where they are longer) asks its custodian.
 ASK_STEPS = 10
@@ -43,272 +46,186 @@ MAX_SPARES = 4096
 MAX_PASSED = 256
 
 
-class Partner:
-    """Another node that this one keeps spares for, or that keeps spares for this one."""
+class Mirrors(NoSpares):
+    """A drone's share of mirrored custody."""
 
-    __slots__ = ("backed", "epoch", "heard", "lifetime_s", "spares")
+    __slots__ = ("_again_at", "_keeper", "_now", "_offers", "_passed", "_repairs", "_routing", "_speech")
 
-    def __init__(self, epoch: int | None, heard: float, lifetime_s: float) -> None:
-        self.epoch = epoch
-        """Epoch of its store, from its beacon; None: not known yet."""
-        self.heard = heard
-        """When it was last known to be there, seconds."""
-        self.lifetime_s = lifetime_s
-        """A neighbour like this is gone when it is silent for longer: it grows with the turn that its beacons tell."""
-        self.spares: dict[DatumId, None] = {}
-        """Data in its custody that this node has a spare of."""
-        self.backed: dict[DatumId, None] = {}
-        """Data in own custody that it has a spare of."""
-
-
-class Mirrors:
-    """A node's share of mirrored custody: its active spares, the backers of what is in its custody."""
-
-    __slots__ = (
-        "_again_at",
-        "_asked",
-        "_node",
-        "_now",
-        "_passed",
-        "_passed_on",
-        "_words",
-        "backer",
-        "custodian",
-        "offers",
-        "partners",
-        "repairs",
-    )
-
-    def __init__(self, node: Node, now: float) -> None:
-        self._node = node
+    def __init__(
+        self,
+        keeper: Keeper,
+        routing: RoutingTable,
+        pace: Pace,
+        risk: RiskEstimator,
+        rng: random.Random,
+        now: float,
+    ) -> None:
+        self._keeper = keeper
+        self._routing = routing
         self._now = now
         """The present step's time, seconds."""
-        self.custodian: dict[DatumId, int] = {}
-        """Who has custody of each active spare: the keys are the active spares."""
-        self.backer: dict[DatumId, int] = {}
-        """Who keeps a spare of a datum in own custody. Bounded by custody."""
-        self.partners: dict[int, Partner] = {}
-        """By node id. Each has at least one datum of the two maps above."""
-        self.repairs = Repairs(node, self)
+        self._speech = Speech(keeper.settings.node_id)
+        self._repairs = Repairs(keeper, self._speech)
         """Data found corrupt that somebody was asked to take back."""
-        self.offers = SpareOffers(node)
-        """What is in custody without a backer."""
+        self._offers = SpareOffers(keeper, routing, pace, risk, rng)
+        """To whom spares are offered."""
         self._again_at = now
         """When those that have not answered are asked again, seconds."""
-        self._asked: OrderedDict[DatumId, float] = OrderedDict()
-        """When each active spare was last told of or asked for, the longest ago first."""
-        self._passed: OrderedDict[DatumId, int] = OrderedDict()
+        self._passed: dict[DatumId, int] = {}
         """Data passed on of late, and to whom."""
-        self._passed_on: dict[int, dict[DatumId, None]] = {}
-        self._words: dict[int, dict[DatumId, Word]] = {}
-        for id in node.inventory:
-            self.offers.need(id)
-
-    def disagreement(self) -> str:
-        """What these maps and the inventory say differently, for checks; empty: nothing, and all bounds hold."""
-        inventory = self._node.inventory
-        inline = self._node.settings.inline_bytes
-        spares = [id for id in inventory.everything() if inventory.is_active(id)]
-        if not set(spares) == self.custodian.keys() == self._asked.keys():
-            return "the active spares are not those that have a custodian"
-        bare = {id for id in inventory if id not in self.backer and inventory.info(id).size <= inline}
-        if not self.backer.keys() <= set(inventory) or bare != self.offers.bare.keys():
-            return "not every small datum in custody has a backer or waits for one"
-        relations = {(id, p, "spare") for p, partner in self.partners.items() for id in partner.spares}
-        relations |= {(id, p, "backed") for p, partner in self.partners.items() for id in partner.backed}
-        expected = {(id, p, "spare") for id, p in self.custodian.items()}
-        if relations != expected | {(id, p, "backed") for id, p in self.backer.items()}:
-            return "the partners are not those of the data"
-        if wrong := self.offers.disagreement():
-            return wrong
-        if inventory.spares > MAX_SPARES or len(self._passed) > MAX_PASSED:
-            return "a table is too long"
-        return ""
 
     # -- what happens to own custody -----------------------------------------------------------------------------------
 
-    def took(self, id: DatumId, giver: int | None = None) -> None:
-        """A datum is in custody now. `giver`: who handed it over, and keeps its copy as a spare."""
-        self.repairs.end(id)
-        self._passed.pop(id, None)
-        if giver is not None:
-            self.backed_by(id, giver)
-            self.offers.came(id)
-        elif id not in self.backer:
-            self.offers.need(id)
+    def make_way(self, size: int) -> None:
+        """Let go of spares until a datum of `size` bytes of payload fits beside the rest."""
+        self._make_way(size, counted_on=True)
 
-    def gave(self, id: DatumId, to: int) -> None:
+    def _make_way(self, size: int, *, counted_on: bool) -> bool:
+        holdings = self._keeper.holdings
+        while holdings.crowded(size):
+            spare = holdings.yielding(counted_on=counted_on)
+            if spare is None:
+                return False
+            self._keeper.drop(spare, Fate.OVERFLOW)
+        return True
+
+    def took(self, holding: Holding, giver: int | None = None) -> None:
+        """A datum is in custody now. `giver`: who handed it over, and keeps its copy as a spare."""
+        self._repairs.end(holding.id)
+        self._passed.pop(holding.id, None)
+        if giver is not None:
+            self._back(holding, giver)
+            self._offers.came(holding)
+
+    def take_back(self, holding: Holding) -> None:
+        """A spare, if this is one, comes into custody (again)."""
+        if holding.state is not State.CUSTODY:
+            self._keeper.holdings.change(holding, State.CUSTODY)
+            self._keeper.stirred = True
+            self._keeper.notes.forget(holding.id)
+            self.took(holding)
+
+    def rescue(self, holding: Holding) -> None:
+        """Bases were told that a datum is lost of which a copy is here."""
+        if self._keeper.load(holding) is not None:
+            self.take_back(holding)
+
+    def gave(self, holding: Holding, to: int) -> bool:
         """A neighbour has taken custody: the copy here becomes its spare, unless it is a base."""
-        node = self._node
-        neighbour = node.routing.neighbours.get(to)
-        if (neighbour is not None and neighbour.beacon.flags & BEACON_BASE) or node.inventory.spares >= MAX_SPARES:
-            node.drop(id, Fate.PASSED_ON)
-        else:
-            node.custody.cancel(id)
-            node.transfers.cancel(id)
-            self.left(id, to)
-            node.inventory.demote(id)
-            self._entrust(id, to)
+        keeper, id = self._keeper, holding.id
+        holdings = keeper.holdings
+        neighbour = self._routing.neighbours.get(to)
+        to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
+        stays = not to_base and len(holdings) - len(holdings.custody) < MAX_SPARES
+        if stays:
+            self._leave(holding, to)
+            holdings.change(holding, State.SPARE)
+            self._pair(holding, to)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
-            self._passed.popitem(last=False)
+            del self._passed[next(iter(self._passed))]
+        return stays
 
-    def left(self, id: DatumId, to: int | None = None) -> None:
-        """A datum leaves custody. Its backer is told that it need not be counted on, unless it is `to` itself."""
-        self.offers.settle(id)
-        backer = self._unback(id)
-        if backer is not None and backer != to:
-            self._passed_on.setdefault(backer, {})[id] = None
+    def left(self, holding: Holding) -> None:
+        """A datum is about to leave custody. Its backer is told that it need not be counted on."""
+        self._leave(holding, None)
 
-    def repair(self, id: DatumId) -> bool:
+    def _leave(self, holding: Holding, to: int | None) -> None:
+        """The same; `to`: who knows it already."""
+        self._offers.settle(holding.id)
+        backer = self._keeper.holdings.unpair(holding)
+        if backer is not None and backer.id != to:
+            self._speech.passed_on(backer.id, holding.id)
+
+    def repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Whether others are asked for the datum; if not, it is lost here."""
-        self.offers.settle(id)
-        return self.repairs.begin(id, self._unback(id))
+        self._offers.settle(holding.id)
+        backer = self._keeper.holdings.unpair(holding)
+        if backer is None and not self._routing.neighbours:
+            return False
+        self._repairs.begin(holding.id, None if backer is None else backer.id)
+        return True
 
-    def backed_by(self, id: DatumId, backer: int) -> None:
+    def _back(self, holding: Holding, backer: int) -> None:
         """Another node keeps a spare of a datum in own custody; who did so before is told."""
-        old = self.backer.get(id)
-        if old == backer:
-            return
-        self.left(id, backer)
-        self.backer[id] = backer
-        self._partner(backer).backed[id] = None
-
-    def _unback(self, id: DatumId) -> int | None:
-        backer = self.backer.pop(id, None)
-        if backer is not None:
-            del self.partners[backer].backed[id]
-            self._forget_idle(backer)
-        return backer
+        if holding.partner is None or holding.partner.id != backer:
+            self._leave(holding, backer)
+            self._pair(holding, backer)
 
     # -- what happens to spares ----------------------------------------------------------------------------------------
 
     def keep(self, giver: int, datum: Datum) -> bool:
         """A custodian sends a spare copy. Whether there is a good copy here now."""
-        node = self._node
-        inventory = node.inventory
+        keeper = self._keeper
+        holdings = keeper.holdings
         id = datum.id
-        if id in node.archive:
+        if id in keeper.arrived:
             return True
-        if inventory.holds(id):
-            held = node.load(id)
-            if held is not None:
-                if held.crc != datum.crc:
-                    return False
-                if id not in inventory:
-                    if self._release(id) is None:
-                        inventory.activate(id)
-                    self._entrust(id, giver)
-                return True
-        size = len(datum.payload)
-        if not node.store.accepting or inventory.spares >= MAX_SPARES or not self._make_way(size, active=False):
-            return False
-        inventory.add_spare(datum.arrived())
-        self.repairs.end(id)
-        self._passed.pop(id, None)
-        if node.notes is not None:
-            node.notes.forget(id)
-        self._entrust(id, giver)
-        node.observer.gained(datum)
-        return True
-
-    def make_way(self, size: int) -> None:
-        """Let go of spares until a datum of `size` bytes of payload fits beside the rest."""
-        self._make_way(size, active=True)
-
-    def _make_way(self, size: int, *, active: bool) -> bool:
-        inventory = self._node.inventory
-        while inventory.crowded(size):
-            id = inventory.yielding(active=active)
-            if id is None:
+        holding = holdings.get(id)
+        if holding is not None and keeper.load(holding) is not None:
+            if holding.crc != datum.crc:
                 return False
-            self.drop(id, Fate.OVERFLOW)
+            if holding.state is State.PASSED_ON:
+                holdings.change(holding, State.SPARE)
+            if holding.state is State.SPARE:
+                self._pair(holding, giver)
+            return True
+        full = len(holdings) - len(holdings.custody) >= MAX_SPARES
+        if full or not keeper.store.accepting or not self._make_way(len(datum.payload), counted_on=False):
+            return False
+        holding = holdings.add(datum.arrived(), State.SPARE)
+        self._repairs.end(id)
+        self._passed.pop(id, None)
+        keeper.notes.forget(id)
+        self._pair(holding, giver)
+        keeper.observer.gained(datum)
         return True
 
-    def drop(self, id: DatumId, fate: Fate) -> None:
-        """Let go of a spare. Who counts on it is told, unless the datum itself has come to its end."""
-        node = self._node
-        custodian = self._release(id)
-        if custodian is not None and fate in (Fate.CORRUPTED, Fate.OVERFLOW):
-            self.say(custodian, id, Word.NONE)
-        # No loss to be noted here: custody lies elsewhere.
-        node.inventory.remove(id, Fate.PASSED_ON)
-        node.observer.dropped(id, fate)
-
-    def take_back(self, id: DatumId) -> None:
-        """A spare comes into custody (again)."""
-        node = self._node
-        self._release(id)
-        node.inventory.promote(id)
-        node.stirred = True
-        if node.notes is not None:
-            node.notes.forget(id)
-        self.took(id)
-
-    def rescue(self, id: DatumId) -> None:
-        """Somebody holds a datum for lost of which a good copy is here."""
-        if id not in self._node.inventory:
-            self.take_back(id)
-
-    def _entrust(self, id: DatumId, custodian: int) -> None:
-        self.custodian[id] = custodian
-        self._partner(custodian).spares[id] = None
-        self._asked[id] = self._now
-
-    def _release(self, id: DatumId) -> int | None:
-        """A spare is not active any more. Returns whose it was; None: it was not active."""
-        custodian = self.custodian.pop(id, None)
-        if custodian is not None:
-            del self._asked[id]
-            del self.partners[custodian].spares[id]
-            self._forget_idle(custodian)
-        return custodian
+    def let_go(self, holding: Holding, *, missing: bool) -> None:
+        """A spare is about to go. `missing`: who counts on it is told."""
+        custodian = self._keeper.holdings.unpair(holding)
+        if custodian is not None and missing:
+            self._speech.say(custodian.id, holding.id, Word.NONE)
 
     # -- partners ------------------------------------------------------------------------------------------------------
 
-    def _partner(self, id: int) -> Partner:
-        partner = self.partners.get(id)
+    def _pair(self, holding: Holding, with_whom: int) -> None:
+        holdings = self._keeper.holdings
+        holdings.unpair(holding)
+        partner = holdings.partners.get(with_whom)
         if partner is None:
-            neighbour = self._node.routing.neighbours.get(id)
+            neighbour = self._routing.neighbours.get(with_whom)
             if neighbour is None:
-                partner = Partner(None, self._now, self._node.routing.longest_s)
+                partner = Partner(with_whom, None, self._now, self._routing.longest_s)
             else:
-                partner = Partner(neighbour.beacon.epoch, self._now, neighbour.lifetime_s)
-            self.partners[id] = partner
-        return partner
-
-    def _forget_idle(self, id: int) -> None:
-        partner = self.partners[id]
-        if not partner.spares and not partner.backed:
-            del self.partners[id]
+                partner = Partner(with_whom, neighbour.beacon.epoch, self._now, neighbour.lifetime_s)
+        holdings.pair(holding, partner, self._now)
 
     def step(self, now: float) -> None:
         """Once a step: partners that are gone, spares of which nothing was heard for long, repairs not answered."""
-        node = self._node
-        settings = node.settings
         self._now = now
-        if self.partners:
+        holdings = self._keeper.holdings
+        if holdings.partners:
             self._look_after_partners(now)
-        asked = self._asked
-        turn_s = node.routing.longest_turn_s
+        turn_s = self._routing.longest_turn_s
         due = now - (ASK_STEPS - 0.5) * turn_s
-        for id, at in list(islice(asked.items(), WORDS_A_STEP)):
-            if at > due:
+        for holding in list(islice(holdings.asked.values(), WORDS_A_STEP)):
+            if holding.asked > due:
                 break
-            asked[id] = now
-            asked.move_to_end(id)
-            self.say(self.custodian[id], id, Word.STILL)
+            holdings.ask(holding, now)
+            assert holding.partner is not None
+            self._speech.say(holding.partner.id, holding.id, Word.STILL)
         if now >= self._again_at:
-            self._again_at = now + turn_s - 0.5 * settings.step_s
-            self.repairs.step(WORDS_A_STEP)
-        self.offers.step(now)
+            self._again_at = now + turn_s - 0.5 * self._keeper.settings.step_s
+            self._repairs.step(WORDS_A_STEP)
+        self._offers.step(now)
 
     def _look_after_partners(self, now: float) -> None:
-        node = self._node
-        neighbours = node.routing.neighbours
+        keeper, routing = self._keeper, self._routing
+        neighbours = routing.neighbours
         # Who speaks seldom is told to wait, and waits too: its own words to a partner take as long.
-        own = node.routing.lifetime_s * (node.routing.turn_s / node.routing.step_s)
-        for id, partner in list(self.partners.items()):
+        own = routing.lifetime_s * (routing.turn_s / routing.step_s)
+        for id, partner in list(keeper.holdings.partners.items()):
             neighbour = neighbours.get(id)
             if neighbour is not None:
                 partner.heard = neighbour.heard
@@ -321,100 +238,105 @@ class Mirrors:
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
             # Gone, or its store was wiped: it has nothing of ours any more, or nothing that can be counted on.
-            for datum in list(partner.spares):
-                if node.load(datum) is not None:
-                    self.take_back(datum)
-            for datum in list(partner.backed):
-                self._unback(datum)
-                self.offers.need(datum)
+            for holding in list(partner.spares.values()):
+                if keeper.load(holding) is not None:
+                    self.take_back(holding)
+            for holding in list(partner.backed.values()):
+                keeper.holdings.unpair(holding)
 
     # -- what is said --------------------------------------------------------------------------------------------------
 
     def not_here(self, id: DatumId, asker: int) -> None:
         """Tell a node that hands over a datum which was taken before that it has been passed on since."""
-        self._passed_on.setdefault(asker, {})[id] = None
+        self._speech.passed_on(asker, id)
+
+    def answered(self, message: Committed, now: float, out: list[Message]) -> None:
+        """A neighbour took spares, or refused them: then another is tried. Other numbers are ignored."""
+        for number, crc in message.committed:
+            holding = self._keeper.holdings.offered(number, message.sender)
+            if holding is not None and holding.crc == crc:
+                self._back(holding, message.sender)
+        if message.refused:
+            self._offers.on_refused(message.refused, message.sender, now, out)
 
     def on_passed_on(self, message: PassedOn) -> None:
         """A custodian has passed data on: their spares here are not counted on any more."""
-        node = self._node
+        keeper = self._keeper
         for id in message.ids:
-            if self.custodian.get(id) != message.sender:
+            holding = keeper.holdings.spare.get(id)
+            if holding is None or holding.partner is None or holding.partner.id != message.sender:
                 continue
-            self._release(id)
-            if node.settings.mirror_until_receipt:
-                node.inventory.pass_by(id)
+            if keeper.settings.mirror_until_receipt:
+                keeper.holdings.change(holding, State.PASSED_ON)
             else:
-                node.inventory.remove(id, Fate.PASSED_ON)
-                node.observer.dropped(id, Fate.PASSED_ON)
+                keeper.drop(holding, Fate.PASSED_ON)
 
-    def on_corrupt(self, message: Corrupt, now: float, out: list[Message]) -> None:
+    def on_words(self, message: Words, now: float, out: list[Message]) -> None:
         """A custodian asks for data back, a backer has lost its spares or asks after data; and the answers.
 
         What is left with a single copy by this gets a spare at once, also where data move one hop a step.
         """
-        sender = message.sender
-        ids = [entry.id for entry in message.entries]
-        self._hear_words(sender, message.entries)
-        self.offers.spread(now, out, [id for id in ids if id in self.offers.bare])
+        self._hear(message.sender, message.entries)
+        self._offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
 
-    def _hear_words(self, sender: int, entries: Iterable[CorruptEntry]) -> None:
+    def _hear(self, sender: int, entries: Iterable[WordEntry]) -> None:
         for id, word in entries:
             if word == Word.AGAIN:
-                taken = self._taken_back(id, sender)
-                self.say(sender, id, Word.TAKEN if taken else Word.NONE)
-                if not taken:
-                    self.repairs.help(id)
+                self._on_again(id, sender)
             elif word == Word.STILL:
-                self._answer_still(id, sender)
+                self._on_still(id, sender)
             elif word == Word.TAKEN:
-                if self.repairs.end(id) and self._node.notes is not None:
-                    self._node.notes.forget(id)
+                if self._repairs.end(id):
+                    self._keeper.notes.forget(id)
             elif word == Word.NONE:
-                if self.backer.get(id) == sender:
-                    self._unback(id)
-                    self.offers.need(id)
-                else:
-                    self.repairs.on_none(id, sender)
+                self._on_none(id, sender)
             elif word == Word.WANTED:
-                self.repairs.on_wanted(id, sender)
+                self._repairs.on_wanted(id, sender)
             elif word == Word.HERE:
-                self.repairs.on_here(id, sender)
+                self._repairs.on_here(id, sender)
+
+    def _on_again(self, id: DatumId, custodian: int) -> None:
+        """A custodian's copy is corrupt, and it asks this node to take the datum back."""
+        taken = self._taken_back(id, custodian)
+        self._speech.say(custodian, id, Word.TAKEN if taken else Word.NONE)
+        if not taken:
+            self._repairs.help(id)
 
     def _taken_back(self, id: DatumId, asker: int) -> bool:
-        """A custodian's copy is corrupt: take the datum back. False: there is no good copy here, and none was given."""
-        node = self._node
-        if node.inventory.holds(id) and node.load(id) is not None:
+        """False: there is no good copy here, and none was given."""
+        keeper = self._keeper
+        holding = keeper.holdings.get(id)
+        if holding is not None and keeper.load(holding) is not None:
             # Also if the spare is another custodian's: that one may have passed the datum on to the asker.
-            if id not in node.inventory:
-                self.take_back(id)
+            self.take_back(holding)
             return True
         # Whoever it was given to has it, but for the asker, which has just lost it.
-        return self.repairs.is_under_way(id) or id in node.archive or self._passed.get(id, asker) != asker
+        return self._repairs.is_under_way(id) or id in keeper.arrived or self._passed.get(id, asker) != asker
 
-    def _answer_still(self, id: DatumId, backer: int) -> None:
+    def _on_still(self, id: DatumId, backer: int) -> None:
         """A backer asks after a datum of which it has a spare."""
-        node = self._node
-        if id in node.inventory:
-            if id not in self.backer:
-                self.backed_by(id, backer)
-        elif not self.repairs.is_under_way(id) and (
-            node.inventory.holds(id) or id in self._passed or id in node.archive
-        ):
-            self._passed_on.setdefault(backer, {})[id] = None
+        keeper = self._keeper
+        holding = keeper.holdings.get(id)
+        if holding is not None and holding.state is State.CUSTODY:
+            if holding.partner is None:
+                self._back(holding, backer)
+        elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed or id in keeper.arrived):
+            self._speech.passed_on(backer, id)
         else:
-            self.say(backer, id, Word.AGAIN)
+            self._speech.say(backer, id, Word.AGAIN)
 
-    def say(self, target: int, id: DatumId, word: Word) -> None:
-        """Say it with the next `flush`; to BROADCAST: to all neighbours."""
-        self._words.setdefault(target, {})[id] = word
+    def _on_none(self, id: DatumId, sender: int) -> None:
+        """A neighbour has no good copy: the backer, or whoever was asked for it."""
+        holding = self._keeper.holdings.custody.get(id)
+        if holding is not None and holding.partner is not None and holding.partner.id == sender:
+            self._keeper.holdings.unpair(holding)
+        else:
+            self._repairs.on_none(id, sender)
+
+    def spread(self, now: float, out: list[Message]) -> None:
+        """Send spares of what rests without a backer, within the bandwidth."""
+        self._offers.spread(now, out)
 
     def flush(self, out: list[Message]) -> None:
         """What is to be said since the last time."""
-        node_id = self._node.id
-        if self._passed_on:
-            out += [PassedOn(node_id, target, tuple(ids)) for target, ids in self._passed_on.items()]
-            self._passed_on = {}
-        if self._words:
-            for target, words in self._words.items():
-                out.append(Corrupt(node_id, target, tuple([CorruptEntry(*entry) for entry in words.items()])))
-            self._words = {}
+        self._speech.flush(out)

@@ -11,14 +11,13 @@ A search is nothing that anybody relies on. A spare found too often makes a copy
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from rass_mav.core.custody.holdings import State
+from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Word
-
-if TYPE_CHECKING:
-    from rass_mav.core.node import Node
-    from rass_mav.core.spares.mirrors import Mirrors
+from rass_mav.core.spares.speech import Speech
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024
@@ -38,23 +37,20 @@ class Search(NamedTuple):
 class Repairs:
     """What one node looks for."""
 
-    __slots__ = ("_mirrors", "_new", "_node", "searches")
+    __slots__ = ("_keeper", "_new", "_speech", "searches")
 
-    def __init__(self, node: Node, mirrors: Mirrors) -> None:
-        self._node = node
-        self._mirrors = mirrors
+    def __init__(self, keeper: Keeper, speech: Speech) -> None:
+        self._keeper = keeper
+        self._speech = speech
         self.searches: dict[DatumId, Search] = {}
         self._new: set[DatumId] = set()
         """Those begun since the last step."""
 
-    def begin(self, id: DatumId, backer: int | None) -> bool:
-        """A copy in custody is corrupt. Whether anybody is asked for the datum; if not, it is lost here."""
-        if backer is None and not self._node.routing.neighbours:
-            return False
+    def begin(self, id: DatumId, backer: int | None) -> None:
+        """A copy in custody is corrupt: its backer is asked for the datum, or, if there is none, all neighbours."""
         if len(self.searches) >= MAX_SEARCHES:
             self._give_up(next(iter(self.searches)))
         self._begin(id, BROADCAST if backer is None else backer, own=True)
-        return True
 
     def help(self, id: DatumId) -> None:
         """A custodian asked this node for a datum in vain."""
@@ -77,7 +73,7 @@ class Repairs:
     def step(self, count: int) -> None:
         """Once a step: ask once more for `count` data."""
         searches = self.searches
-        max_tries = self._node.settings.max_tries
+        max_tries = self._keeper.settings.max_tries
         new, self._new = self._new, set()
         for id, search in list(islice(searches.items(), count)):
             if id in new:
@@ -103,18 +99,19 @@ class Repairs:
 
     def on_wanted(self, id: DatumId, asker: int) -> None:
         """A neighbour looks for a datum."""
-        node = self._node
-        if node.inventory.holds(id) and node.load(id) is not None:
-            self._mirrors.say(asker, id, Word.TAKEN if id in node.inventory else Word.HERE)
-        elif id in node.archive:
-            self._mirrors.say(asker, id, Word.TAKEN)
+        keeper = self._keeper
+        holding = keeper.holdings.get(id)
+        if holding is not None and keeper.load(holding) is not None:
+            self._speech.say(asker, id, Word.TAKEN if holding.state is State.CUSTODY else Word.HERE)
+        elif id in keeper.arrived:
+            self._speech.say(asker, id, Word.TAKEN)
 
     def _ask(self, id: DatumId, search: Search) -> None:
         self.searches[id] = search
-        self._mirrors.say(search.whom, id, Word.WANTED if search.whom == BROADCAST else Word.AGAIN)
+        self._speech.say(search.whom, id, Word.WANTED if search.whom == BROADCAST else Word.AGAIN)
 
     def _give_up(self, id: DatumId) -> None:
         """Nobody around has a good copy. If somebody has one after all, it asks for itself, or takes the datum into
         custody when it hears that it was told lost."""
         if self.searches.pop(id).own:
-            self._node.beyond_repair(id, Fate.CORRUPTED)
+            self._keeper.beyond_repair(id, Fate.CORRUPTED)

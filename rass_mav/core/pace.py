@@ -1,0 +1,36 @@
+"""How often a node has its turn, and how much it may send in one."""
+
+from __future__ import annotations
+
+#: Where data move on at once, one item in so many is kept for spares of new data, which nobody else has yet.
+KEPT_FOR_SPARES = 10
+
+
+class Pace:
+    """The bandwidth of the paper: so many data a step, retransmissions included."""
+
+    __slots__ = ("_keeps", "items", "kept", "left", "sent", "turn_s")
+
+    def __init__(self, turn_s: float, items: int, *, keeps: bool) -> None:
+        """`keeps`: a part is kept for spares of new data."""
+        self.turn_s = turn_s
+        """Seconds between two turns, and so between two beacons: the step length, or more."""
+        self.items = items
+        """Data that may be sent in a turn."""
+        self._keeps = keeps
+        self.left = 0
+        """Data that may still be sent in this turn."""
+        self.kept = 0
+        """How many of them hand-overs leave for spares."""
+        self.sent = 0
+        """Data, copies and chunks sent in this life, retransmissions included."""
+
+    def begin_turn(self) -> None:
+        """The bandwidth of a new turn."""
+        self.left = self.items
+        self.kept = self.items // KEPT_FOR_SPARES if self._keeps else 0
+
+    def spend(self) -> None:
+        """A datum is being sent."""
+        self.left -= 1
+        self.sent += 1

@@ -1,0 +1,263 @@
+"""What all participants have in common, whatever their policy does with data: beacons, routes, risk, pace."""
+
+from __future__ import annotations
+
+import random
+from abc import ABC, abstractmethod
+
+from rass_mav.core.custody.holdings import Holdings
+from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Message
+from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.observer import Observer
+from rass_mav.core.pace import Pace
+from rass_mav.core.policy import POTENTIAL_BASE, Policy
+from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.routes.ranks import ByCost, ByHops
+from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
+from rass_mav.core.settings import NodeSettings
+from rass_mav.core.store import Store
+from rass_mav.errors import DatumError, StoreFullError
+
+#: How many announcement numbers a base claims on disk at a time.
+ANNOUNCEMENTS_CLAIMED = 256
+#: How many other nodes under its own id a node remembers.
+MAX_RIVALS = 16
+
+
+class Participant(ABC):
+    """One RASS participant. `Node` hands custody on, `Replica` copies everything to everybody."""
+
+    __slots__ = (
+        "_beacon_number",
+        "_claimed",
+        "_first_number",
+        "_slow_until",
+        "_steps",
+        "base",
+        "echoes",
+        "holdings",
+        "id",
+        "observer",
+        "pace",
+        "policy",
+        "potential",
+        "receipts",
+        "risk",
+        "rivals",
+        "rng",
+        "routing",
+        "settings",
+        "store",
+    )
+
+    holdings: Holdings
+    """What is held here."""
+    receipts: NoReceipts
+    """What bases say has arrived."""
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        store: Store,
+        policy: Policy,
+        risk: RiskEstimator,
+        rng: random.Random,
+        now: float,
+        observer: Observer | None,
+        newborn: bool,
+    ) -> None:
+        self.id = settings.node_id
+        self.base = settings.base
+        self.settings = settings
+        self.store = store
+        self.policy = policy
+        self.risk = risk
+        self.rng = rng
+        self.observer = observer or Observer()
+        slow = store.get_meta("turn") or 0
+        self.routing = RoutingTable(
+            settings,
+            store.epoch,
+            ByHops() if policy.costs is None else ByCost(policy.costs),
+            turn_s=slow / 10,
+            restarted=None if newborn else now,
+            number=following(store.get_meta("announcement") or 0),
+        )
+        self.pace = Pace(settings.step_s, settings.bandwidth_items, keeps=settings.mirror and settings.immediate)
+        """How often this node has its turn, and how much it may send in one."""
+        self.potential = 0
+        """Own potential as last announced, wire units."""
+        self.rivals: dict[int, float] = {}
+        """Epochs of other nodes heard under this node's id, and when last."""
+        self.echoes = 0
+        """Own beacons that came back."""
+        self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
+        # Random starts: nothing that was said in an earlier life is taken for a word of this one.
+        self._beacon_number, self._first_number = divmod(rng.getrandbits(48), 1 << 32)
+        self._steps = 0
+        self._claimed = self.routing.number
+        if self.base:
+            self._claim_announcement()
+
+    @property
+    def sink(self) -> bool:
+        """Whether what comes here has arrived for good. Under a replicating policy a base is an ordinary peer."""
+        return self.base and not self.policy.replicates
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def receive(self, message: Message, now: float) -> list[Message]:
+        """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
+
+    @abstractmethod
+    def step(self, now: float) -> list[Message]:
+        """One turn of Alg. 1 but for `store_measurements`, which is `put`. Returns what to send, the beacon first."""
+
+    @abstractmethod
+    def forward(self, now: float) -> list[Message]:
+        """What came in since the last turn moves on at once, within the bandwidth of this step.
+
+        For `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
+        """
+
+    @abstractmethod
+    def figures(self) -> dict[str, int]:
+        """What was counted in this life, by name, for `status`."""
+
+    def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
+        """Create a datum here. Raises `StoreFullError` (counted as overflow) or `DatumError` (too large or empty)."""
+        if not 0 < len(payload) <= self.most_bytes:
+            raise DatumError(f"a datum holds 1 to {self.most_bytes} bytes, got {len(payload)}")
+        if not self._has_room_for_own(len(payload)):
+            self.store.count("overflow")
+            self.observer.overflow()
+            raise StoreFullError("no room for a new datum")
+        id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
+        datum = make_datum(id, kind, now, payload)
+        self.observer.created(datum)
+        self._keep_own(datum)
+        return id
+
+    @property
+    @abstractmethod
+    def most_bytes(self) -> int:
+        """Largest payload of a datum that may be created here."""
+
+    @abstractmethod
+    def _has_room_for_own(self, size: int) -> bool:
+        """Whether there is room for a new datum, or can be made."""
+
+    @abstractmethod
+    def _keep_own(self, datum: Datum) -> None:
+        """Keep a new datum."""
+
+    def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
+        if beacon.sender != self.id:
+            self.routing.hear(beacon, now)
+        elif beacon.epoch == self.store.epoch:
+            self.echoes += 1
+        else:
+            if len(self.rivals) >= MAX_RIVALS and beacon.epoch not in self.rivals:
+                self.rivals.clear()
+            self.rivals[beacon.epoch] = now
+        return []
+
+    def _ignore(self, message: Message, now: float) -> list[Message]:
+        """It is not for participants of this kind."""
+        return []
+
+    # -- the beginning of Alg. 1 ---------------------------------------------------------------------------------------
+
+    def update_routing_table(self, now: float) -> None:
+        """Alg. 2, from what the neighbours' beacons said."""
+        routing, settings = self.routing, self.settings
+        if self.base:
+            if settings.seq_period and self._steps % settings.seq_period == 0:
+                routing.raise_number()
+            self._claim_announcement()
+        if self.policy.costs is not None:
+            routing.toll = self.policy.potential(routing.distance, self.risk.risk(now), 1)
+        routing.update(now)
+
+    def update_fitness(self, now: float) -> Beacon:
+        """Eq. 3, or what the policy has in its place. Returns the beacon that says it, and the route."""
+        routing, holdings, settings = self.routing, self.holdings, self.settings
+        risk = self.risk.risk(now)
+        free = holdings.free()
+        store = self.store
+        if free and not (store.accepting and store.room_for(settings.inline_bytes - holdings.spare_bytes)):
+            free = 0
+        if self.base:
+            self.potential = POTENTIAL_BASE if free else 0
+        elif self.policy.costs is not None:
+            self.potential = routing.metric
+        else:
+            self.potential = self.policy.potential(routing.distance, risk, free)
+        routing.announced(now)
+        wanted = routing.wanted
+        flags = (BEACON_BASE if self.base else 0) | (BEACON_WANTED if wanted else 0)
+        base, base_epoch, number, hops = routing.route or (0, 0, 0, NO_ROUTE)
+        wanted_base, wanted_number = wanted or (0, 0)
+        self._beacon_number = following(self._beacon_number)
+        return Beacon(
+            self.id,
+            store.epoch,
+            self._beacon_number,
+            flags,
+            base,
+            base_epoch,
+            number,
+            hops,
+            wanted_base,
+            wanted_number,
+            int(risk * 65535.0 + 0.5),
+            free,
+            self.policy.tag,
+            self.potential,
+            self.receipts.digest,
+            self._turn,
+        )
+
+    def _claim_announcement(self) -> None:
+        """Keep a number on disk that has not been announced yet: a restarted base goes on after it (RFC 1982)."""
+        number = self.routing.number
+        if not newer(self._claimed, number):
+            # Not at each number: that would be a write each step.
+            self._claimed = (number + ANNOUNCEMENTS_CLAIMED) & 0xFFFF
+            self.store.set_meta("announcement", self._claimed)
+
+    # -- other settings, while it runs ---------------------------------------------------------------------------------
+
+    def adopt(self, settings: NodeSettings, policy: Policy) -> None:
+        """Go on with other weights and another bandwidth. The policy's costs add up as before."""
+        self.settings = settings
+        self.policy = policy
+        # Until the link's pace is looked at again, in the next step.
+        self.pace.items = settings.bandwidth_items
+
+    def keep_pace(self, turn_s: float, items: int, now: float, told_s: float | None = None) -> None:
+        """From now on `step` is called every `turn_s` seconds, for the link bears no more; in each at most `items` data
+        (and no more than the settings say) are sent. Neighbours hear of it in the beacon, and wait accordingly.
+
+        `told_s`: what they hear, where not every beacon leaves on every link; None: `turn_s`.
+        """
+        step_s, routing = self.settings.step_s, self.routing
+        self.pace.turn_s = max(step_s, turn_s)
+        self.pace.items = min(self.settings.bandwidth_items, items)
+        routing.turn_s = max(step_s, turn_s if told_s is None else told_s)
+        # After a restart this node has to wait until nobody counts on its old routes; so how long they may is kept.
+        kept = self.store.get_meta("turn") or 0
+        turn = self._turn
+        if turn >= kept:
+            self._slow_until = now + HOLD_LIFETIMES * routing.longest_s
+        if turn > kept or (turn < kept and now >= self._slow_until):
+            self.store.set_meta("turn", turn)
+
+    @property
+    def _turn(self) -> int:
+        """The turn as the beacon says it."""
+        turn_s = self.routing.turn_s
+        return min(0xFFFF, int(turn_s * 10 + 0.5)) if turn_s > self.settings.step_s else 0

@@ -1,0 +1,22 @@
+"""What a base answers when it is spoken to of spare copies: it keeps none, for what it has has arrived."""
+
+from __future__ import annotations
+
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.nospares import NoSpares
+from rass_mav.core.messages import Message, PassedOn, Word, Words
+
+
+class AtBase(NoSpares):
+    """A base's share of mirrored custody."""
+
+    __slots__ = ("_keeper",)
+
+    def __init__(self, keeper: Keeper) -> None:
+        self._keeper = keeper
+
+    def on_words(self, message: Words, now: float, out: list[Message]) -> None:
+        """Somebody did not know that it gave to a base, and asks after its spares."""
+        arrived = tuple(id for id, word in message.entries if word == Word.STILL and id in self._keeper.arrived)
+        if arrived:
+            out.append(PassedOn(self._keeper.settings.node_id, message.sender, arrived))

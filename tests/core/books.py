@@ -1,0 +1,72 @@
+"""What the indexes of `Holdings` must be, reckoned from the records alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.node import Node
+from rass_mav.core.spares.mirrors import MAX_PASSED, MAX_SPARES, Mirrors
+
+
+def records(holdings: Holdings) -> list[Holding]:
+    return [holding for id in holdings if (holding := holdings.get(id)) is not None]
+
+
+def check(holdings: Holdings, small_bytes: int) -> None:
+    """Each index holds what the records say, and nothing else; the orders that matter are right."""
+    held = records(holdings)
+    assert len(held) == len(holdings) == len({h.id for h in held})
+    for state, index in (
+        (State.CUSTODY, holdings.custody), (State.SPARE, holdings.spare), (State.PASSED_ON, holdings.passed_on),
+    ):  # fmt: skip
+        assert index == {h.id: h for h in held if h.state is state}
+    custody = [h for h in held if h.state is State.CUSTODY]
+    assert holdings.custody_bytes == sum(h.size for h in custody)
+    assert holdings.custody_bytes + holdings.spare_bytes == sum(h.size for h in held)
+    assert holdings.bare == {h.id: h for h in custody if h.partner is None and h.size <= small_bytes}
+    assert all((h.offer_at is not None) == (h.id in holdings.bare) for h in custody)
+    assert holdings.pending == {h.pending.number: h for h in custody if h.pending is not None}
+    assert holdings.large == {h.pending.neighbour: h for h in custody if h.pending is not None and h.pending.sending}
+    assert holdings.offers == {number: h for h in custody for number in h.offers}
+    assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
+    times = [h.asked for h in holdings.asked.values()]
+    assert times == sorted(times)
+    for h in held:
+        if h.state is not State.CUSTODY:
+            assert (h.pending, h.offers, h.offer_at) == (None, {}, None)
+        if h.state is State.PASSED_ON:
+            assert h.partner is None
+        if h.partner is not None:
+            assert holdings.partners[h.partner.id] is h.partner
+    for id, partner in holdings.partners.items():
+        mine = [h for h in held if h.partner is partner]
+        assert id == partner.id
+        assert mine, "a partner of no datum"
+        assert partner.backed == {h.id: h for h in mine if h.state is State.CUSTODY}
+        assert partner.spares == {h.id: h for h in mine if h.state is State.SPARE}
+
+
+def check_node(node: Node) -> None:
+    """The same for a node; and that every spare that somebody counts on has a partner, and all bounds hold."""
+    check(node.holdings, node.settings.inline_bytes)
+    assert all(h.partner is not None for h in node.holdings.spare.values())
+    if isinstance(node.keeper.spares, Mirrors):
+        assert spares(node) <= MAX_SPARES
+        assert len(node.keeper.spares._passed) <= MAX_PASSED
+
+
+def spares(node: Node) -> int:
+    """How many spares a node keeps."""
+    return len(node.holdings) - len(node.holdings.custody)
+
+
+def mirrors(node: Node) -> Mirrors:
+    """A node's share of mirrored custody."""
+    assert isinstance(node.keeper.spares, Mirrors)
+    return node.keeper.spares
+
+
+def backers(node: Node) -> dict[Any, int]:
+    """Who keeps a spare of a datum in custody."""
+    return {id: h.partner.id for id, h in node.holdings.custody.items() if h.partner is not None}

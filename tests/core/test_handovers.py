@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import pytest
+
+from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
+
+from .build import datum, make_node
+
+X = datum().id
+Y = datum(sequence=1).id
+
+
+@pytest.fixture
+def numbers() -> HandoverNumbers:
+    return HandoverNumbers(4711)
+
+
+def test_numbers_wrap_without_zero() -> None:
+    numbers = HandoverNumbers(0xFFFFFFFE)
+    assert [numbers.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
+
+
+def test_a_later_life_starts_elsewhere() -> None:
+    first, second = (make_node(1, seed=life).keeper.numbers.draw() for life in (1, 2))
+    assert first != second
+
+
+def test_the_memory_names_giver_number_and_datum(numbers: HandoverNumbers) -> None:
+    numbers.accept(7, 100, X)
+    assert numbers.has_accepted(7, 100, X)
+    assert not numbers.has_accepted(8, 100, X)
+    assert not numbers.has_accepted(7, 101, X)
+    assert not numbers.has_accepted(7, 100, Y)
+    numbers.forget(X)
+    assert not numbers.has_accepted(7, 100, X)
+
+
+def test_the_memory_is_bounded_and_forgets_the_oldest(numbers: HandoverNumbers) -> None:
+    for number in range(MAX_ACCEPTED + 1):
+        numbers.accept(7, number, X)
+    assert not numbers.has_accepted(7, 0, X)
+    assert numbers.has_accepted(7, 1, X)
+    assert len(numbers._accepted) == MAX_ACCEPTED

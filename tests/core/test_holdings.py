@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, State
+from rass_mav.core.custody.transfer import Sending
+from rass_mav.core.datum import Fate
+from rass_mav.errors import StoreFullError
+
+from .books import check
+from .build import datum
+from .durable import DurableStore
+
+
+def test_the_order_is_least_recently_used_first() -> None:
+    holdings = Holdings(DurableStore(1))
+    a, b, c = (datum(sequence=s) for s in range(3))
+    for d in (a, b, c, b):
+        holdings.add(d)
+    assert list(holdings.custody) == list(holdings) == [a.id, c.id, b.id]
+
+
+def test_a_restart_finds_the_data_in_their_order() -> None:
+    store = DurableStore(1)
+    holdings = Holdings(store)
+    for s in (2, 0, 1):
+        holdings.add(datum(sequence=s, payload=b"x" * (s + 1)))
+    store.commit()
+    again = Holdings(store.crashed())
+    assert list(again) == list(holdings)
+    assert again.custody_bytes == 6
+    assert len(Holdings(store, load=False)) == 0
+
+
+def test_capacity_by_items() -> None:
+    holdings = Holdings(DurableStore(1), capacity_items=2)
+    assert holdings.free() == 2
+    holdings.add(datum(sequence=0))
+    assert holdings.room_for(1 << 20, own=False)
+    holdings.add(datum(sequence=1))
+    assert holdings.free() == 0
+    assert not holdings.room_for(1, own=False)
+
+
+def test_capacity_by_bytes() -> None:
+    holdings = Holdings(DurableStore(1), capacity_bytes=10)
+    first = holdings.add(datum(payload=b"123456"))
+    assert holdings.room_for(4, own=False)
+    assert not holdings.room_for(5, own=False)
+    assert holdings.free() == 0xFFFF
+    holdings.add(datum(sequence=1, payload=b"1234"))
+    assert holdings.free() == 0
+    holdings.remove(first, Fate.PASSED_ON)
+    assert holdings.custody_bytes == 4
+
+
+def test_free_items_fit_the_wire() -> None:
+    assert Holdings(DurableStore(1)).free() == 0xFFFF
+    assert Holdings(DurableStore(1), capacity_items=1 << 20).free() == 0xFFFE
+
+
+def test_over_the_stores_quota_nothing_changes() -> None:
+    holdings = Holdings(DurableStore(1, quota_bytes=10))
+    holdings.add(datum(payload=b"12345678"))
+    with pytest.raises(StoreFullError):
+        holdings.add(datum(sequence=1, payload=b"123"))
+    assert list(holdings) == [datum().id]
+    assert holdings.custody_bytes == 8
+    check(holdings, 0)
+
+
+def test_spares_lie_in_the_room_that_custody_leaves() -> None:
+    holdings = Holdings(DurableStore(1), capacity_items=3, capacity_bytes=30)
+    a, b, c, d = (datum(sequence=s) for s in range(4))
+    first = holdings.add(a)
+    holdings.add(b)
+    holdings.change(first, State.SPARE)
+    third = holdings.add(c, State.SPARE)
+    assert (len(holdings.custody), len(holdings)) == (1, 3)
+    assert (holdings.custody_bytes, holdings.spare_bytes) == (7, 14)
+    assert (holdings.free(), holdings.room_for(23, own=False)) == (2, True)
+    assert list(holdings.custody) == [b.id]
+    assert list(holdings) == [b.id, a.id, c.id]
+    # Three places are taken, so a spare has to go before another datum comes.
+    assert holdings.crowded(1)
+    assert holdings.yielding(counted_on=True) is first
+    assert holdings.yielding(counted_on=False) is None
+    holdings.change(third, State.PASSED_ON)
+    assert holdings.yielding(counted_on=True) is holdings.yielding(counted_on=False) is third
+    holdings.remove(third, Fate.PASSED_ON)
+    assert not holdings.crowded(16)
+    assert holdings.crowded(17)
+    holdings.change(first, State.CUSTODY)
+    assert list(holdings.custody) == [b.id, a.id]
+    assert d.id not in holdings
+
+
+def test_spares_yield_for_the_stores_quota() -> None:
+    holdings = Holdings(DurableStore(1, quota_bytes=14))
+    holdings.add(datum(), State.SPARE)
+    assert not holdings.crowded(7)
+    assert holdings.crowded(8)
+
+
+def test_after_a_restart_all_is_custody() -> None:
+    store = DurableStore(1)
+    holdings = Holdings(store)
+    holdings.change(holdings.add(datum()), State.SPARE)
+    holdings.add(datum(sequence=1), State.SPARE)
+    store.commit()
+    again = Holdings(store.crashed())
+    assert len(again.custody) == len(again) == 2
+
+
+def test_an_answer_counts_only_with_number_and_neighbour() -> None:
+    holdings = Holdings(DurableStore(1))
+    holding = holdings.add(datum())
+    holdings.give(holding, Pending(5, 2, 0.0))
+    assert holdings.answered(5, 2) is holding
+    assert holdings.answered(5, 3) is None
+    assert holdings.answered(6, 2) is None
+    holdings.give(holding, Pending(6, 3, 1.0))
+    assert holdings.answered(5, 2) is None, "another hand-over took its place"
+    assert holdings.answered(6, 3) is holding
+    holdings.cancel(holding)
+    holdings.cancel(holding)
+    assert holdings.answered(6, 3) is None
+
+
+def test_what_is_not_in_the_table_of_changes_is_our_bug() -> None:
+    holdings = Holdings(DurableStore(1))
+    holding = holdings.add(datum())
+    with pytest.raises(AssertionError):
+        holdings.change(holding, State.PASSED_ON)
+
+
+def test_a_scrub_goes_round() -> None:
+    store = DurableStore(1)
+    holdings = Holdings(store)
+    ids = [holdings.add(datum(sequence=s)).id for s in range(5)]
+    store.flip_bit(ids[3])
+    looks = [[h.id for h in holdings.damaged(2)] for _ in range(6)]
+    assert looks == [[], [ids[3]], [], [], [ids[3]], []]
+    assert [h.id for h in holdings.damaged(None)] == [ids[3]]
+
+
+SMALL = 5
+OPERATIONS = [
+    "add", "spare", "remove", "change", "pair", "unpair", "ask", "give", "large", "cancel", "offer", "withdraw",
+]  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.sampled_from(OPERATIONS), st.integers(0, 5), st.integers(1, 9), st.integers(0, 2))))
+def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[tuple[str, int, int, int]]) -> None:
+    store = DurableStore(1)
+    holdings = Holdings(store, small_bytes=SMALL)
+    for number, (operation, sequence, size, other) in enumerate(operations):
+        d = datum(sequence=sequence, payload=bytes(size))
+        holding = holdings.get(d.id)
+        if holding is None:
+            if operation in ("add", "spare"):
+                holdings.add(d, State.CUSTODY if operation == "add" else State.SPARE)
+        elif operation == "add":
+            if holding.state is State.CUSTODY:
+                holdings.add(d)
+        elif operation == "remove":
+            holdings.remove(holding, Fate.PASSED_ON)
+        elif operation == "change":
+            to = list(State)[other]
+            if (holding.state, to) in CHANGES:
+                holdings.change(holding, to)
+        elif operation == "pair":
+            if holding.state is not State.PASSED_ON:
+                holdings.pair(holding, holdings.partners.get(other) or Partner(other, None, 0.0, 1.0), float(number))
+        elif operation == "unpair":
+            holdings.unpair(holding)
+        elif operation == "ask":
+            if holding.state is State.SPARE and holding.partner is not None:
+                holdings.ask(holding, float(number))
+        elif operation != "spare" and holding.state is State.CUSTODY:
+            of_custody(holdings, holding, operation, number, other)
+        check(holdings, SMALL)
+        assert sorted(holdings) == sorted(store.ids())
+
+
+def of_custody(holdings: Holdings, holding: Holding, operation: str, number: int, other: int) -> None:
+    if operation == "give":
+        holdings.give(holding, Pending(number, other, 0.0))
+    elif operation == "large":
+        if holdings.large.get(other) in (None, holding):
+            holdings.give(holding, Pending(number, other, 0.0, Sending(datum(), other, number, 10)))
+    elif operation == "cancel":
+        holdings.cancel(holding)
+    elif operation == "offer":
+        holdings.offer(holding, number, other)
+    else:
+        holdings.withdraw(holding)
