@@ -344,6 +344,28 @@ def test_a_commit_that_fails_now_and_then_is_written_by_the_next() -> None:
     assert 10 < failures < 50
 
 
+def test_a_page_that_the_disk_does_not_give_is_no_damage() -> None:
+    failures = 0
+    with Disk(Random(1)) as disk:
+        store = open_store(disk)
+        put(store, 40)
+        commit(store)
+        store.close()
+        for _ in range(100):
+            disk.error_rate = 0.02
+            try:
+                with open_store(disk) as store:
+                    assert store.report == (False, None, "")
+            except StoreDamagedError:
+                raise
+            except StoreError:
+                failures += 1
+            disk.error_rate = 0.0
+            with open_store(disk) as store:
+                assert content(store) == (frozenset(range(40)), 40)
+    assert 10 < failures < 90
+
+
 def test_flipped_bits_end_in_a_store_set_aside_or_in_data_that_say_so() -> None:
     seen: Counter[str] = Counter()
     for seed in range(150):
