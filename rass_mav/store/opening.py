@@ -7,6 +7,7 @@ A store is four files: `node.db`, the write-ahead log `node.db-wal` and its inde
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import sqlite3
@@ -191,8 +192,11 @@ def _create(path: Path, epoch: int, vfs: str | None) -> None:
     connection = connect(draft, "rwc", vfs=vfs)
     try:
         connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("PRAGMA journal_mode = WAL")
         create_tables(connection, epoch)
+        # Last: closing does not tell if moving a log into the database fails. Fetched to the end, where the change is
+        # committed; where the mode is not to be had, the answer is the old one.
+        if connection.execute("PRAGMA journal_mode = WAL").fetchall() != [("wal",)]:
+            raise OSError(errno.ENOTSUP, "no write-ahead mode here")
     finally:
         connection.close()
     draft.rename(path)

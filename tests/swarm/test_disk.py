@@ -68,10 +68,13 @@ class Lives:
         self.draw = draw
         self.possible: list[tuple[frozenset[int], int]] = [(frozenset(), 0)]
         """The last state that was acknowledged, and those that were to follow it."""
+        self.failed = False
+        """Whether the last life did not end in good order."""
         self.seen: Counter[str] = Counter()
 
     def live(self) -> None:
         """One life: the store is opened and used until the power goes, or closed before."""
+        self.failed = True
         try:
             store = open_store(self.disk)
         except StoreError:
@@ -98,6 +101,7 @@ class Lives:
                 self.seen["commits"] += 1
                 self.possible = self.possible[-1:]
             store.close()
+            self.failed = False
         except StoreDamagedError:
             raise
         except StoreError:
@@ -140,6 +144,29 @@ def test_a_store_that_does_not_sync_loses_what_it_acknowledged() -> None:
             except AssertionError:
                 lost += 1
     assert 5 < lost < 20
+
+
+def test_faults_and_cuts_together_lose_nothing_either() -> None:
+    seen: Counter[str] = Counter()
+    for seed in range(100, 105):
+        with Disk(Random(seed)) as disk:
+            lives = Lives(disk, Random(seed))
+            for _ in range(100):
+                disk.error_rate = lives.draw.choice((0.0, 0.0, 0.01, 0.1))
+                disk.full = lives.draw.random() < 0.1
+                disk.read_only = lives.draw.random() < 0.05
+                if lives.draw.random() < 0.7:
+                    disk.cut(after=lives.draw.randrange(150))
+                lives.live()
+                disk.full = disk.read_only = False
+                disk.error_rate = 0.0
+                if lives.failed:
+                    lives.cut()
+            disk.restart()
+            lives.live()
+            seen += lives.seen
+    assert seen["commits"] > 300
+    assert seen["cuts"] > 300
 
 
 # -- power cuts --------------------------------------------------------------------------------------------------------
@@ -216,6 +243,22 @@ def test_the_log_is_torn_and_reordered_and_read_as_far_as_it_is_whole() -> None:
         )
     assert len(seen) == 3
     assert min(seen.values()) > 5
+
+
+def test_a_cut_while_a_store_is_made_leaves_none_or_a_whole_one() -> None:
+    failed = 0
+    for after in range(100):
+        with Disk(Random(after)) as disk:
+            disk.cut(after=after)
+            try:
+                open_store(disk).abandon()
+            except StoreError:
+                failed += 1
+            disk.restart()
+            with open_store(disk) as store:
+                assert store.report.set_aside is None
+                assert content(store) == (frozenset(), 0)
+    assert 10 < failed < 90
 
 
 def test_after_a_cut_nothing_more_is_written_until_the_restart() -> None:
@@ -342,6 +385,31 @@ def test_a_commit_that_fails_now_and_then_is_written_by_the_next() -> None:
             assert content(again) == (frozenset(range(61)), 61)
             assert_intact(again)
     assert 10 < failures < 50
+
+
+def test_a_store_made_on_a_failing_disk_is_whole_or_not_there() -> None:
+    failures = 0
+    for seed in range(100):
+        with Disk(Random(seed)) as disk:
+            disk.error_rate = 0.02
+            try:
+                store = open_store(disk)
+            except StoreDamagedError:
+                raise
+            except StoreError:
+                failures += 1
+                continue
+            disk.error_rate = 0.0
+            put(store)
+            commit(store)
+            if seed % 2:
+                disk.cut()
+            store.abandon()
+            disk.restart()
+            with open_store(disk) as store:
+                assert store.report == (False, None, "")
+                assert content(store) == (frozenset({0}), 1)
+    assert 10 < failures < 90
 
 
 def test_a_page_that_the_disk_does_not_give_is_no_damage() -> None:
