@@ -29,6 +29,7 @@ _OUTSIDE = (
     "access permission denied",
     "large file support",
     "interrupted",
+    "no such vfs",
 )
 
 

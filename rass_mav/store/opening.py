@@ -7,12 +7,13 @@ A store is four files: `node.db`, the write-ahead log `node.db-wal` and its inde
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from rass_mav.errors import StoreDamagedError, StoreError
 
@@ -67,10 +68,12 @@ class Lock:
             self._file = -1
 
 
-def prepare(path: Path, draw_epoch: Callable[[], int], *, suspect: bool, check_limit: int) -> OpenReport:
+def prepare(
+    path: Path, draw_epoch: Callable[[], int], *, suspect: bool, check_limit: int, vfs: str | None
+) -> OpenReport:
     """See to it that there is a store at `path`, and no damage that can be found beforehand.
 
-    The caller holds the `Lock`. What `suspect` and `check_limit` mean: see `SqliteStore.open`.
+    The caller holds the `Lock`. What `suspect`, `check_limit` and `vfs` mean: see `SqliteStore.open`.
     """
     with explained(path, "opening the store"):
         if path.exists():
@@ -79,39 +82,43 @@ def prepare(path: Path, draw_epoch: Callable[[], int], *, suspect: bool, check_l
             if not os.access(path, os.W_OK):
                 # SQLite would open it all the same, and fail at the first commit.
                 raise StoreError(f"{path}: no permission to write")
-            damage = _find_damage(path, suspect, check_limit)
+            damage = _find_damage(path, suspect, check_limit, vfs)
             if not damage:
                 return OpenReport(False, None, "")
         elif any(_beside(path, ending).exists() for ending in _LOG_ENDINGS):
             # Must go: SQLite would play it into the new database.
             damage = "a write-ahead log without its database"
         else:
-            _create(path, draw_epoch())
+            _create(path, draw_epoch(), vfs)
             return OpenReport(True, None, "")
-    return begin_anew(path, draw_epoch, damage)
+    return begin_anew(path, draw_epoch, damage, vfs)
 
 
-def begin_anew(path: Path, draw_epoch: Callable[[], int], damage: str) -> OpenReport:
+def begin_anew(path: Path, draw_epoch: Callable[[], int], damage: str, vfs: str | None) -> OpenReport:
     """Set a damaged store aside and make a new one. The caller holds the `Lock`, and no connection."""
     with explained(path, "setting a damaged store aside"):
         aside = _set_aside(path)
-        _create(path, draw_epoch())
+        _create(path, draw_epoch(), vfs)
         return OpenReport(True, aside, damage)
 
 
-def connect(path: Path, *, read_only: bool = False, busy_timeout: float = 5.0) -> sqlite3.Connection:
-    """A connection to an existing database, in which transactions are begun by hand.
+def connect(
+    path: Path, mode: Literal["ro", "rw", "rwc"] = "rw", *, vfs: str | None = None, busy_timeout: float = 5.0
+) -> sqlite3.Connection:
+    """A connection to a database, in which transactions are begun by hand.
 
-    It may be used on any thread, by one at a time. `read_only`: the database is not changed, not even by moving the log
-    into it when the connection is closed.
+    It may be used on any thread, by one at a time. `mode`: "ro" does not change the database, not even by moving the
+    log into it when the connection is closed; "rwc" makes one if there is none.
     """
-    mode = "ro" if read_only else "rw"
-    if read_only and not os.access(path.absolute().parent, os.W_OK) and not _beside(path, "-wal").exists():
+    options = f"mode={mode}"
+    if vfs is not None:
+        options += f"&vfs={vfs}"
+    if mode == "ro" and not os.access(path.absolute().parent, os.W_OK) and not _beside(path, "-wal").exists():
         # A card mounted read-only, or another user's store at rest: SQLite could not make the index of a log there, and
         # without a log it needs none.
-        mode += "&immutable=1"
+        options += "&immutable=1"
     return sqlite3.connect(
-        f"{path.absolute().as_uri()}?mode={mode}",
+        f"{path.absolute().as_uri()}?{options}",
         uri=True,
         isolation_level=None,
         check_same_thread=False,
@@ -129,7 +136,7 @@ def check_version(connection: sqlite3.Connection, path: Path) -> None:
         raise Unsound(f"schema version {version}")
 
 
-def _find_damage(path: Path, suspect: bool, check_limit: int) -> str:
+def _find_damage(path: Path, suspect: bool, check_limit: int, vfs: str | None) -> str:
     """What is wrong with the file; empty: nothing was found. Changes nothing."""
     with path.open("rb") as file:
         header = file.read(100)
@@ -145,7 +152,7 @@ def _find_damage(path: Path, suspect: bool, check_limit: int) -> str:
     try:
         with explained(path, "checking the store"):
             # Read-only: closing an ordinary connection would move the log into a database that may be beyond repair.
-            connection = connect(path, read_only=True)
+            connection = connect(path, "ro", vfs=vfs)
             try:
                 check_version(connection, path)
                 tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
@@ -175,18 +182,21 @@ def _set_aside(path: Path) -> Path:
     return aside
 
 
-def _create(path: Path, epoch: int) -> None:
+def _create(path: Path, epoch: int, vfs: str | None) -> None:
     """Make an empty store. It appears under its name complete or not at all."""
     if not 0 <= epoch < 1 << 32:
         raise ValueError(f"an epoch has 32 bits, got {epoch}")
     draft = _beside(path, ".new")
     for ending in ("", "-journal", *_LOG_ENDINGS):
         _beside(draft, ending).unlink(missing_ok=True)
-    connection = sqlite3.connect(draft, isolation_level=None)
+    connection = connect(draft, "rwc", vfs=vfs)
     try:
         connection.execute("PRAGMA synchronous = FULL")
-        connection.execute("PRAGMA journal_mode = WAL")
         create_tables(connection, epoch)
+        # Last: closing does not tell if moving a log into the database fails. Fetched to the end, where the change is
+        # committed; where the mode is not to be had, the answer is the old one.
+        if connection.execute("PRAGMA journal_mode = WAL").fetchall() != [("wal",)]:
+            raise OSError(errno.ENOTSUP, "no write-ahead mode here")
     finally:
         connection.close()
     draft.rename(path)

@@ -26,7 +26,7 @@ class SqliteReader:
         """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one."""
         self._path = Path(path)
         with explained(self._path, "opening the store to read"):
-            self._connection = connect(self._path, read_only=True)
+            self._connection = connect(self._path, "ro")
             try:
                 self._connection.execute("BEGIN")
                 # The first read fixes the moment that all the others see.

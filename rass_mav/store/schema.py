@@ -8,6 +8,7 @@ fit raises `Unsound`, which `explained` turns into `StoreDamagedError`.
 
 from __future__ import annotations
 
+import errno
 import sqlite3
 from collections.abc import Iterator
 
@@ -107,9 +108,12 @@ def read_own(meta: dict[str, int]) -> tuple[int, int]:
 
 def check_all(connection: sqlite3.Connection) -> None:
     """Check the whole database: its structure, its indexes and every row. Takes time in proportion to its size."""
-    verdict = connection.execute("PRAGMA integrity_check(1)").fetchall()
-    if verdict != [("ok",)]:
-        raise Unsound(str(verdict[0][0]))
+    verdict = str(connection.execute("PRAGMA integrity_check(1)").fetchall()[0][0])
+    if "unable to get the page" in verdict or "failed to get page" in verdict:
+        # It takes a page that the disk does not give for a damaged one.
+        raise OSError(errno.EIO, verdict)
+    if verdict != "ok":
+        raise Unsound(verdict)
     # On a read-only connection integrity_check does not look at CHECK constraints.
     rows = connection.execute(f"SELECT arrival FROM datum WHERE ({_SOUND_ROW}) IS NOT 1 LIMIT 1").fetchall()
     if rows:

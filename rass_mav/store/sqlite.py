@@ -88,6 +88,7 @@ class SqliteStore:
         suspect: bool = False,
         check_limit: int = CHECK_LIMIT,
         busy_timeout: float = 5.0,
+        vfs: str | None = None,
     ) -> SqliteStore:
         """Open the store at `path`, or make a new one. Blocking; up to seconds for a large file.
 
@@ -98,6 +99,7 @@ class SqliteStore:
         `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
         `check_limit`: size of file in bytes up to which the whole file is checked in any case.
         `busy_timeout`: seconds that a commit waits for another program that has locked the database.
+        `vfs`: SQLite's name of what it reads and writes files with, letters, digits and _ - only; None: its default.
 
         A file that is damaged or no store is set aside under a new name; `report` tells. Raises `StoreError` naming
         the path if the directory is missing or not writable, if another node uses the store, or if a newer
@@ -111,7 +113,7 @@ class SqliteStore:
             try:
                 with explained(path, "opening the store"):
                     for _ in range(2):
-                        connections.append(connect(path, busy_timeout=busy_timeout))
+                        connections.append(connect(path, vfs=vfs, busy_timeout=busy_timeout))
                     reader, writer = connections
                     reader.execute("PRAGMA query_only = ON")
                     writer.execute("PRAGMA synchronous = FULL")
@@ -125,11 +127,11 @@ class SqliteStore:
                 raise
 
         try:
-            report = prepare(path, draw_epoch, suspect=suspect, check_limit=check_limit)
+            report = prepare(path, draw_epoch, suspect=suspect, check_limit=check_limit, vfs=vfs)
             try:
                 return load(report)
             except StoreDamagedError as error:
-                return load(begin_anew(path, draw_epoch, str(error.__cause__)))
+                return load(begin_anew(path, draw_epoch, str(error.__cause__), vfs))
         except BaseException:
             lock.release()
             raise

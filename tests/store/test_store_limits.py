@@ -169,3 +169,9 @@ def test_without_permission_to_write(path: Path) -> None:
     with pytest.raises(StoreError, match=r"other\.db.*Permission denied"):
         open_store(path.with_name("other.db"))
     path.parent.chmod(0o700)
+
+
+def test_where_there_is_no_write_ahead_mode_no_store_is_made(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no write-ahead mode here"):
+        open_store(tmp_path / "node.db", vfs="unix-none")
+    assert not (tmp_path / "node.db").exists()
