@@ -45,8 +45,10 @@ _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 
 def _agent_settings(side: str, scrub_items: int | None) -> Any:
-    from rass_mav.agent.settings import CustodySettings, DataSettings, StoreSettings
+    from rass_mav.agent.settings import DataSettings
     from rass_mav.app.config import NodeSection, RunConfig
+    from rass_mav.core.settings import CustodySettings
+    from rass_mav.store.settings import StoreSettings
 
     return RunConfig(
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),

@@ -168,9 +168,10 @@ class Agent:
 
     def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Node:
         settings = self.settings
+        policy = settings.policy.make()
         return Node(
-            settings.node_settings(), self.store, settings.policy.make(), settings.risk.estimator(settings.policy),
-            self._rng, now=now, observer=observer, newborn=newborn,
+            settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
+            now=now, observer=observer, newborn=newborn,
         )  # fmt: skip
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
@@ -193,7 +194,7 @@ class Agent:
         node.bandwidth_items = node.settings.bandwidth_items
         node.policy = policy
         risk, old = settings.risk, before.risk
-        estimator = risk.estimator(settings.policy)
+        estimator = risk.estimator(policy)
         if (risk.low, risk.high) != (old.low, old.high):
             # What was averaged was on another scale.
             node.risk = estimator

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from rass_mav.app.config import RunConfig
 from rass_mav.mavlink.crc import HAVE_FASTCRC
-from rass_mav.sensor.kinds import SERIAL_KINDS
 
 from .finding import Finding, failed, passed, warned
 
@@ -47,8 +46,8 @@ def serial_wanted(config: RunConfig) -> bool:
     urls = (config.autopilot.url, config.ground.url)
     return (
         any(url is not None and url.startswith(("serial:", "/")) for url in urls)
-        or any(link.type == "serial" for link in config.links)
-        or config.sensor.type in SERIAL_KINDS
+        or any(link.device is not None for link in config.links)
+        or config.sensor.port is not None
     )
 
 

@@ -8,6 +8,7 @@ from rass_mav.core.messages import BROADCAST
 from rass_mav.core.policy import Transfer, View
 
 from .fitness import policy_tag
+from .settings import Kind
 
 
 class Stigmergy:
@@ -22,7 +23,7 @@ class Stigmergy:
     risk_gain = 1.0
     seq_period = 30
     own_share = 0.0
-    tag = policy_tag("stigmergy")
+    tag = policy_tag(name)
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         """Nobody is fitter than anybody: 1 with room, 0 without."""
@@ -34,3 +35,7 @@ class Stigmergy:
         for id in ids:
             del view.fresh[id]
         return [Transfer(id, BROADCAST, False) for id in ids]
+
+
+# The paper's second benchmark.
+POLICIES = (Kind(Stigmergy.name, 3, lambda settings: Stigmergy()),)

@@ -17,7 +17,6 @@ import pytest
 from app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.settings import PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import MAX_WAITING, Driver
 from rass_mav.core.datum import Datum, DatumId, make_datum
@@ -26,6 +25,7 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.link.loopback import LoopbackHub
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.policy.settings import PolicySettings
 from rass_mav.store import MemoryStore, SqliteStore
 
 STATUSTEXT = 253

@@ -12,7 +12,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
-from rass_mav.policy import make_policy
+from rass_mav.policy.settings import PolicySettings
 
 from .durable import DurableStore
 
@@ -36,7 +36,7 @@ def make_node(
     return Node(
         NodeSettings(node_id=node_id, **settings),
         store,
-        make_policy(policy) if isinstance(policy, str) else policy,
+        PolicySettings(name=policy).make() if isinstance(policy, str) else policy,
         estimator,
         random.Random(seed * 7919 + node_id),
         now=now,

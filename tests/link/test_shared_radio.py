@@ -9,8 +9,8 @@ from typing import NamedTuple
 import pytest
 from shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
-from rass_mav.app.links import AirtimeSection
 from rass_mav.link.airtime import VEHICLE_PART, Urgency
+from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 

@@ -14,8 +14,8 @@ from typing import Any
 import msgspec
 
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.app.links import LinkSection
 from rass_mav.errors import ConfigError, SwarmError
+from rass_mav.link.settings import LinkSection
 from rass_mav.swarm.children import Child, Children, wait_any
 from rass_mav.swarm.processes import MAX_NODES, NodeProcess, ProcessSwarm, conduct
 from rass_mav.swarm.scenario import system_id
