@@ -121,6 +121,7 @@ class AgentSettings(Section):
         if drop_oldest and self.custody.mode != "none":
             raise ConfigError("store.overflow: drop-oldest breaks custody, expected custody.mode none with it")
         bounded = not self.base or policy.replicates
+        acknowledged = self.custody.mode == "acknowledged"
         return NodeSettings(
             node_id=self.node_id,
             base=self.base,
@@ -130,8 +131,8 @@ class AgentSettings(Section):
             own_share=policy.own_share if self.store.own_share is None else self.store.own_share,
             drop_oldest=drop_oldest,
             bandwidth_items=self.store.bandwidth_items,
-            acknowledged=self.custody.mode == "acknowledged",
-            mirror=self.custody.mirrored,
+            acknowledged=acknowledged,
+            mirror=acknowledged and self.custody.mirror is not False and not (self.base or policy.replicates),
             mirror_until_receipt=self.custody.mirror_until == "receipt" and self.custody.receipts,
             copies_auto=self.custody.copies == "auto",
             immediate=self.forward == "immediate",

@@ -122,8 +122,7 @@ class Node(Keeper):
         self.transfers = Transfers(self, lifetime)
         self.percolation = Percolation(self)
         self.replica = Replica(self) if policy.replicates else None
-        mirrored = settings.mirror and settings.acknowledged and not self.sink and not policy.replicates
-        self.mirrors = Mirrors(self, now) if mirrored else None
+        self.mirrors = Mirrors(self, now) if settings.mirror else None
         self.fresh: dict[DatumId, None] = {}
         self.potential = 0
         """Own potential as last announced, wire units."""

@@ -99,11 +99,6 @@ class CustodySettings(Section):
         if self.mirror and self.mode != "acknowledged":
             raise ValueError(f"custody.mirror: expected false with custody.mode {self.mode}, got true")
 
-    @property
-    def mirrored(self) -> bool:
-        """Whether there are spare copies."""
-        return self.mode == "acknowledged" if self.mirror is None else self.mirror
-
 
 @dataclass(frozen=True, slots=True)
 class NodeSettings:
@@ -128,7 +123,8 @@ class NodeSettings:
     acknowledged: bool = True
     """Custody (`custody.mode: acknowledged`); False: what is sent is deleted at once."""
     mirror: bool = False
-    """Spare copies are kept (`core.mirrors`); only with `acknowledged`."""
+    """Spare copies are kept (`core.spares`); only with `acknowledged`, and neither at a base nor under a policy that
+    replicates."""
     mirror_until_receipt: bool = True
     """A spare is kept, while there is room, until a base says that the datum has arrived; False: only until it has been
     passed on once more."""

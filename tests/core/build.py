@@ -27,14 +27,16 @@ def make_node(
     seed: int = 0,
     observer: Observer | None = None,
     newborn: bool | None = None,
+    base: bool = False,
+    mirror: bool = False,
     **settings: Any,
 ) -> Node:
-    """A node whose sensor says `risk` and goes on saying it."""
+    """A node whose sensor says `risk` and goes on saying it. `mirror` is for drones: a base keeps no spares."""
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, now)
     store = store or DurableStore(epoch=1000 + node_id)
     return Node(
-        NodeSettings(node_id=node_id, **settings),
+        NodeSettings(node_id=node_id, base=base, mirror=mirror and not base, **settings),
         store,
         PolicySettings(name=policy).make() if isinstance(policy, str) else policy,
         estimator,
