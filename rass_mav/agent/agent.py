@@ -168,10 +168,9 @@ class Agent:
 
     def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Node:
         settings = self.settings
-        policy = settings.policy.make()
         return Node(
-            settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
-            now=now, observer=observer, newborn=newborn,
+            settings.node_settings(), self.store, settings.policy.make(),
+            settings.risk.estimator(settings.policy.make()), self._rng, now=now, observer=observer, newborn=newborn,
         )  # fmt: skip
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:

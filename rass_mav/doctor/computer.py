@@ -13,6 +13,7 @@ from rass_mav.app.config import RunConfig
 from rass_mav.mavlink.crc import HAVE_FASTCRC
 
 from .finding import Finding, failed, passed, warned
+from .ports import serial_ports
 
 #: What the source needs (pyproject.toml, requires-python).
 LEAST_PYTHON = (3, 10)
@@ -36,19 +37,9 @@ def python(version: tuple[int, ...], executable: str) -> Finding:
 def needed_packages(config: RunConfig | None) -> list[str]:
     """What this configuration imports; None: not known."""
     names = list(PACKAGES)
-    if config is not None and serial_wanted(config):
+    if config is not None and any(serial_ports(config)):
         names.append("pyserial")
     return names
-
-
-def serial_wanted(config: RunConfig) -> bool:
-    """Whether a serial port is configured."""
-    urls = (config.autopilot.url, config.ground.url)
-    return (
-        any(url is not None and url.startswith(("serial:", "/")) for url in urls)
-        or any(link.device is not None for link in config.links)
-        or config.sensor.port is not None
-    )
 
 
 def packages(
