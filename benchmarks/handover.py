@@ -45,8 +45,9 @@ _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 
 def _agent_settings(side: str, scrub_items: int | None) -> Any:
-    from rass_mav.agent.settings import CustodySettings, DataSettings
+    from rass_mav.agent.settings import DataSettings
     from rass_mav.app.config import NodeSection, RunConfig, RunStoreSettings
+    from rass_mav.core.settings import CustodySettings
 
     return RunConfig(
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),

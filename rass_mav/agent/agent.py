@@ -173,7 +173,7 @@ class Agent:
         policy = settings.policy.make()
         kind = Replica if policy.replicates else Node
         return kind(
-            settings.node_settings(), self.store, policy, settings.risk.estimator(settings.policy), self._rng,
+            settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn,
         )  # fmt: skip
 
@@ -196,7 +196,7 @@ class Agent:
         risk, old = settings.risk, before.risk
         # What was averaged was on another scale.
         rescaled = (risk.low, risk.high) != (old.low, old.high)
-        node.risk.adopt(risk.estimator(settings.policy), forget=rescaled)
+        node.risk.adopt(risk.estimator(policy), forget=rescaled)
         if rescaled:
             self._observe_again()
 

@@ -13,18 +13,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rass_mav.agent.settings import AgentSettings, PolicyName
+from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert, to_plain
 from rass_mav.config.sections import Section
 from rass_mav.core.store import Store
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
+from rass_mav.policy.settings import kinds
 
 _PAIR = struct.Struct("<ff")
 _META = "param."
-
-#: The numbers of the policies. They are known to ground stations and to stores: never give one another meaning.
-POLICY_NUMBERS: dict[PolicyName, int] = {"rass": 0, "rass-literal": 1, "hop-count": 2, "stigmergy": 3, "survival": 4}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ def _weight(name: str) -> Callable[[AgentSettings], float]:
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("RASS_NODE_ID", lambda settings: settings.node_id),
     Parameter(
-        "RASS_POLICY", lambda settings: POLICY_NUMBERS[settings.policy.name], "policy.name", whole=True, rebirth=True
+        "RASS_POLICY", lambda settings: kinds()[settings.policy.name].number, "policy.name", whole=True, rebirth=True
     ),
     Parameter("RASS_ALPHA", _weight("alpha"), "policy.alpha"),
     Parameter("RASS_BETA", _weight("beta"), "policy.beta"),
@@ -69,7 +67,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("RASS_STEP_S", lambda settings: settings.step_s, "step_s", 0.05, 60.0, rebirth=True),
     Parameter("RASS_RISK_LOW", _of("risk", "low"), "risk.low"),
     Parameter("RASS_RISK_HIGH", _of("risk", "high"), "risk.high"),
-    Parameter("RASS_RISK_GAIN", lambda settings: settings.risk.estimator(settings.policy).gain, "risk.gain"),
+    Parameter("RASS_RISK_GAIN", lambda settings: settings.risk.estimator(settings.policy.make()).gain, "risk.gain"),
     Parameter("RASS_RISK_STALE", _of("risk", "stale_s"), "risk.stale_s"),
     Parameter("RASS_RISK_WORST", _of("risk", "worst"), "risk.worst"),
     Parameter("RASS_DATA_STEPS", _of("data", "interval_steps"), "data.interval_steps", 0, 65535, whole=True),
@@ -110,8 +108,9 @@ def changed(
     new = _replaced(settings, parameter, value)
     try:
         new.node_settings()
-        if new.policy.make().replicates != settings.policy.make().replicates:
-            raise ConfigError("to and from stigmergy by the file only")
+        replicating = [each.policy.name for each in (settings, new) if each.policy.make().replicates]
+        if len(replicating) == 1:
+            raise ConfigError(f"to and from {replicating[0]} by the file only")
     except ConfigError as error:
         raise ConfigError(f"{parameter.name}: {error}") from None
     if unused == "refuse" and single(parameter.read(new)) != value:
@@ -128,7 +127,7 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
     if not parameter.least <= plain <= parameter.most:
         raise ConfigError(f"{parameter.name}: expected {parameter.least:g} to {parameter.most:g}, got {plain:g}")
     if parameter.name == "RASS_POLICY":
-        names = {number: name for name, number in POLICY_NUMBERS.items()}
+        names = {kind.number: kind.name for kind in kinds().values()}
         if plain not in names:
             known = ", ".join(f"{number} {name}" for number, name in names.items())
             raise ConfigError(f"{parameter.name}: expected {known}; got {plain}")

@@ -8,27 +8,18 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from rass_mav.agent.ground import VALUE_NAMES
-from rass_mav.agent.sensors import SensorSettings
-from rass_mav.agent.settings import (
-    AgentSettings,
-    Count,
-    CustodySettings,
-    DataSettings,
-    Forward,
-    GroundSettings,
-    MavlinkSettings,
-    PolicySettings,
-    Positive,
-    RiskSettings,
-    RoutingSettings,
-    StoreSettings,
-)
+from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
+from rass_mav.config.bounds import Count, NodeId, Positive
 from rass_mav.config.loading import convert, read_yaml, set_key
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, Section, under
+from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
 from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
-
-from .links import LinkSection, NodeId, under
+from rass_mav.link.settings import LinkSection
+from rass_mav.mavlink.settings import MavlinkSettings
+from rass_mav.policy.settings import PolicySettings
+from rass_mav.sensor.settings import SensorSettings
+from rass_mav.store.settings import StoreSettings
 
 #: What telemetry uses and an autopilot does not always send by itself, seconds between two.
 DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0}
@@ -136,26 +127,24 @@ class RunConfig(Section):
             step_s=self.node.step_s,
             forward=self.node.forward,
             ground=self.ground,
-            own_sensor=self.sensor.type != "autopilot",
+            own_sensor=self.sensor.own,
         )
 
     def check(self) -> None:
         """Raise `ConfigError` for what no single key can say."""
-        settings = self.agent_settings()
-        settings.policy.make()
-        settings.node_settings()
+        self.agent_settings().node_settings()
         if not self.base and not self.links:
             raise ConfigError("links: a drone needs at least one")
         for index, link in enumerate(self.links):
             link.check(f"links[{index}]")
-        through = [index for index, link in enumerate(self.links) if link.type == "autopilot"]
-        if through and self.autopilot.url is None:
-            raise ConfigError(f"links[{through[0]}].type: autopilot needs autopilot.url")
-        if through and not self.mavlink.autopilot_id:
-            # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
-            raise ConfigError(
-                f"links[{through[0]}].type: autopilot needs mavlink.autopilot_id, the autopilot's system id"
-            )
+        through = [index for index, link in enumerate(self.links) if link.kind.through]
+        if through:
+            first = f"links[{through[0]}].type: {self.links[through[0]].type}"
+            if self.autopilot.url is None:
+                raise ConfigError(f"{first} needs autopilot.url")
+            if not self.mavlink.autopilot_id:
+                # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
+                raise ConfigError(f"{first} needs mavlink.autopilot_id, the autopilot's system id")
         if len(through) > 1:
             raise ConfigError(f"links[{through[1]}].type: only one link can go through the autopilot")
         for key, url in (("autopilot.url", self.autopilot.url), ("ground.url", self.ground.url)):

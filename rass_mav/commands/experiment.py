@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
-_POLICIES = ("rass", "hop-count", "stigmergy", "rass-literal")
-_FITNESS_POLICIES = ("rass", "hop-count", "rass-literal")
-_ALL_POLICIES = ("rass", "rass-literal", "hop-count", "stigmergy", "survival")
 _VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate", "copies-auto")
 
 
@@ -37,7 +34,7 @@ def register(subparsers: Subparsers) -> None:
 
     paper = _add(
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
-        "rass-mav experiment paper --out results --runs 2 --topology grid", _POLICIES[:3], _POLICIES,
+        "rass-mav experiment paper --out results --runs 2 --topology grid",
     )  # fmt: skip
     paper.add_argument(
         "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
@@ -53,12 +50,12 @@ def register(subparsers: Subparsers) -> None:
 
     _add(
         names, "five-drones", _five_drones, "the paper's physical experiment: reliability, whole and by drone",
-        "rass-mav experiment five-drones --out results", _FITNESS_POLICIES,
+        "rass-mav experiment five-drones --out results",
     )  # fmt: skip
 
     moving = _add(
         names, "moving-sources", _moving_sources, "what becomes of data when the sources of radiation move",
-        "rass-mav experiment moving-sources --out results --drift 0.05 0.5", _FITNESS_POLICIES,
+        "rass-mav experiment moving-sources --out results --drift 0.05 0.5",
     )  # fmt: skip
     moving.add_argument(
         "--drift", nargs="+", type=float, metavar="METRES", default=[0.0, 0.05, 0.2, 0.5],
@@ -68,7 +65,7 @@ def register(subparsers: Subparsers) -> None:
 
     maxima = _add(
         names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
-        "rass-mav experiment local-maxima --out results", _FITNESS_POLICIES,
+        "rass-mav experiment local-maxima --out results",
     )  # fmt: skip
     maxima.add_argument(
         "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
@@ -76,7 +73,7 @@ def register(subparsers: Subparsers) -> None:
 
     policies = _add(
         names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
-        "rass-mav experiment policies --out results --runs 2 --topology grid", _ALL_POLICIES,
+        "rass-mav experiment policies --out results --runs 2 --topology grid",
     )  # fmt: skip
     places = (*_TOPOLOGIES, "islands")
     policies.add_argument(
@@ -109,19 +106,13 @@ def _add(
     run: Callable[[argparse.Namespace], int],
     help: str,
     example: str,
-    policies: Sequence[str],
-    choices: Sequence[str] = (),
 ) -> argparse.ArgumentParser:
-    """An experiment made of runs of the mock swarm. `policies`: compared unless others of `choices` are given."""
+    """An experiment made of runs of the mock swarm."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
     parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 a run (default: 500)")
-    parser.add_argument(
-        "--policy", nargs="+", default=list(policies), metavar="NAME",
-        choices=choices or policies,
-        help=f"which to compare (default: {' '.join(policies)})",
-    )  # fmt: skip
+    parser.add_argument("--policy", nargs="+", metavar="NAME", help="which to compare (docs/experiments.md)")
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)"
     )
@@ -140,7 +131,7 @@ def _paper(options: argparse.Namespace) -> int:
 
     def plan() -> list[Run]:
         return paper.plan(
-            worlds, _distinct(options.topology), _distinct(options.policy),
+            worlds, _distinct(options.topology), _compared(options, paper.POLICIES, paper.ALL_POLICIES),
             runs=options.runs, steps=options.steps, assignments=options.assignments,
         )  # fmt: skip
 
@@ -152,8 +143,9 @@ def _five_drones(options: argparse.Namespace) -> int:
 
     def plan() -> list[Run]:
         return five_drones.plan(
-            _distinct(options.policy), runs=options.runs, steps=options.steps, assignments=options.assignments
-        )
+            _compared(options, five_drones.POLICIES),
+            runs=options.runs, steps=options.steps, assignments=options.assignments,
+        )  # fmt: skip
 
     return _runs(options, plan, five_drones.report, "table.md")
 
@@ -163,7 +155,7 @@ def _moving_sources(options: argparse.Namespace) -> int:
 
     def plan() -> list[Run]:
         return moving_sources.plan(
-            _distinct(options.drift), options.topology, _distinct(options.policy),
+            _distinct(options.drift), options.topology, _compared(options, moving_sources.POLICIES),
             runs=options.runs, steps=options.steps, assignments=options.assignments,
         )  # fmt: skip
 
@@ -175,7 +167,7 @@ def _local_maxima(options: argparse.Namespace) -> int:
 
     def plan() -> list[Run]:
         return local_maxima.plan(
-            _distinct(options.topology), _distinct(options.policy),
+            _distinct(options.topology), _compared(options, local_maxima.POLICIES),
             runs=options.runs, steps=options.steps, assignments=options.assignments,
         )  # fmt: skip
 
@@ -187,7 +179,7 @@ def _policies(options: argparse.Namespace) -> int:
 
     def plan() -> list[Run]:
         return policies.plan(
-            _distinct(options.topology), _distinct(options.policy), _distinct(options.variant),
+            _distinct(options.topology), _compared(options, policies.POLICIES), _distinct(options.variant),
             runs=options.runs, steps=options.steps, die_fraction=options.failures, assignments=options.assignments,
         )  # fmt: skip
 
@@ -268,6 +260,15 @@ def _directory(path: str) -> Path:
     except OSError as error:
         raise RassError(f"--out {path}: {(error.strerror or str(error)).lower()}") from None
     return out
+
+
+def _compared(options: argparse.Namespace, default: Sequence[str], known: Sequence[str] = ()) -> list[str]:
+    """The policies to compare, of those that are `known` (else of `default`). Raises `ConfigError`."""
+    names = _distinct(options.policy or default)
+    for name in names:
+        if name not in (known or default):
+            raise ConfigError(f"--policy: expected some of {', '.join(known or default)}, got {name!r}")
+    return names
 
 
 def _distinct(values: Sequence[T]) -> list[T]:

@@ -30,7 +30,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N of the scenario's drones")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1, from take-off")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
-    parser.add_argument("--policy", metavar="NAME", help="survival, rass, rass-literal, hop-count or stigmergy")
+    parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom (docs/policies.md)")
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
     parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")

@@ -30,7 +30,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--nodes", type=int, metavar="N", help="nodes, the base included")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
-    parser.add_argument("--policy", metavar="NAME", help="rass, rass-literal, hop-count or stigmergy")
+    parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom (docs/policies.md)")
     parser.add_argument(
         "--topology", metavar="NAME", help="grid, scale-free, lennard-jones, random-walk, line or islands"
     )

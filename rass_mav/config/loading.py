@@ -131,8 +131,7 @@ def convert(raw: Any, type: type[S], source: str) -> S:
 
 def to_plain(section: Section) -> dict[str, Any]:
     """A section as plain values, every default filled in."""
-    values: dict[str, Any] = plain(section)
-    return values
+    return dict(plain(section))
 
 
 def dump_yaml(section: Section) -> str:

@@ -7,8 +7,12 @@ A section is a frozen dataclass, so that a node needs nothing compiled. Bounds s
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
+
+from rass_mav.errors import ConfigError
 
 if TYPE_CHECKING:
     from typing_extensions import dataclass_transform
@@ -33,7 +37,7 @@ class Field(NamedTuple):
 
 
 class Meta(NamedTuple):
-    """Bounds of a value, or of the length of a text."""
+    """Bounds of a value, of the length of a text, or the names of which a text is one."""
 
     ge: float | None = None
     gt: float | None = None
@@ -41,6 +45,8 @@ class Meta(NamedTuple):
     lt: float | None = None
     min_length: int | None = None
     max_length: int | None = None
+    one_of: Callable[[], Collection[str]] | None = None
+    """Gives the names in a room's registry, of which a text is one."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field,))
@@ -66,3 +72,12 @@ def _fields_of(section: type[Section]) -> tuple[Field, ...]:
         Field(f.name, hints[f.name], f.default is missing and f.default_factory is missing)
         for f in dataclasses.fields(section)  # type: ignore[arg-type]  # subclasses are
     )
+
+
+@contextmanager
+def under(key: str) -> Iterator[None]:
+    """Put a key in front of the `ConfigError`s of a block."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{key}: {error}") from None

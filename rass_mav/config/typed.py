@@ -122,6 +122,7 @@ def _within(value: Any, bounds: Any) -> bool:
         and (bounds.lt is None or value < bounds.lt)
         and (bounds.min_length is None or size is None or size >= bounds.min_length)
         and (bounds.max_length is None or size is None or size <= bounds.max_length)
+        and (bounds.one_of is None or value in bounds.one_of())
     )
 
 
@@ -182,11 +183,11 @@ def _option(kind: Any, bounds: Any) -> str:
         return "a number" + _range(bounds)
     if kind is bool:
         return "true or false"
+    if origin is Literal or (bounds is not None and bounds.one_of is not None):
+        values = sorted(map(str, members or bounds.one_of()))
+        return values[0] if len(values) == 1 else "one of " + ", ".join(values)
     if kind is str:
         return "text" + _length(bounds, "characters")
-    if origin is Literal:
-        values = sorted(map(str, members))
-        return values[0] if len(values) == 1 else "one of " + ", ".join(values)
     if origin is tuple and members[-1] is not Ellipsis:
         return f"a list of {len(members)} values"
     if origin in (list, tuple):

@@ -1,8 +1,103 @@
-"""How a node behaves: what configurations come down to."""
+"""How a node behaves: what can be set of it, and what configurations come down to."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from rass_mav.config.bounds import Count, Fraction, Positive
+from rass_mav.config.sections import Meta, Section
+from rass_mav.core.policy import Policy
+from rass_mav.core.risk import RiskEstimator
+
+Forward = Literal["step", "immediate"]
+
+
+class RiskSettings(Section):
+    """From readings to risk (docs/sensors.md)."""
+
+    gain: Annotated[float, Meta(gt=0, le=1)] | None = None
+    """Gain of the moving average over readings, 1: no memory; null: the policy's own."""
+    scale: Literal["linear", "logarithmic"] = "linear"
+    """logarithmic: each time the reading doubles, the risk grows by the same amount."""
+    background: float = 0.0
+    """What the sensor says where there is no danger, in its unit; subtracted from every reading."""
+    low: float = 0.0
+    """Reading above background that means risk 0, in the sensor's unit."""
+    high: float = 1.0
+    """Reading above background that means risk 1, in the sensor's unit; above `low`."""
+    stale_s: Positive = 10.0
+    """A reading older than this is unknown, seconds."""
+    worst: Fraction = 1.0
+    """What an unknown risk counts as."""
+
+    def __post_init__(self) -> None:
+        """`high` must be above `low`, and for a logarithm both above 0."""
+        if self.scale == "logarithmic" and self.low <= 0.0:
+            raise ValueError(f"risk.low: expected a number > 0 with risk.scale logarithmic, got {self.low:g}")
+        if self.high <= self.low:
+            raise ValueError(f"risk.high: expected a number above risk.low ({self.low:g}), got {self.high:g}")
+
+    def normalised(self, reading: float) -> float:
+        """A reading on the scale where `low` above background is 0 and `high` above background is 1; unclipped.
+
+        Below `low` the logarithmic scale goes on as a straight line with the slope it has there: a reading at or below
+        background has no logarithm, but noise must average out.
+        """
+        reading -= self.background
+        low, high = self.low, self.high
+        if self.scale == "linear":
+            return (reading - low) / (high - low)
+        if reading < low:
+            return (reading / low - 1.0) / math.log(high / low)
+        return math.log(reading / low) / math.log(high / low)
+
+    def estimator(self, policy: Policy) -> RiskEstimator:
+        """A new estimator with these settings."""
+        gain = policy.risk_gain if self.gain is None else self.gain
+        return RiskEstimator(gain=gain, stale_s=self.stale_s, worst=self.worst)
+
+
+class RoutingSettings(Section):
+    """The routing table."""
+
+    seq_period: Annotated[int, Meta(ge=0)] | None = None
+    """A base raises its announcement number every so many steps (0: on request only); null: the policy's own."""
+    neighbour_steps: Annotated[int, Meta(ge=0)] = 3
+    """A neighbour not heard for so many steps is gone. 0 is for mock swarms with `radio.latency_steps`: only who is
+    heard at the beginning of a step is a neighbour in it."""
+    max_neighbours: Count = 128
+    max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
+
+
+class CustodySettings(Section):
+    """The duty to keep data."""
+
+    mode: Literal["acknowledged", "none"] = "acknowledged"
+    """acknowledged: a datum is kept until the receiver has it on disk; none: what is sent is deleted at once."""
+    receipts: bool = True
+    """Bases say what has arrived; others tell it on, and drop their copies of it. What is lost is told to the bases."""
+    receipt_steps: Count = 6
+    """A node sends one receipt frame in so many steps at most."""
+    retry_steps: Count = 1
+    """A hand-over without an answer is sent again after so many steps."""
+    max_tries: Count = 8
+    """After so many sendings without an answer another neighbour may be chosen."""
+    mirror: bool | None = None
+    """Spare copies: the giver of a datum keeps its copy for a while, and data that rest get one. Only with mode
+    acknowledged, there null means true; no effect under a policy that replicates."""
+    mirror_until: Literal["passed-on", "receipt"] = "receipt"
+    """How long the giver keeps its copy: until the receiver has passed the datum on in its turn, or, while there is
+    room, until a base says that it has arrived. Without `receipts` no base does: then it is the former."""
+    copies: Literal[1, "auto"] = "auto"
+    """How many spare copies a datum gets beside that of the giver. 1: one, if it rests; auto: as many as its risk asks
+    for, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
+
+    def __post_init__(self) -> None:
+        """What no single key can say, and what this version cannot do yet."""
+        if self.mirror and self.mode != "acknowledged":
+            raise ValueError(f"custody.mirror: expected false with custody.mode {self.mode}, got true")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +123,8 @@ class NodeSettings:
     acknowledged: bool = True
     """Custody (`custody.mode: acknowledged`); False: what is sent is deleted at once."""
     mirror: bool = False
-    """Spare copies are kept (`core.mirrors`); only with `acknowledged`."""
+    """Spare copies are kept (`core.spares`); only with `acknowledged`, and neither at a base nor under a policy that
+    replicates."""
     mirror_until_receipt: bool = True
     """A spare is kept, while there is room, until a base says that the datum has arrived; False: only until it has been
     passed on once more."""

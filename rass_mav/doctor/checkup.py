@@ -72,7 +72,7 @@ def check_up(path: str) -> Report:
     ]
     interfaces = network.interfaces()
     findings += [
-        network.link_address(index, link, interfaces) for index, link in enumerate(config.links) if link.type == "udp"
+        network.link_address(index, link, interfaces) for index, link in enumerate(config.links) if not link.kind.shared
     ]
     found, evidence, free = node.look(config)
     findings.append(found)

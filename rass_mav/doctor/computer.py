@@ -11,9 +11,9 @@ from pathlib import Path
 
 from rass_mav.app.config import RunConfig
 from rass_mav.mavlink.crc import HAVE_FASTCRC
-from rass_mav.sensor.kinds import SERIAL_KINDS
 
 from .finding import Finding, failed, passed, warned
+from .ports import serial_ports
 
 #: What the source needs (pyproject.toml, requires-python).
 LEAST_PYTHON = (3, 10)
@@ -37,19 +37,9 @@ def python(version: tuple[int, ...], executable: str) -> Finding:
 def needed_packages(config: RunConfig | None) -> list[str]:
     """What this configuration imports; None: not known."""
     names = list(PACKAGES)
-    if config is not None and serial_wanted(config):
+    if config is not None and any(serial_ports(config)):
         names.append("pyserial")
     return names
-
-
-def serial_wanted(config: RunConfig) -> bool:
-    """Whether a serial port is configured."""
-    urls = (config.autopilot.url, config.ground.url)
-    return (
-        any(url is not None and url.startswith(("serial:", "/")) for url in urls)
-        or any(link.type == "serial" for link in config.links)
-        or config.sensor.type in SERIAL_KINDS
-    )
 
 
 def packages(

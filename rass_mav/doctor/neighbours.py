@@ -36,8 +36,7 @@ def hops(config: RunConfig, index: int) -> Finding:
     """Does "heard" mean "one hop away" on this link?"""
     section = config.links[index]
     name = f"links[{index}] hops"
-    one_hop = section.type != "autopilot" if section.one_hop is None else section.one_hop
-    if one_hop:
+    if section.direct:
         return passed(name, "who is heard is one hop away")
     if section.only is not None:
         return passed(name, f"frames are forwarded; only nodes {', '.join(map(str, section.only))} are neighbours")

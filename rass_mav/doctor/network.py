@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-from rass_mav.app.links import LinkSection
 from rass_mav.errors import LinkError
 from rass_mav.link.address import parse_address, resolve
+from rass_mav.link.settings import LinkSection
 from rass_mav.link.sockets import is_local
 
 from .finding import Finding, failed, passed, warned

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from rass_mav.app.config import RunConfig
 from rass_mav.link.address import parse_serial, parse_vehicle_url
-from rass_mav.sensor.kinds import SERIAL_KINDS
 
 from .finding import Finding, failed, passed, warned
 
@@ -38,8 +37,8 @@ def serial_ports(config: RunConfig) -> Iterator[SerialPort]:
         if link.device is not None:
             yield SerialPort(f"links[{index}].device", *parse_serial(link.device))
     sensor = config.sensor
-    if sensor.type in SERIAL_KINDS and sensor.port is not None:
-        yield SerialPort("sensor.port", sensor.port, sensor.baud or SERIAL_KINDS[sensor.type].baud)
+    if sensor.port is not None:
+        yield SerialPort("sensor.port", sensor.port, sensor.baud or sensor.kind.baud)
 
 
 def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:

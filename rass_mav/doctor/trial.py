@@ -156,10 +156,10 @@ def _open_vehicle(config: RunConfig, troubles: dict[str, str]) -> VehiclePort | 
 def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, troubles: dict[str, str]) -> Link | None:
     section = config.links[index]
     key = f"links[{index}]"
-    if section.type == "autopilot" and vehicle is None:
+    if section.kind.through and vehicle is None:
         troubles[key] = "the autopilot's port is not open"
         return None
-    if section.type == "udp":
+    if not section.kind.shared:
         texts = [section.listen, section.broadcast, *(peer.address for peer in section.peers)]
         for text in filter(None, texts):
             host = parse_address(text, any_port=True)[0]

@@ -101,7 +101,7 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     """Does the sensor answer, here or at the autopilot?"""
     if config.base:
         return passed("sensor", "a base needs none")
-    own = config.sensor.type != "autopilot"
+    own = config.sensor.own
     source = f"sensor {config.sensor.type}" if own else f"NAMED_VALUE_FLOAT {config.mavlink.reading_name}"
     if why := evidence.troubles.get("sensor"):
         return failed("sensor", why, "see docs/sensors.md")

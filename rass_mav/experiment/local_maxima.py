@@ -17,6 +17,8 @@ from rass_mav.experiment.statistics import Estimate, estimate
 from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
 from rass_mav.swarm.catalogue import load_scenario
 
+#: Those that follow a fitness.
+POLICIES = ("rass", "hop-count", "rass-literal")
 #: What is told: column, heading, and the two sums of `Basins` whose ratio it is.
 SHARES = (
     ("nodes_in_basins", "nodes that are basins", "basins", "node_steps"),

@@ -19,6 +19,7 @@ from rass_mav.experiment.runs import Result, Run
 from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
 from rass_mav.swarm.catalogue import load_scenario
 
+POLICIES = ("rass", "hop-count", "rass-literal")
 TABLE_COLUMNS = (
     "drift_m", "policy", "runs", "steps", "reliability_mean", "reliability_ci95", "delay_mean", "delay_ci95",
 )  # fmt: skip

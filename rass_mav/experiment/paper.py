@@ -29,6 +29,8 @@ WORLDS = ("paper", "reference")
 TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
 #: What is compared unless other policies are asked for.
 POLICIES = ("rass", "hop-count", "stigmergy")
+#: What may be asked for. `rass-literal` is a reading of the text, so it runs in the world `paper` only.
+ALL_POLICIES = (*POLICIES, "rass-literal")
 
 TOPOLOGY_TITLES = {
     "grid": "grid",

@@ -20,10 +20,12 @@ from rass_mav.experiment.paper import TOPOLOGY_TITLES
 from rass_mav.experiment.runs import Result, Run
 from rass_mav.experiment.statistics import Estimate
 from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.policy.settings import PolicySettings, kinds
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.ledger import LOST
 
-POLICIES = ("rass", "rass-literal", "hop-count", "stigmergy", "survival")
+POLICIES = tuple(kinds())
+_HAND_ON = tuple(name for name in POLICIES if not PolicySettings(name=name).make().replicates)
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Variant:
     look: Look
     keys: dict[str, Any] = field(default_factory=dict)
     """What differs from the scenarios, which have one copy, one hop a step and no receipts."""
-    policies: tuple[str, ...] = ("rass", "rass-literal", "hop-count", "survival")
+    policies: tuple[str, ...] = _HAND_ON
     """Which policies have it."""
 
 

@@ -12,9 +12,10 @@ from typing import Any
 
 import msgspec
 
+from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
 from rass_mav.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
-from rass_mav.swarm.scenario import Scenario, plain
+from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 
 #: Raised when what a run leaves changes its form.
@@ -22,7 +23,7 @@ FORMAT = 1
 
 _PACKAGE = Path(__file__).parents[1]
 #: What a run's outcome depends on: these rooms with their data files, and this room's modules that look.
-_ROOMS = ("core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm")
+_ROOMS = ("config", "core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm")
 _MODULES = ("experiment/measures.py", "experiment/oracle.py", "experiment/runs.py")
 
 
@@ -61,7 +62,7 @@ class Run:
     @property
     def key(self) -> str:
         """64 hexadecimal digits for everything that determines the outcome."""
-        what = [FORMAT, self.world, self.variant, plain(self.scenario), list(self.measures), self.code]
+        what = [FORMAT, self.world, self.variant, to_plain(self.scenario), list(self.measures), self.code]
         return hashlib.sha256(msgspec.json.encode(what, order="sorted")).hexdigest()
 
     @property

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 
+from rass_mav.config.sections import under
+from rass_mav.errors import ConfigError
+
+from .address import parse_serial
 from .base import Address, Datagram, Link, LinkCounters
+from .serialport import SerialOpener
+from .settings import LinkSection
 from .stream import Opener, StreamPort
 from .vehicle import VehiclePort
 
@@ -41,6 +47,20 @@ class SerialLink(SharedLink):
     def __init__(self, opener: Opener) -> None:
         self.port = StreamPort(opener)
         super().__init__(self.port.name)
+
+    @staticmethod
+    def check(section: LinkSection, key: str) -> None:
+        """Raise `ConfigError` for what cannot be set of such a link. `key`: of the section."""
+        if section.device is None:
+            raise ConfigError(f"{key}.device: missing, expected a serial port, as /dev/ttyUSB0,57600")
+        with under(f"{key}.device"):
+            parse_serial(section.device)
+
+    @classmethod
+    def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> SerialLink:
+        """The link of a configuration that was checked."""
+        assert section.device is not None
+        return cls(SerialOpener(*parse_serial(section.device), flow_control=section.flow_control))
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to open and read the port."""
@@ -85,6 +105,16 @@ class AutopilotLink(SharedLink):
         self._vehicle = vehicle
         self._sent = 0
         self._dropped = 0
+
+    @staticmethod
+    def check(section: LinkSection, key: str) -> None:
+        """Nothing of its own can be set of such a link."""
+
+    @classmethod
+    def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> AutopilotLink:
+        """The link of a configuration that was checked."""
+        assert vehicle is not None
+        return cls(vehicle)
 
     def start(self, wake: Callable[[], None]) -> None:
         """Nothing: the port's owner starts it."""

@@ -13,12 +13,15 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from rass_mav.errors import LinkError
+from rass_mav.config.sections import under
+from rass_mav.errors import ConfigError, LinkError
 
-from .address import resolve
+from .address import parse_address, parse_multicast, resolve
 from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
-from .interface import EVERY_NETWORK, find_interface, is_address
+from .interface import EVERY_NETWORK, find_interface, is_address, is_name
+from .settings import LinkSection
 from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
+from .vehicle import VehiclePort
 
 #: Addresses learned from beacons that a link remembers; beyond it the longest silent one is forgotten.
 MAX_LEARNED = 512
@@ -90,6 +93,40 @@ class UdpLink(Link):
             except LinkError:
                 self._socket.close()
                 raise
+
+    @staticmethod
+    def check(section: LinkSection, key: str) -> None:
+        """Raise `ConfigError` for what cannot be set of such a link. `key`: of the section."""
+        with under(f"{key}.listen"):
+            parse_address(section.listen, any_port=True)
+        for index, peer in enumerate(section.peers):
+            with under(f"{key}.peers[{index}].address"):
+                parse_address(peer.address)
+        if section.broadcast is not None:
+            with under(f"{key}.broadcast"):
+                parse_address(section.broadcast)
+        if section.multicast is not None:
+            with under(f"{key}.multicast"):
+                parse_multicast(section.multicast)
+        name = section.interface
+        if name is not None and not is_address(name) and not is_name(name):
+            raise ConfigError(
+                f"{key}.interface: expected the name of a network interface or its own IPv4 address, got {name!r}"
+            )
+        if not section.peers and section.broadcast is None and section.multicast is None:
+            raise ConfigError(f"{key}: expected at least one of peers, broadcast and multicast")
+
+    @classmethod
+    def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> UdpLink:
+        """The link of a configuration that was checked. Raises `LinkError`."""
+        return cls(
+            parse_address(section.listen, any_port=True),
+            peers=[Peer(parse_address(peer.address), peer.id) for peer in section.peers],
+            broadcast=None if section.broadcast is None else parse_address(section.broadcast),
+            multicast=None if section.multicast is None else parse_multicast(section.multicast),
+            interface=section.interface,
+            ttl=section.ttl,
+        )
 
     def _join(self, group: Address, interface: str | None, ttl: int) -> socket.socket:
         own = socket.inet_aton(interface or "0.0.0.0")

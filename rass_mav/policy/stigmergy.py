@@ -5,6 +5,7 @@ from __future__ import annotations
 from rass_mav.core.policy import Dispatch, View
 
 from .fitness import policy_tag
+from .settings import Kind
 
 
 class Stigmergy:
@@ -16,7 +17,7 @@ class Stigmergy:
     risk_gain = 1.0
     seq_period = 30
     own_share = 0.0
-    tag = policy_tag("stigmergy")
+    tag = policy_tag(name)
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         """Nobody is fitter than anybody: 1 with room, 0 without."""
@@ -25,3 +26,7 @@ class Stigmergy:
     def plan(self, view: View) -> list[Dispatch]:
         """Nothing is handed over."""
         return []
+
+
+# The paper's second benchmark.
+POLICIES = (Kind(Stigmergy.name, 3, lambda settings: Stigmergy()),)

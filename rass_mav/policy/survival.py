@@ -6,11 +6,12 @@ import math
 from itertools import islice
 
 from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
-from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
+from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, Policy, View
 from rass_mav.core.routes.costs import COST_ONE, NO_COST, CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import policy_tag
+from .settings import Kind, PolicySettings
 
 #: No risk is certain death: readings are not that good, and its logarithm would be infinite.
 MAX_RISK = 0.999
@@ -40,7 +41,7 @@ class SurvivalPolicy:
         if hop_cost <= 0 or hold < 1 or not 0 < hysteresis <= 1:
             raise ValueError("hop_cost must be > 0, hold >= 1, hysteresis in (0, 1]")
         self.hop_cost = hop_cost
-        self.tag = policy_tag("survival", hop_cost, hold, hysteresis)
+        self.tag = policy_tag(self.name, hop_cost, hold, hysteresis)
         # A base that is cheaper by three hops is worth changing over to.
         self.costs = CostRules(self.tag, hold, hysteresis, int(3 * hop_cost * COST_ONE))
 
@@ -70,3 +71,10 @@ class SurvivalPolicy:
             and n.beacon.potential not in (0, POTENTIAL_BASE)
         ]  # fmt: skip
         return min(strangers, key=lambda n: (n.beacon.hops, n.id), default=None)
+
+
+def _make(settings: PolicySettings) -> Policy:
+    return SurvivalPolicy() if settings.hop_cost is None else SurvivalPolicy(hop_cost=settings.hop_cost)
+
+
+POLICIES = (Kind(SurvivalPolicy.name, 4, _make),)

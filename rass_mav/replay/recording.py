@@ -11,8 +11,8 @@ from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HOME_POSITION, NAMED_
 from rass_mav.mavlink.telemetry import Position, Telemetry
 from rass_mav.sensor.bgeigie import SENTENCE
 from rass_mav.sensor.bgeigie_log import load_bgeigie
-from rass_mav.sensor.dose import TUBES, DoseMeter
-from rass_mav.sensor.kinds import LOG_TUBE
+from rass_mav.sensor.dose import DoseMeter
+from rass_mav.sensor.settings import CountsSettings
 
 from .bgeigie import spoken, system_id_of
 from .tlog import Record, TlogReader
@@ -129,7 +129,7 @@ def read_logs(paths: Sequence[str], *, reading_name: str = "RAD", meter: DoseMet
     :raises ConfigError: a file cannot be opened.
     :raises LogError: a file has no valid record, or no vehicle speaks in any.
     """
-    meter = meter or DoseMeter(TUBES[LOG_TUBE])
+    meter = meter or CountsSettings().meter()
     files: list[LogFile] = []
     scans: list[_Scan] = []
     for path in paths:

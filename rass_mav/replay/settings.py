@@ -6,20 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from rass_mav.agent.sensors import CountsSettings
-from rass_mav.agent.settings import (
-    AgentSettings,
-    CustodySettings,
-    DataSettings,
-    MavlinkSettings,
-    PolicySettings,
-    Positive,
-    RiskSettings,
-    RoutingSettings,
-    StoreSettings,
-)
+from rass_mav.agent.settings import AgentSettings, DataSettings
+from rass_mav.config.bounds import Positive
 from rass_mav.config.loading import convert, set_key
 from rass_mav.config.sections import Section
+from rass_mav.core.settings import CustodySettings, RiskSettings, RoutingSettings
+from rass_mav.mavlink.settings import MavlinkSettings
+from rass_mav.policy.settings import PolicySettings
+from rass_mav.sensor.settings import CountsSettings
+from rass_mav.store.settings import StoreSettings
 from rass_mav.swarm.scenario import NodeSection, RadioSection
 
 

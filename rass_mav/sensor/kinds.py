@@ -1,54 +1,44 @@
-"""The kinds of sensors that a configuration can name. A node loads the protocol of its own one only."""
+"""The sensors that a configuration can name, one row each. A node loads the module of its own one only."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
-from .protocol import Protocol
+#: The keys that say how counts become readings.
+_OF_COUNTS = ("unit", "tube", "cpm_per_usvh", "dead_time_us")
 
 
 class Kind(NamedTuple):
-    """A device on a serial port."""
+    """A kind of sensor."""
 
-    protocol: Callable[[], Protocol]
-    baud: int
-    """bit/s, as it comes from the factory."""
-    tube: str
+    opener: str | None
+    """`module:name` of what makes the `Sensor` of the `SensorSettings` and the node's clock. None: readings are the
+    autopilot's."""
+    keys: tuple[str, ...] = ()
+    """The keys that have an effect with it; the first one must be given."""
+    needs: str = ""
+    """What that one must be, in words."""
+    tube: str = ""
     """The tube that it usually has, a key of `dose.TUBES`."""
+    protocol: str = ""
+    """`module:name` of the `Protocol` of a device on a serial port."""
+    baud: int = 0
+    """bit/s of such a device, as it comes from the factory."""
     corrects: bool = False
     """It corrects its rate for dead time itself, so that we do not by default."""
 
 
-def _mightyohm() -> Protocol:
-    from .mightyohm import MightyOhm
-
-    return MightyOhm()
-
-
-def _gmc() -> Protocol:
-    from .gmc import Gmc
-
-    return Gmc()
+def counter(protocol: str, baud: int, tube: str, *, corrects: bool = False) -> Kind:
+    """The row of a counter on a serial port, as it comes from the factory."""
+    opener, keys = "rass_mav.sensor.serial_sensor:open_counter", ("port", "baud", *_OF_COUNTS)
+    return Kind(opener, keys, "the counter's serial port", tube, protocol, baud, corrects)
 
 
-def _radpro() -> Protocol:
-    from .radpro import RadPro
-
-    return RadPro()
-
-
-def _bgeigie() -> Protocol:
-    from .bgeigie import Bgeigie
-
-    return Bgeigie()
-
-
-SERIAL_KINDS: dict[str, Kind] = {
-    "mightyohm": Kind(_mightyohm, 9600, "sbm-20"),
-    "gmc": Kind(_gmc, 115200, "m4011"),
-    "radpro": Kind(_radpro, 115200, "m4011", corrects=True),
-    "bgeigie": Kind(_bgeigie, 57600, "safecast"),
+KINDS: dict[str, Kind] = {
+    "autopilot": Kind(None),
+    "mightyohm": counter("rass_mav.sensor.mightyohm:MightyOhm", 9600, "sbm-20"),
+    "gmc": counter("rass_mav.sensor.gmc:Gmc", 115200, "m4011"),
+    "radpro": counter("rass_mav.sensor.radpro:RadPro", 115200, "m4011", corrects=True),
+    "bgeigie": counter("rass_mav.sensor.bgeigie:Bgeigie", 57600, "safecast"),
+    "log": Kind("rass_mav.sensor.playback:open_log", ("path", "speed", *_OF_COUNTS), "a bGeigie log", "safecast"),
 }
-#: The tube of a recorded bGeigie log.
-LOG_TUBE = "safecast"

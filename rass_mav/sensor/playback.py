@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rass_mav.errors import ConfigError, LogError
+
 from .base import MAX_WAITING, Sensor, SensorReading, SensorState
-from .bgeigie_log import BgeigieLog
+from .bgeigie_log import BgeigieLog, load_bgeigie
 from .dose import DoseMeter
+from .settings import SensorSettings
 
 
 class PlaybackSensor(Sensor):
@@ -59,3 +62,13 @@ class PlaybackSensor(Sensor):
 
     def close(self) -> None:
         """There is nothing to release."""
+
+
+def open_log(settings: SensorSettings, now: Callable[[], float]) -> PlaybackSensor:
+    """The log of a configuration, `now` on the driver's timeline. Raises `ConfigError`: it has no valid record."""
+    assert settings.path is not None
+    try:
+        log = load_bgeigie(settings.path)
+    except (ConfigError, LogError) as error:
+        raise ConfigError(f"sensor.path: {error}") from None
+    return PlaybackSensor(settings.path, log, settings.meter(), now, speed=settings.speed)

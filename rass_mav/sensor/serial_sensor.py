@@ -13,6 +13,7 @@ import termios
 import threading
 from collections import deque
 from collections.abc import Callable
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple
 
 from rass_mav.errors import ConfigError, LinkError
@@ -20,6 +21,7 @@ from rass_mav.errors import ConfigError, LinkError
 from .base import MAX_WAITING, Sensor, SensorReading, SensorState
 from .dose import DoseMeter
 from .protocol import Protocol
+from .settings import SensorSettings
 
 if TYPE_CHECKING:
     import serial
@@ -188,6 +190,13 @@ class SerialSensor(Sensor):
             self._trouble = trouble
             log.warning("sensor %s: %s", self.name, trouble)
             self._wake()
+
+
+def open_counter(settings: SensorSettings, now: Callable[[], float]) -> SerialSensor:
+    """The counter of a configuration, `now` on the driver's timeline. Raises `ConfigError`: pyserial is missing."""
+    assert settings.port is not None
+    kind = settings.kind
+    return SerialSensor(settings.port, settings.baud or kind.baud, resolve_name(kind.protocol)(), settings.meter(), now)
 
 
 def _opened(port: str, baud: int) -> serial.Serial:

@@ -27,11 +27,11 @@ from rass_mav.app.config import (
     RunConfig,
     RunStoreSettings,
 )
-from rass_mav.app.links import LinkSection, PeerSection
 from rass_mav.app.payloads import parse_id
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import ConfigError, ControlError, SwarmError
+from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
 from rass_mav.swarm.children import Child, Children, orderly_end

@@ -5,25 +5,13 @@ from __future__ import annotations
 from dataclasses import field, replace
 from typing import Annotated, Any, Literal
 
-from rass_mav.agent.settings import (
-    AgentSettings,
-    Count,
-    CustodySettings,
-    DataSettings,
-    Forward,
-    Fraction,
-    MavlinkSettings,
-    NonNegative,
-    PolicyName,
-    PolicySettings,
-    Positive,
-    RiskSettings,
-    RoutingSettings,
-    Section,
-    StoreSettings,
-)
-from rass_mav.config.loading import to_plain
-from rass_mav.config.sections import Meta
+from rass_mav.agent.settings import AgentSettings, DataSettings
+from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
+from rass_mav.config.sections import Meta, Section
+from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
+from rass_mav.mavlink.settings import MavlinkSettings
+from rass_mav.policy.settings import PolicyName, PolicySettings
+from rass_mav.store.settings import StoreSettings
 
 
 class NodeSection(Section):
@@ -262,9 +250,3 @@ OPTION_KEYS: dict[str, str] = {
     "capacity": "store.capacity_items",
     "transport": "transport",
 }
-
-
-def plain(scenario: Scenario) -> dict[str, Any]:
-    """A scenario as plain values, every default filled in."""
-    result: dict[str, Any] = to_plain(scenario)
-    return result

@@ -11,8 +11,10 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
-from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Route
+from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover, Message, Put, Route
+from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
+from rass_mav.core.spares.mirrors import Mirrors
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import (
     HEARTBEAT,
@@ -299,3 +301,34 @@ def test_what_is_signed_is_read_like_all_else_and_answered_unsigned() -> None:
     answers = agent.step(1.0)
     assert {type(message) for message in said(answers)} == {Beacon, Data}, "it has a neighbour"
     assert not any(outgoing.frame[2] & FLAG_SIGNED for outgoing in answers)
+
+
+def test_under_stigmergy_no_bandwidth_is_kept_for_spare_copies() -> None:
+    agent = make(3, forward="immediate", policy={"name": "stigmergy"}, store={"bandwidth_items": 10})
+    agent.step(0.0)
+    beacon = Beacon(9, 4, 0, 0, 9, 4, 1, 0, 0, 0, 0, 50, agent.node.policy.tag, POTENTIAL_ONE, 0)
+    for _ in range(12):
+        agent.node.put(b"reading", 0.5)
+    agent.node.receive(beacon, 0.5)
+    assert sum(isinstance(message, Put) for message in said(agent.step(1.0), 1.0)) == 10
+
+
+@pytest.mark.parametrize(
+    ("base", "sections", "mirror"),
+    [
+        (False, {}, True),
+        (True, {}, False),
+        (False, {"policy": {"name": "stigmergy"}}, False),
+        (True, {"policy": {"name": "stigmergy"}}, False),
+        (False, {"custody": {"mode": "none"}}, False),
+        (False, {"custody": {"mirror": False}}, False),
+        (False, {"policy": {"name": "stigmergy"}, "custody": {"mirror": True}}, False),
+    ],
+)
+def test_spare_copies_are_kept_by_drones_that_hand_over_with_custody(
+    base: bool, sections: dict[str, Any], mirror: bool
+) -> None:
+    agent = make(3, base=base, **sections)
+    assert agent.settings.node_settings().mirror is mirror
+    keeps = isinstance(agent.node, Node) and isinstance(agent.node.keeper.spares, Mirrors)
+    assert keeps is mirror

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from rass_mav.agent.parameters import (
     INDEX,
     PARAMETERS,
-    POLICY_NUMBERS,
     changed,
     recall,
     remember,
     shortest,
 )
-from rass_mav.agent.settings import AgentSettings, PolicyName
+from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
+from rass_mav.policy.settings import kinds
 from rass_mav.store.memory import MemoryStore
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
@@ -45,9 +45,11 @@ def set_to(about: AgentSettings, name: str, value: float) -> AgentSettings:
 def test_names_fit_the_wire_and_every_policy_has_a_number() -> None:
     assert all(1 <= len(p.name) <= 16 and p.name.isascii() and p.name.startswith("RASS_") for p in PARAMETERS)
     assert len(INDEX) == len(PARAMETERS)
-    assert set(POLICY_NUMBERS) == set(get_args(PolicyName))
+    numbers = {kind.name: kind.number for kind in kinds().values()}
+    assert len(set(numbers.values())) == len(numbers)
     # Known to ground stations by now.
-    assert list(POLICY_NUMBERS.items())[:4] == [("rass", 0), ("rass-literal", 1), ("hop-count", 2), ("stigmergy", 3)]
+    known = {"rass": 0, "rass-literal": 1, "hop-count": 2, "stigmergy": 3, "survival": 4}
+    assert known.items() <= numbers.items()
 
 
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False)

@@ -8,11 +8,13 @@ from typing import Any
 
 import pytest
 
-from rass_mav.agent.settings import AgentSettings, PolicySettings, RiskSettings
+from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.config import RunConfig
 from rass_mav.config.loading import convert, to_plain
 from rass_mav.config.sections import Section, fields_of
+from rass_mav.core.settings import RiskSettings
 from rass_mav.errors import ConfigError
+from rass_mav.policy.settings import PolicySettings
 
 VALUES: list[Any] = [
     None, True, False, 0, 1, -1, 7, 300, 70000, 10**400, 0.0, 0.5, -2.5, 1e300, "", "udp", "base", "survival", "auto",

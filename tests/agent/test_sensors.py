@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.sensors import SensorSettings
-from rass_mav.agent.settings import RiskSettings
 from rass_mav.config.loading import convert
+from rass_mav.core.settings import RiskSettings
 from rass_mav.errors import ConfigError
 from rass_mav.sensor.playback import PlaybackSensor
 from rass_mav.sensor.serial_sensor import SerialSensor
+from rass_mav.sensor.settings import SensorSettings
 
 POSITIVE = st.floats(1e-3, 1e3)
 

@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.settings import PolicySettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import MAX_WAITING, Driver
 from rass_mav.core.datum import Datum, DatumId, make_datum
@@ -24,6 +23,7 @@ from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committe
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.policy.settings import PolicySettings
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
 from tests.nodes import node_of

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.settings import GroundSettings, PolicySettings
+from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import load_config
 from rass_mav.app.driver import Driver
@@ -26,6 +26,7 @@ from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, NAMED_VALUE_FLOAT
+from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
 

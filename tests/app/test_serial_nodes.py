@@ -16,9 +16,9 @@ from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
-from rass_mav.app.links import AirtimeSection, LinkSection
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
+from rass_mav.link.settings import AirtimeSection, LinkSection
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.mavlink.frames import Frame, FrameWriter

@@ -13,7 +13,7 @@ from rass_mav.core.policy import Policy
 from rass_mav.core.replica import Replica
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
-from rass_mav.policy import make_policy
+from rass_mav.policy.settings import PolicySettings
 
 from .durable import DurableStore
 
@@ -28,16 +28,18 @@ def make_node(
     seed: int = 0,
     observer: Observer | None = None,
     newborn: bool | None = None,
+    base: bool = False,
+    mirror: bool = False,
     **settings: Any,
 ) -> Node:
-    """A node whose sensor says `risk` and goes on saying it."""
+    """A node whose sensor says `risk` and goes on saying it. `mirror` is for drones: a base keeps no spares."""
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, now)
     store = store or DurableStore(epoch=1000 + node_id)
     return Node(
-        NodeSettings(node_id=node_id, **settings),
+        NodeSettings(node_id=node_id, base=base, mirror=mirror and not base, **settings),
         store,
-        make_policy(policy) if isinstance(policy, str) else policy,
+        PolicySettings(name=policy).make() if isinstance(policy, str) else policy,
         estimator,
         random.Random(seed * 7919 + node_id),
         now=now,
@@ -53,7 +55,7 @@ def make_replica(node_id: int, *, store: DurableStore | None = None, **settings:
     return Replica(
         NodeSettings(node_id=node_id, **settings),
         store or DurableStore(epoch=1000 + node_id),
-        make_policy("stigmergy"),
+        PolicySettings(name="stigmergy").make(),
         estimator,
         random.Random(node_id),
         now=0.0,

@@ -14,14 +14,14 @@ from rass_mav.core.participant import ANNOUNCEMENTS_CLAIMED
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.serial import following, newer
 from rass_mav.core.routes.table import HOLD_LIFETIMES
-from rass_mav.policy import make_policy
+from rass_mav.policy.settings import PolicySettings
 
 from .build import make_node
 from .durable import DurableStore
 from .routing_harness import NEIGHBOUR_STEPS, Swarm, rough_times
 
 ONLY = [Phase.explicit, Phase.reuse, Phase.generate]
-SURVIVAL = make_policy("survival")
+SURVIVAL = PolicySettings(name="survival").make()
 #: Turns until nobody remembers an announcement.
 FORGOTTEN = int(HOLD_LIFETIMES * (NEIGHBOUR_STEPS + 0.5)) + 1
 

@@ -21,7 +21,7 @@ from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.errors import StoreFullError
-from rass_mav.policy import make_policy
+from rass_mav.policy.settings import PolicySettings
 from rass_mav.wire import decode, encode
 
 from .books import check_node
@@ -66,7 +66,7 @@ class Swarm(RuleBasedStateMachine):
             "copies_auto": auto, "own_share": 0.2 * auto,
         }  # fmt: skip
         self.struck: set[DatumId] = set()
-        self.policy: Policy = Wander() if wander else make_policy("rass")
+        self.policy: Policy = Wander() if wander else PolicySettings(name="rass").make()
         self.now = 0.0
         self.lives = 0
         self.payloads = 0

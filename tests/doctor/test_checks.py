@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from rass_mav.app.config import load_config
-from rass_mav.app.links import LinkSection, PeerSection
 from rass_mav.doctor import computer, network, ports, service, storage
 from rass_mav.doctor.checkup import as_the_service
 from rass_mav.doctor.finding import Finding
 from rass_mav.errors import ServiceError
+from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.store.sqlite import SqliteStore
 from tests.link.ptys import Device
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from rass_mav.app.links import AirtimeSection
 from rass_mav.link.airtime import Urgency
+from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.frames import FrameWriter
 
 from .forwarders import Forwarder, Port, wire

@@ -11,12 +11,11 @@ from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
 from rass_mav.core.policy import POTENTIAL_BASE, View
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.neighbours import Neighbour
-from rass_mav.errors import ConfigError
-from rass_mav.policy import Weights, make_policy
+from rass_mav.policy.settings import PolicySettings
 
 from .test_policies import IDS, neighbour
 
-POLICY = make_policy("survival")
+POLICY = PolicySettings(name="survival").make()
 
 
 def view(way: Neighbour | None, *others: Neighbour, budget: int = 10) -> View:
@@ -59,8 +58,6 @@ def test_a_strangers_base_is_left_to_the_routing_table() -> None:
 
 
 def test_what_a_hop_costs_is_a_setting() -> None:
-    dear = make_policy("survival", Weights(hop_cost=0.5))
+    dear = PolicySettings(name="survival", hop_cost=0.5).make()
     assert dear.potential(1, 0.0, 1) == COST_ONE // 2
     assert dear.tag != POLICY.tag
-    with pytest.raises(ConfigError):
-        make_policy("survivall")

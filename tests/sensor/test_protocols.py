@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pkgutil import resolve_name
 
 import pytest
 from hypothesis import given
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from rass_mav.errors import MalformedError
 from rass_mav.sensor.bgeigie import Bgeigie, decode_record, fields_of, rate_of
 from rass_mav.sensor.gmc import MAX_ANSWER, POLL_S, QUIET_S, Gmc, decode_cpm, decode_version
-from rass_mav.sensor.kinds import SERIAL_KINDS
+from rass_mav.sensor.kinds import KINDS
 from rass_mav.sensor.mightyohm import MightyOhm, decode_line
 from rass_mav.sensor.protocol import MAX_LINE, Lines, Protocol, Sample
 from rass_mav.sensor.radpro import RadPro, decode_answer
@@ -52,13 +53,13 @@ def talk(protocol: Protocol, chunks: list[bytes]) -> list[Sample]:
     return samples + protocol.feed(b"", 5.0 + 2 * QUIET_S)
 
 
-@pytest.mark.parametrize("kind", SERIAL_KINDS)
+@pytest.mark.parametrize("protocol", [kind.protocol for kind in KINDS.values() if kind.protocol])
 @given(st.binary(max_size=600), st.data())
-def test_a_stream_is_the_same_whole_and_byte_by_byte(kind: str, garbage: bytes, data: st.DataObject) -> None:
+def test_a_stream_is_the_same_whole_and_byte_by_byte(protocol: str, garbage: bytes, data: st.DataObject) -> None:
     good = data.draw(st.sampled_from([b"", b"OK 1.5\r\n", b"GMC-500+Re 1.18", sentence() + b"\r\n",
                                       b"CPS, 1, CPM, 60, uSv/hr, 0.34, FAST\r\n"]))  # fmt: skip
     stream = data.draw(st.sampled_from([garbage + b"\n" + good, good + garbage, good + good]))
-    whole, parted = SERIAL_KINDS[kind].protocol(), SERIAL_KINDS[kind].protocol()
+    whole, parted = resolve_name(protocol)(), resolve_name(protocol)()
     samples = talk(whole, [stream])
     assert samples == talk(parted, [bytes([byte]) for byte in stream])
     assert (whole.heard, whole.malformed, whole.trouble) == (parted.heard, parted.malformed, parted.trouble)

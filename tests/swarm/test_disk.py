@@ -589,4 +589,4 @@ def test_a_library_that_is_not_the_one_of_sqlite3_is_refused(tmp_path: Path) -> 
     if not libraries:
         pytest.skip("SQLite is built into the interpreter")
     with pytest.raises(StoreError, match="not the one"):
-        load(shutil.copy(libraries[0], tmp_path / "copy.so"))
+        load(str(shutil.copy(libraries[0], tmp_path / "copy.so")))

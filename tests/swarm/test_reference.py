@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.errors import ConfigError
-from rass_mav.policy import Weights, make_policy
+from rass_mav.policy.settings import PolicySettings
 from rass_mav.swarm import authors
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
@@ -237,14 +237,18 @@ def test_a_full_node_that_refuses_loses_what_was_sent_to_it_without_custody() ->
 
 
 def test_fitness_of_a_node_that_knows_no_way() -> None:
-    policy = make_policy("hop-count", Weights(rules="authors", unknown_hops=6))
+    policy = PolicySettings(name="hop-count", rules="authors", unknown_hops=6).make()
     assert policy.potential(NO_ROUTE, 0.3, 1) == policy.potential(6, 0.3, 1)
-    assert make_policy("hop-count").potential(NO_ROUTE, 0.0, 1) < policy.potential(100, 0.0, 1)
+    assert PolicySettings(name="hop-count").make().potential(NO_ROUTE, 0.0, 1) < policy.potential(100, 0.0, 1)
 
 
 def test_only_nodes_with_the_same_rules_compare_potentials() -> None:
-    weights = [Weights(), Weights(unknown_hops=6), Weights(rules="authors"), Weights(rules="authors", unknown_hops=6)]
-    assert len({make_policy("rass", w).tag for w in weights}) == len(weights)
+    tags = {
+        PolicySettings(name="rass", rules=rules, unknown_hops=hops).make().tag
+        for rules in ("paper", "authors")
+        for hops in (None, 6)
+    }
+    assert len(tags) == 4
 
 
 def test_memory_is_counted_against_fifty_items() -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.app.links import LinkSection
 from rass_mav.errors import ConfigError, SwarmError
+from rass_mav.link.settings import LinkSection
 from rass_mav.swarm.air_server import Figures, Ports
 from rass_mav.swarm.children import Children
 from rass_mav.swarm.processes import MAX_NODES, START_S, NodeProcess, ProcessSwarm, conduct

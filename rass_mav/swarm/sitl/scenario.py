@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
-from rass_mav.agent.settings import Positive, Section
+from rass_mav.config.bounds import Positive
 from rass_mav.config.loading import convert, read_yaml, set_key
-from rass_mav.config.sections import Meta
+from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import (
     CMD_RETURN,

@@ -1,20 +1,21 @@
-"""The section `sensor`: what can be set of a node's own radiation sensor (docs/sensors.md)."""
+"""What can be set of a node's own radiation sensor (docs/sensors.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Literal
+from pkgutil import resolve_name
+from typing import Annotated
 
-from rass_mav.agent.settings import NonNegative, Positive
+from rass_mav.config.bounds import NonNegative, Positive
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import shown
-from rass_mav.errors import ConfigError, LogError
-from rass_mav.sensor.base import Sensor
-from rass_mav.sensor.dose import TUBES, DoseMeter, Tube, Unit
-from rass_mav.sensor.kinds import LOG_TUBE, SERIAL_KINDS
+from rass_mav.errors import ConfigError
 
-#: The keys of `sensor.dose.TUBES`.
-TubeName = Literal["sbm-20", "j305", "m4011", "lnd-7317", "safecast"]
+from .base import Sensor
+from .dose import TUBES, DoseMeter, Tube, Unit
+from .kinds import KINDS, Kind
+
+TubeName = Annotated[str, Meta(one_of=TUBES.keys)]
 
 
 class CountsSettings(Section):
@@ -31,14 +32,14 @@ class CountsSettings(Section):
 
     def meter(self) -> DoseMeter:
         """A new converter with these settings."""
-        tube = TUBES[self.tube or LOG_TUBE]
+        tube = TUBES[self.tube or KINDS["log"].tube]
         return DoseMeter(_with(tube, self.cpm_per_usvh, self.dead_time_us), self.unit)
 
 
 class SensorSettings(Section):
     """Where a node's readings come from."""
 
-    type: Literal["autopilot", "mightyohm", "gmc", "radpro", "bgeigie", "log"] = "autopilot"
+    type: Annotated[str, Meta(one_of=KINDS.keys)] = "autopilot"
     """autopilot: NAMED_VALUE_FLOAT `mavlink.reading_name`; log: a recorded bGeigie log, for demonstrations."""
     port: Annotated[str, Meta(min_length=1)] | None = None
     """Serial port of the counter."""
@@ -57,19 +58,23 @@ class SensorSettings(Section):
     dead_time_us: NonNegative | None = None
     """Its dead time, microseconds; null: the tube's, unless the counter corrects for it; 0: no correction."""
 
+    @property
+    def kind(self) -> Kind:
+        """Its row in the registry."""
+        return KINDS[self.type]
+
+    @property
+    def own(self) -> bool:
+        """Whether the node has a sensor of its own; False: readings are the autopilot's."""
+        return self.kind.opener is not None
+
     def check(self) -> None:
         """Raise `ConfigError` for keys that are missing, or would have no effect."""
-        serial = self.type in SERIAL_KINDS
-        if serial and self.port is None:
-            raise ConfigError(f"sensor.port: missing, expected the counter's serial port with sensor.type {self.type}")
-        if self.type == "log" and self.path is None:
-            raise ConfigError("sensor.path: missing, expected a bGeigie log with sensor.type log")
-        idle = [] if serial else ["port", "baud"]
-        idle += [] if self.type == "log" else ["path", "speed"]
-        idle += ["unit", "tube", "cpm_per_usvh", "dead_time_us"] if self.type == "autopilot" else []
-        for key in idle:
-            value, default = getattr(self, key), getattr(_DEFAULTS, key)
-            if value != default:
+        kind = self.kind
+        if kind.needs and getattr(self, kind.keys[0]) is None:
+            raise ConfigError(f"sensor.{kind.keys[0]}: missing, expected {kind.needs} with sensor.type {self.type}")
+        for key, value in vars(self).items():
+            if key not in ("type", *kind.keys) and value != getattr(type(self), key):
                 raise ConfigError(f"sensor.{key}: has no effect with sensor.type {self.type}, got {shown(value)}")
 
     def open(self, now: Callable[[], float]) -> Sensor | None:
@@ -78,35 +83,16 @@ class SensorSettings(Section):
         :param now: the node's timeline, seconds.
         :raises ConfigError: pyserial is missing, or there is no log with a valid record at `path`.
         """
-        if self.type == "autopilot":
-            return None
-        if self.type == "log":
-            from rass_mav.sensor.bgeigie_log import load_bgeigie
-            from rass_mav.sensor.playback import PlaybackSensor
-
-            assert self.path is not None
-            try:
-                recorded = load_bgeigie(self.path)
-            except (ConfigError, LogError) as error:
-                raise ConfigError(f"sensor.path: {error}") from None
-            return PlaybackSensor(self.path, recorded, self.meter(), now, speed=self.speed)
-        from rass_mav.sensor.serial_sensor import SerialSensor
-
-        assert self.port is not None
-        kind = SERIAL_KINDS[self.type]
-        return SerialSensor(self.port, self.baud or kind.baud, kind.protocol(), self.meter(), now)
+        opener = self.kind.opener
+        return None if opener is None else resolve_name(opener)(self, now)
 
     def meter(self) -> DoseMeter:
         """A new converter for this counter."""
-        kind = SERIAL_KINDS.get(self.type)
-        tube = TUBES[self.tube or (LOG_TUBE if kind is None else kind.tube)]
-        if kind is not None and kind.corrects and self.tube is None:
+        tube = TUBES[self.tube or self.kind.tube]
+        if self.kind.corrects and self.tube is None:
             tube = tube._replace(dead_time_us=0.0)
         told = self.tube is not None or self.cpm_per_usvh is not None
         return DoseMeter(_with(tube, self.cpm_per_usvh, self.dead_time_us), self.unit, believe_device=not told)
-
-
-_DEFAULTS = SensorSettings()
 
 
 def _with(tube: Tube, cpm_per_usvh: float | None, dead_time_us: float | None) -> Tube:

@@ -1,0 +1,22 @@
+"""What can be set of how a node speaks MAVLink."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from rass_mav.config.sections import Meta, Section
+
+
+class MavlinkSettings(Section):
+    """Identity and framing."""
+
+    system_id: Annotated[int, Meta(ge=1, le=255)] | None = None
+    """MAVLink system id; null: the autopilot's once heard, until then from the node id."""
+    component_id: Annotated[int, Meta(ge=2, le=250)] = 191
+    """MAVLink component id of the node; 1 belongs to the autopilot."""
+    payload_type: Annotated[int, Meta(ge=0, le=65535)] = 33200
+    """payload_type of our TUNNEL frames; above 32767 is for local use."""
+    autopilot_id: Annotated[int, Meta(ge=0, le=255)] = 0
+    """System id of the autopilot that readings and positions are taken from; 0: the first one heard."""
+    reading_name: Annotated[str, Meta(min_length=1, max_length=10)] = "RAD"
+    """Name of the NAMED_VALUE_FLOAT that carries the reading."""

@@ -1,0 +1,58 @@
+"""What can be set of a policy, and the policies by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Annotated, Literal, NamedTuple
+
+from rass_mav import policy as package
+from rass_mav.config.bounds import NonNegative, Positive
+from rass_mav.config.sections import Meta, Section
+from rass_mav.core.policy import Policy
+
+
+class Kind(NamedTuple):
+    """A policy that a configuration can name. Its module states it in `POLICIES`."""
+
+    name: str
+    number: int
+    """Its value of the parameter RASS_POLICY, 0 or more. Ground stations and stores remember it: never give one
+    another meaning."""
+    make: Callable[[PolicySettings], Policy]
+    """Raises `ConfigError` for weights that cannot be."""
+
+
+@cache
+def kinds() -> dict[str, Kind]:
+    """All policies, by name."""
+    modules = (import_module(f"{package.__name__}.{found.name}") for found in iter_modules(package.__path__))
+    stated: list[Kind] = [kind for module in modules for kind in getattr(module, "POLICIES", ())]
+    return {kind.name: kind for kind in sorted(stated, key=lambda kind: kind.number)}
+
+
+PolicyName = Annotated[str, Meta(one_of=kinds)]
+
+
+class PolicySettings(Section):
+    """Who is fit, and what goes to whom."""
+
+    name: PolicyName = "survival"
+    alpha: NonNegative | None = None
+    """Weight of hops in Eq. 3; null: the policy's own (rass 1, rass-literal 10)."""
+    beta: NonNegative | None = None
+    """Weight of risk in Eq. 3; null: the policy's own (rass 10, rass-literal 1)."""
+    threshold: NonNegative | None = None
+    """T of Eq. 4; null: 1."""
+    hop_cost: Positive | None = None
+    """What a hop costs under survival, beside -log(1 - risk); null: 0.05."""
+    unknown_hops: Annotated[int, Meta(ge=1, le=255)] | None = None
+    """Hop count of a node that knows no way to a base; null: 255, more than any real one."""
+    rules: Literal["paper", "authors"] = "paper"
+    """authors: ties and eviction as in the authors' code; all nodes of a swarm must agree."""
+
+    def make(self) -> Policy:
+        """The policy. Raises `ConfigError`."""
+        return kinds()[self.name].make(self)
