@@ -20,9 +20,8 @@ from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, common_pace, slowest_turn
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST
+from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.errors import RassError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.link.airtime import Urgency
 from rass_mav.link.base import Address, Link
 from rass_mav.link.radio import AutopilotLink
 from rass_mav.link.vehicle import VehiclePort

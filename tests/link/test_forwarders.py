@@ -12,7 +12,7 @@ from forwarders import Forwarder, wire
 from shared_radio import Arrivals, RadioNode, Simulation
 
 from rass_mav.app.links import AirtimeSection
-from rass_mav.link.airtime import Urgency
+from rass_mav.core.messages import Urgency
 from rass_mav.mavlink.frames import FrameWriter
 
 RADIO_BYTES_S, COMPANION_BYTES_S = 5760.0, 92160.0

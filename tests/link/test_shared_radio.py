@@ -10,7 +10,8 @@ import pytest
 from shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
 from rass_mav.app.links import AirtimeSection
-from rass_mav.link.airtime import VEHICLE_PART, Urgency
+from rass_mav.core.messages import Urgency
+from rass_mav.link.airtime import VEHICLE_PART
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 
