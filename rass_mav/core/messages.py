@@ -333,7 +333,12 @@ class CorruptEntry(NamedTuple):
     """A `Word`; unknown values are ignored."""
 
 
-@_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)
+def _on_what_is_taken(corrupt: Corrupt) -> Iterable[DatumId] | None:
+    # Who is told TAKEN has no copy, and forgets the loss note: ours must be on disk, or what else makes it true.
+    return None if any(entry.word == Word.TAKEN for entry in corrupt.entries) else ()
+
+
+@_kind(Target.NAMED, Urgency.ANSWER, _on_what_is_taken)
 class Corrupt(NamedTuple):
     """Custodian and backer about copies that are gone: "mine is corrupt, send yours again", and the like."""
 

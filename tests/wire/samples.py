@@ -59,6 +59,7 @@ SAMPLES: dict[str, Message] = {
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
     "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
     "corrupt": Corrupt(2, 3, (CorruptEntry(HELLO.id, Word.AGAIN), CorruptEntry(WORLD.id, Word.NONE))),
+    "corrupt-taken": Corrupt(2, 3, (CorruptEntry(HELLO.id, Word.TAKEN),)),
 }
 
 u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))
