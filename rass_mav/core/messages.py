@@ -148,7 +148,7 @@ class Data(NamedTuple):
     """True: custody stays with the sender; the receiver is to keep spare copies, and answers as to a hand-over."""
 
 
-@_kind(Target.NAMED, Urgency.ANSWER, _on_all_changes)
+@_kind(Target.NAMED, Urgency.ANSWER, lambda answer: None if answer.committed else ())
 class Committed(NamedTuple):
     """The receiver's answer: these hand-overs are on disk, custody has passed; those were refused."""
 

@@ -46,3 +46,12 @@ def test_other_words_about_copies_do_not_wait(agent: Agent) -> None:
     none, search = waiting(agent, other)
     assert none == (Corrupt(1, 2, (CorruptEntry(other.entries[0].id, Word.NONE),)), False)
     assert search == (Corrupt(1, BROADCAST, (CorruptEntry(other.entries[0].id, Word.WANTED),)), False)
+
+
+def test_a_refusal_promises_nothing_and_leaves_also_when_the_disk_does_not_take_anything(tmp_path: Path) -> None:
+    full = make(1, store={"capacity_items": 1}).settings
+    with SqliteStore.open(tmp_path / "node.db", draw_epoch=lambda: 7) as store:
+        agent = Agent(full, store, random.Random(1), now=0.0)
+        first, second = (Data(2, 1, (Handover(n, make_datum(ID._replace(sequence=n), 0, 0.0, b"x")),)) for n in (5, 6))
+        assert [wait for _, wait in waiting(agent, first)] == [True]
+        assert waiting(agent, second) == [(Committed(1, 2, (), (6,)), False)]
