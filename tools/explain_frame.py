@@ -35,6 +35,8 @@ _WORDS = {
     Word.NONE: "do not count on my copy",
     Word.TAKEN: "custody is here, or was passed on from here",
     Word.STILL: "have you still custody?",
+    Word.WANTED: "to all: who has a good copy?",
+    Word.HERE: "a good copy is here",
 }
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
 _HEX = {"epoch": 8, "base_epoch": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}

@@ -20,7 +20,7 @@ local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed
     "Query", "Passed on", "Words" }
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished" }
-local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still" }
+local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here" }
 local TARGETS = { [65535] = "everybody" }
 
 local f = {}

@@ -16,13 +16,13 @@ from concurrent.futures import Executor
 from functools import partial
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.commits import MAX_WAITING, CommitGate
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, common_pace, slowest_turn
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST
+from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.errors import RassError, StoreDamagedError, StoreError, StoreFullError
-from rass_mav.link.airtime import Urgency
 from rass_mav.link.base import Address, Link
 from rass_mav.link.radio import AutopilotLink
 from rass_mav.link.vehicle import VehiclePort
@@ -33,8 +33,6 @@ from .notify import Notifier
 
 log = logging.getLogger(__name__)
 
-#: Frames that may wait for a commit. From half of it on, nothing more is taken in from the neighbours.
-MAX_WAITING = 2048
 #: After a failed commit the next try comes so much later, seconds.
 RETRY_S = 1.0
 #: The ground is told of a failing disk at most this often, seconds.
@@ -75,12 +73,8 @@ class Driver:
         self._mute = mute
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
-        self.held_dropped = 0
-        """Frames dropped because too many waited for a commit that failed, or was slow."""
-        self.commits = 0
-        """Commits done."""
-        self.failed_commits = 0
-        """Commits that failed and were tried again."""
+        self.gate = CommitGate(agent.store)
+        """What waits for which commit."""
         self.notifier = Notifier()
         """Hears that the loop goes round; the caller may set one that tells others."""
         self.now = now
@@ -110,12 +104,7 @@ class Driver:
         self._wake = asyncio.Event()
         self._stopping = False
         self._bug: BaseException | None = None
-        self._pending: list[Outgoing] = []
-        self._pending_puts: list[asyncio.Future[None]] = []
-        self._covered_words: list[Callable[[], None]] = []
         self._tend_at = math.inf
-        self._covered: list[Outgoing] = []
-        self._covered_puts: list[asyncio.Future[None]] = []
         self._commit: asyncio.Future[None] | None = None
         self._retry_at: float | None = None
         self._next_alarm = now()
@@ -143,7 +132,16 @@ class Driver:
         id = self.agent.node.put(payload, now, kind)
         self._hand_out(self.agent.forward(now))
         durable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._pending_puts.append(durable)
+
+        def tell(error: RassError | None) -> None:
+            if durable.done():
+                return
+            if error is None:
+                durable.set_result(None)
+            else:
+                durable.set_exception(error)
+
+        self.gate.ask(tell)
         self._wake.set()
         await durable
         return id
@@ -152,11 +150,6 @@ class Driver:
     def committing(self) -> bool:
         """Whether a commit is under way, or has to be tried again."""
         return self._commit is not None or self._retry_at is not None
-
-    @property
-    def waiting(self) -> int:
-        """Frames that wait for a commit."""
-        return len(self._pending) + len(self._covered)
 
     # -- the loop ------------------------------------------------------------------------------------------------------
 
@@ -190,7 +183,7 @@ class Driver:
         finally:
             for alarm in self._alarms.values():
                 alarm.cancel()
-            self._abort_puts(StoreError("the node is stopping"))
+            self.gate.give_up(StoreError("the node is stopping"))
 
     async def _sleep(self, until: float) -> None:
         if self._retry_at is not None:
@@ -216,7 +209,7 @@ class Driver:
         for link, lane in zip(self.links, self.lanes, strict=True):
             # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
             # disk that has failed this would not end, and beacons must be heard: then answers are dropped instead.
-            if self.waiting >= MAX_WAITING // 2 and self._retry_at is None:
+            if self.gate.waiting >= MAX_WAITING // 2 and self._retry_at is None:
                 break
             lane.opened(link.generation)
             for data, source in link.receive():
@@ -275,13 +268,8 @@ class Driver:
             )
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
-        for outgoing in frames:
-            if not outgoing.promises:
-                self._send(outgoing)
-            elif self.waiting < MAX_WAITING:
-                self._pending.append(outgoing)
-            else:
-                self.held_dropped += 1
+        for outgoing in self.gate.say(frames):
+            self._send(outgoing)
 
     def _send(self, outgoing: Outgoing) -> None:
         if self._mute:
@@ -359,14 +347,12 @@ class Driver:
         if self._retry_at is not None and loop.time() < self._retry_at and not force:
             return
         ground = self.agent.ground
-        if ground is not None and ground.promised:
-            self._covered_words += ground.promised
+        if ground is not None:
+            for word in ground.promised:
+                self._promise(word)
             ground.promised.clear()
-        batch = self._store.take(force=force)
-        self._covered, self._pending = self._covered + self._pending, []
-        self._covered_puts, self._pending_puts = self._covered_puts + self._pending_puts, []
+        batch = self.gate.begin(force=force)
         if batch is None:
-            # All that these frames promise is on disk already.
             self._retry_at = None
             self._release()
             return
@@ -381,36 +367,29 @@ class Driver:
         except StoreDamagedError:
             raise
         except StoreError as error:
-            # The frames stay: they are covered by the next batch, which holds this one's changes again.
             self._retry_at = asyncio.get_running_loop().time() + RETRY_S
-            self.failed_commits += 1
-            self._abort_puts(StoreError(f"not on disk yet, kept in memory until it can be written: {error}"))
+            self.gate.failed(StoreError(f"not on disk yet, kept in memory until it can be written: {error}"))
             self._alarm(error)
             return
-        self.commits += 1
         if self._retry_at is not None:
             self._retry_at = None
             log.warning("the store can be written again")
         self._release()
 
     def _release(self) -> None:
-        covered, self._covered = self._covered, []
-        puts, self._covered_puts = self._covered_puts, []
-        words, self._covered_words = self._covered_words, []
-        for word in words:
-            word()
-        for outgoing in covered:
+        for outgoing in self.gate.written():
             self._send(outgoing)
-        for durable in puts:
-            if not durable.done():
-                durable.set_result(None)
 
-    def _abort_puts(self, error: RassError) -> None:
-        for durable in self._covered_puts + self._pending_puts:
-            if not durable.done():
-                durable.set_exception(error)
-        self._covered_puts = []
-        self._pending_puts = []
+    def _promise(self, word: Callable[[], None]) -> None:
+        """Say it after the commit."""
+
+        def tell(error: RassError | None) -> None:
+            if error is None:
+                word()
+            else:
+                self.gate.ask(tell)
+
+        self.gate.ask(tell)
 
     def _alarm(self, error: StoreError) -> None:
         now = self.now()
@@ -428,9 +407,8 @@ class Driver:
         self._drive_commit(force=True)
         if self._commit is not None:
             await asyncio.wait([self._commit])
-            failed = self.failed_commits
             self._finish_commit()
-            if self.failed_commits != failed:
+            if self._retry_at is not None:
                 raise StoreError("stopped, but the last data could not be written to disk")
         self._to_vehicle()
 

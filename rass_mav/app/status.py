@@ -71,10 +71,10 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             **node.figures(),
         },
         "commits": {
-            "done": driver.commits,
-            "failed": driver.failed_commits,
-            "frames_waiting": driver.waiting,
-            "frames_dropped": driver.held_dropped,
+            "done": driver.gate.commits,
+            "failed": driver.gate.failures,
+            "frames_waiting": driver.gate.waiting,
+            "frames_dropped": driver.gate.dropped,
         },
         "links": [
             {

@@ -1,12 +1,15 @@
 """What nodes say to each other. `rass_mav.wire` turns these into TUNNEL payloads and back.
 
-Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a message always fits the wire.
+Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a message always fits the wire. Above
+each kind of message stands what everybody else has to know of it: to whom it goes, how urgent it is, and what it rests
+on. Nothing leaves before the disk knows what it rests on; the agent sees to that.
 """
 
 from __future__ import annotations
 
 import enum
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from rass_mav.core.datum import Datum, DatumId
 
@@ -16,6 +19,63 @@ BROADCAST = 0xFFFF
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
 UNBOUNDED_FREE = 0xFFFF
+
+
+class Target(enum.Enum):
+    """To whom a kind of message goes."""
+
+    EVERYBODY = enum.auto()
+    """Every neighbour; the message has no target."""
+    NAMED = enum.auto()
+    """The `target` that the message names, on the wire too, behind the sender; BROADCAST: every neighbour."""
+    HANDLE = enum.auto()
+    """Whoever knows its handle: its `target` tells the link, and is not on the wire."""
+
+
+class Urgency(enum.IntEnum):
+    """What goes first where airtime is short."""
+
+    VEHICLE = 0
+    """To the autopilot and the ground behind it, on the way through the autopilot. Little, and paced by who says it
+    (`Pacer.vehicle_rate`): a heartbeat has to be the first frame on a port."""
+    BEACON = 1
+    ANSWER = 2
+    """What a neighbour waits for: it keeps its datum, and sends it again, until the answer is there."""
+    DATA = 3
+
+
+#: What a message rests on: these data are on disk (none: it rests on nothing), or None: all that changed before it.
+Rests: TypeAlias = Callable[[Any], Iterable[DatumId] | None]
+
+
+class MessageKind(NamedTuple):
+    """What is the same for all messages of a kind."""
+
+    target: Target
+    urgency: Urgency
+    rests: Rests
+    """Asked for each message."""
+
+
+#: All kinds of messages.
+KINDS: dict[type, MessageKind] = {}
+_M = TypeVar("_M", bound=type)
+
+
+def _kind(target: Target, urgency: Urgency, rests: Rests) -> Callable[[_M], _M]:
+    def register(message: _M) -> _M:
+        KINDS[message] = MessageKind(target, urgency, rests)
+        return message
+
+    return register
+
+
+def _on_nothing(message: Any) -> Iterable[DatumId]:
+    return ()
+
+
+def _on_all_changes(message: Any) -> None:
+    return None
 
 
 class Route(NamedTuple):
@@ -31,6 +91,7 @@ class Route(NamedTuple):
     """Hops from the node that says this to the base, 0 (the base itself) .. 254."""
 
 
+@_kind(Target.EVERYBODY, Urgency.BEACON, _on_nothing)
 class Beacon(NamedTuple):
     """The one-hop broadcast, one a step."""
 
@@ -76,6 +137,7 @@ class Handover(NamedTuple):
     datum: Datum
 
 
+@_kind(Target.NAMED, Urgency.DATA, lambda data: [handover.datum.id for handover in data.handovers])
 class Data(NamedTuple):
     """Small data, whole, with their hand-over numbers; several to a frame where they fit."""
 
@@ -86,6 +148,7 @@ class Data(NamedTuple):
     """True: custody stays with the sender; the receiver is to keep spare copies, and answers as to a hand-over."""
 
 
+@_kind(Target.NAMED, Urgency.ANSWER, lambda answer: None if answer.committed else ())
 class Committed(NamedTuple):
     """The receiver's answer: these hand-overs are on disk, custody has passed; those were refused."""
 
@@ -97,6 +160,7 @@ class Committed(NamedTuple):
     """Hand-over numbers that were not accepted (no room): the giver keeps custody."""
 
 
+@_kind(Target.NAMED, Urgency.DATA, lambda offer: (offer.id,))
 class Offer(NamedTuple):
     """A datum too large for one frame is offered before its chunks are sent."""
 
@@ -114,6 +178,7 @@ class Offer(NamedTuple):
     """Bytes of payload in each chunk but the last, 1..123."""
 
 
+@_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)
 class Accept(NamedTuple):
     """The receiver of an offer opens a transfer and names it."""
 
@@ -127,6 +192,7 @@ class Accept(NamedTuple):
     """First chunk still missing (a transfer is resumed after an interruption)."""
 
 
+@_kind(Target.HANDLE, Urgency.DATA, _on_nothing)
 class Chunk(NamedTuple):
     """A piece of a datum."""
 
@@ -140,6 +206,7 @@ class Chunk(NamedTuple):
     data: bytes
 
 
+@_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)
 class Sack(NamedTuple):
     """Selective acknowledgement of chunks."""
 
@@ -178,6 +245,7 @@ class ReceiptSpan(NamedTuple):
     """Of sequence numbers below this one nothing is said. At most `closed`."""
 
 
+@_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
 class Receipt(NamedTuple):
     """A base's word that data have arrived, told on by whoever knows it."""
 
@@ -198,6 +266,7 @@ class LossNoteEntry(NamedTuple):
     """1 corrupted, 2 expired, 3 overflow, 4 died, 5 or any other: vanished."""
 
 
+@_kind(Target.NAMED, Urgency.DATA, _on_all_changes)
 class LossNote(NamedTuple):
     """Word that data are lost; it percolates to the base like a datum and closes the hole there."""
 
@@ -206,6 +275,7 @@ class LossNote(NamedTuple):
     entries: tuple[LossNoteEntry, ...]
 
 
+@_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
 class Put(NamedTuple):
     """A virtual-stigmergy entry (Buzz): broadcast to all neighbours, kept by everybody with room, never answered."""
 
@@ -218,6 +288,7 @@ class Put(NamedTuple):
     """The entry: key = `datum.id`, value = its payload."""
 
 
+@_kind(Target.NAMED, Urgency.DATA, _on_nothing)
 class Query(NamedTuple):
     """Under virtual stigmergy: the sender knows of these entries but has lost their values; it asks for them."""
 
@@ -227,6 +298,7 @@ class Query(NamedTuple):
     """At most 12."""
 
 
+@_kind(Target.NAMED, Urgency.ANSWER, _on_all_changes)
 class PassedOn(NamedTuple):
     """A custodian's word to its backer: these data have been passed on, or have arrived."""
 
@@ -261,8 +333,14 @@ class WordEntry(NamedTuple):
     """A `Word`; unknown values are ignored."""
 
 
+def _on_what_is_taken(corrupt: Words) -> Iterable[DatumId] | None:
+    # Who is told TAKEN has no copy, and forgets the loss note: ours must be on disk, or what else makes it true.
+    return None if any(entry.word == Word.TAKEN for entry in corrupt.entries) else ()
+
+
+@_kind(Target.NAMED, Urgency.ANSWER, _on_what_is_taken)
 class Words(NamedTuple):
-    """Custodians and backers about their copies: "mine is corrupt, take yours back", and the like."""
+    """Custodian and backer about copies that are gone: "mine is corrupt, send yours again", and the like."""
 
     sender: int
     target: int

@@ -42,6 +42,10 @@ class Store(Protocol):
         """False while the disk fails: custody is refused then, own new data are still buffered."""
 
     @property
+    def unwritten(self) -> bool:
+        """Whether a datum, a loss or a meta number is not on disk yet: what is said of it has to wait. Cheap."""
+
+    @property
     def used_bytes(self) -> int:
         """What the quota bounds: bytes of payload and an overhead for each datum."""
 

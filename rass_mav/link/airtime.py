@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 import random
 from collections import deque
-from enum import IntEnum
 from typing import NamedTuple
+
+from rass_mav.core.messages import Urgency
 
 #: Frames that may wait, by urgency. A beacon that waits is replaced by the next one: only the newest is of use.
 MAX_WAITING = (8, 1, 32, 64)
@@ -34,18 +35,6 @@ TXBUF_LOW, TXBUF_MIDDLE, TXBUF_HIGH = 20, 50, 90
 #: The least that a full radio leaves of the rate, and for how long its word counts, seconds.
 LEAST_THROTTLE = 0.05
 RADIO_STATUS_S = 30.0
-
-
-class Urgency(IntEnum):
-    """What goes first."""
-
-    VEHICLE = 0
-    """To the autopilot and the ground behind it, on the way through the autopilot. Little, and paced by who says it
-    (`Pacer.vehicle_rate`): a heartbeat has to be the first frame on a port."""
-    BEACON = 1
-    ANSWER = 2
-    """What a neighbour waits for: it keeps its datum, and sends it again, until the answer is there."""
-    DATA = 3
 
 
 class Budget(NamedTuple):

@@ -57,6 +57,11 @@ class MemoryStore:
         return True
 
     @property
+    def unwritten(self) -> bool:
+        """Never."""
+        return False
+
+    @property
     def used_bytes(self) -> int:
         """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
         return sum(len(datum.payload) + ROW_OVERHEAD for datum in self._data.values())

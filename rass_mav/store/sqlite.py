@@ -173,6 +173,11 @@ class SqliteStore:
         """False from a failed write until one succeeds."""
         return not self._failing
 
+    @property
+    def unwritten(self) -> bool:
+        """Whether a batch is not known to be durable, or one is due."""
+        return self._changes.urgent or self._in_flight() is not _NOTHING
+
     def room_for(self, size: int) -> bool:
         """Whether a new datum of `size` bytes of payload fits the quota, and what may wait for a commit."""
         cost = size + ROW_OVERHEAD

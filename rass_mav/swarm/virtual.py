@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.commits import CommitGate
+from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import Fate
 from rass_mav.store.memory import MemoryStore
@@ -27,6 +29,9 @@ S = TypeVar("S", bound="VirtualSwarm")
 
 class VirtualSwarm(ABC):
     """Agents, their radio and their ledger. `step` does one step in the order that docs/simulation.md states."""
+
+    #: What holds back a node's words until its store has written what they rest on.
+    make_gate = CommitGate
 
     def __init__(
         self,
@@ -58,14 +63,15 @@ class VirtualSwarm(ABC):
         self.failures = failures
         self.off: dict[int, int | None] = {}
         """Nodes that are off, and the step in which each has its turn again (None: never)."""
-        self._make_store = MemoryStore if failures is None else CrashStore
         self.stores: list[MemoryStore] = []
+        self.gates: list[CommitGate] = []
         self.agents: list[Agent] = []
         """Of a node that is off: the one that will start on its store."""
         for settings in agents:
             rng = random.Random(f"{seed}:node:{settings.node_id}")
-            store = self._make_store(rng.getrandbits(32), quota_bytes=settings.store.quota_bytes)
+            store = self._make_store(settings, rng)
             self.stores.append(store)
+            self.gates.append(self.make_gate(store))
             book = self.ledger.book(base=settings.base)
             self.agents.append(Agent(settings, store, rng, now=0.0, observer=book, newborn=True))
         self.step_s = self.agents[0].settings.step_s
@@ -106,12 +112,10 @@ class VirtualSwarm(ABC):
             for node_id in [node_id for node_id, back in off.items() if back == t]:
                 del off[node_id]
         self._surround(t, now)
-        send = self.radio.send
         for node_id, agent in enumerate(self.agents):
             if node_id in off:
                 continue
-            for outgoing in agent.step(now):
-                send(node_id, outgoing[0], t)
+            self._say(node_id, agent.step(now), t)
             if agent.to_vehicle:
                 agent.to_vehicle.clear()
         if self._at_once:
@@ -121,14 +125,33 @@ class VirtualSwarm(ABC):
         self.t = t + 1
 
     def _deliver(self, t: int, now: float) -> None:
-        agents = self.agents
-        send = self.radio.send
+        agents, stores = self.agents, self.stores
         arrivals = self.radio.arrivals(t, self.neighbours)
         if off := self.off:
             arrivals = (arrival for arrival in arrivals if arrival[1] not in off)
         for _, hearer, frame in arrivals:
-            for outgoing in agents[hearer].peer_bytes(frame, now):
-                send(hearer, outgoing[0], t)
+            answers = agents[hearer].peer_bytes(frame, now)
+            if answers or stores[hearer].unwritten:
+                self._say(hearer, answers, t)
+
+    def _say(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
+        """A node has had its turn, or heard a frame. What it changed is written, and what it says leaves."""
+        gate = self.gates[node_id]
+        self._send(node_id, gate.say(frames), t)
+        batch = gate.begin()
+        if batch is not None:
+            self.stores[node_id].write(batch)
+        self._send(node_id, gate.written(), t)
+
+    def _send(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
+        send = self.radio.send
+        for outgoing in frames:
+            send(node_id, outgoing.frame, t)
+
+    def _make_store(self, settings: AgentSettings, rng: random.Random) -> MemoryStore:
+        """An empty store, with an epoch of its own."""
+        kind = MemoryStore if self.failures is None else CrashStore
+        return kind(rng.getrandbits(32), quota_bytes=settings.store.quota_bytes)
 
     def crash(self, node_id: int, back: int | None, *, wiped: bool = False) -> None:
         """A node goes off before its turn of the present step: what it had in memory is gone.
@@ -148,14 +171,15 @@ class VirtualSwarm(ABC):
         if wiped or back is None:
             for id in stored:
                 observer.dropped(id, Fate.DIED)
-            store = self._make_store(rng.getrandbits(32), quota_bytes=old.settings.store.quota_bytes)
-            self.stores[node_id] = store
+            store = self.stores[node_id] = self._make_store(old.settings, rng)
         else:
             store.restart()
             for id in store.ids():
                 if id not in stored and (datum := store.get(id)) is not None:
                     # Its removal had not been written.
                     observer.gained(datum)
+        # What waited for a commit was only in memory.
+        self.gates[node_id] = self.make_gate(store)
         self.statistics.retire(old)
         start = t if back is None else back
         agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=observer)

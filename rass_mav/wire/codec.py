@@ -9,10 +9,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from itertools import chain
+from typing import Any, NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import (
     BROADCAST,
+    KINDS,
     Accept,
     Beacon,
     Chunk,
@@ -30,6 +32,7 @@ from rass_mav.core.messages import (
     ReceiptEntry,
     ReceiptSpan,
     Sack,
+    Target,
     WordEntry,
     Words,
 )
@@ -181,14 +184,19 @@ def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
             return frames
 
 
-def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
-    each = (MAX_TUNNEL - _TO.size) // _NOTE.size
+def _encode_rows(type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any) -> list[bytes]:
+    """As many frames as it takes, at least one."""
+    each = (MAX_TUNNEL - _TO.size) // row.size
     frames = []
-    for start in range(0, len(m.entries) or 1, each):
-        part = m.entries[start : start + each]
-        head = _TO.pack(_head(LOSS_NOTE), m.sender, m.target, len(part))
-        frames.append(head + b"".join([_NOTE.pack(e.number, *e.id, e.reason) for e in part]))
+    for start in range(0, len(rows) or 1, each):
+        part = rows[start : start + each]
+        head = _TO.pack(_head(type_), m.sender, m.target, len(part))
+        frames.append(head + b"".join([row.pack(*fields) for fields in part]))
     return frames
+
+
+def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
+    return _encode_rows(LOSS_NOTE, m, _NOTE, [(e.number, *e.id, e.reason) for e in m.entries])
 
 
 def _encode_put(m: Put, now: float) -> list[bytes]:
@@ -204,44 +212,15 @@ def _encode_put(m: Put, now: float) -> list[bytes]:
 def _encode_query(m: Query, now: float) -> list[bytes]:
     if len(m.ids) > QUERY_IDS:
         raise ValueError(f"a query of {len(m.ids)} entries")
-    return [_TO.pack(_head(QUERY), m.sender, m.target, len(m.ids)) + b"".join([_ID.pack(*id) for id in m.ids])]
+    return _encode_rows(QUERY, m, _ID, m.ids)
 
 
 def _encode_passed_on(m: PassedOn, now: float) -> list[bytes]:
-    each = (MAX_TUNNEL - _TO.size) // _ID.size
-    frames = []
-    for start in range(0, len(m.ids) or 1, each):
-        part = m.ids[start : start + each]
-        head = _TO.pack(_head(PASSED_ON), m.sender, m.target, len(part))
-        frames.append(head + b"".join([_ID.pack(*id) for id in part]))
-    return frames
+    return _encode_rows(PASSED_ON, m, _ID, m.ids)
 
 
 def _encode_words(m: Words, now: float) -> list[bytes]:
-    each = (MAX_TUNNEL - _TO.size) // _WORD.size
-    frames = []
-    for start in range(0, len(m.entries) or 1, each):
-        part = m.entries[start : start + each]
-        head = _TO.pack(_head(WORDS), m.sender, m.target, len(part))
-        frames.append(head + b"".join([_WORD.pack(*e.id, e.word) for e in part]))
-    return frames
-
-
-_ENCODERS: dict[type, Callable[..., list[bytes]]] = {
-    Beacon: _encode_beacon,
-    Data: _encode_data,
-    Offer: _encode_offer,
-    Accept: _encode_accept,
-    Chunk: _encode_chunk,
-    Sack: _encode_sack,
-    Committed: _encode_committed,
-    Receipt: _encode_receipt,
-    LossNote: _encode_loss_note,
-    Put: _encode_put,
-    Query: _encode_query,
-    PassedOn: _encode_passed_on,
-    Words: _encode_words,
-}
+    return _encode_rows(WORDS, m, _WORD, [(*e.id, e.word) for e in m.entries])
 
 
 # -- decoding ----------------------------------------------------------------------------------------------------------
@@ -343,13 +322,15 @@ def _decode_receipt(p: bytes, now: float) -> Receipt:
     return Receipt(base, epoch, entries, spans)
 
 
-def _decode_loss_note(p: bytes, now: float) -> LossNote:
+def _decode_rows(p: bytes, row: struct.Struct) -> tuple[int, int, list[tuple[int, ...]]]:
+    """Sender, target and the fields of each row."""
     _, sender, target, count = _TO.unpack_from(p)
-    entries = []
-    for i in range(count):
-        number, origin, epoch, sequence, reason = _NOTE.unpack_from(p, _TO.size + i * _NOTE.size)
-        entries.append(LossNoteEntry(number, DatumId(origin, epoch, sequence), reason))
-    return LossNote(sender, target, tuple(entries))
+    return sender, target, [row.unpack_from(p, _TO.size + i * row.size) for i in range(count)]
+
+
+def _decode_loss_note(p: bytes, now: float) -> LossNote:
+    sender, target, rows = _decode_rows(p, _NOTE)
+    return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), row[4]) for row in rows]))
 
 
 def _decode_put(p: bytes, now: float) -> Put:
@@ -362,40 +343,49 @@ def _decode_put(p: bytes, now: float) -> Put:
 
 
 def _decode_query(p: bytes, now: float) -> Query:
-    _, sender, target, count = _TO.unpack_from(p)
-    starts = range(_TO.size, _TO.size + count * _ID.size, _ID.size)
-    return Query(sender, target, tuple([DatumId._make(_ID.unpack_from(p, i)) for i in starts]))
+    sender, target, rows = _decode_rows(p, _ID)
+    return Query(sender, target, tuple(map(DatumId._make, rows)))
 
 
 def _decode_passed_on(p: bytes, now: float) -> PassedOn:
-    _, sender, target, count = _TO.unpack_from(p)
-    starts = range(_TO.size, _TO.size + count * _ID.size, _ID.size)
-    return PassedOn(sender, target, tuple([DatumId._make(_ID.unpack_from(p, i)) for i in starts]))
+    sender, target, rows = _decode_rows(p, _ID)
+    return PassedOn(sender, target, tuple(map(DatumId._make, rows)))
 
 
 def _decode_words(p: bytes, now: float) -> Words:
-    _, sender, target, count = _TO.unpack_from(p)
-    entries = []
-    for i in range(count):
-        origin, epoch, sequence, word = _WORD.unpack_from(p, _TO.size + i * _WORD.size)
-        entries.append(WordEntry(DatumId(origin, epoch, sequence), word))
-    return Words(sender, target, tuple(entries))
+    sender, target, rows = _decode_rows(p, _WORD)
+    return Words(sender, target, tuple([WordEntry(DatumId(*row[:3]), row[3]) for row in rows]))
 
 
-_DECODERS: dict[int, Callable[[bytes, float], Message]] = {
-    _head(BEACON): _decode_beacon,
-    _head(DATA): _decode_data,
-    _head(OFFER): _decode_offer,
-    _head(ACCEPT): _decode_accept,
-    _head(CHUNK): _decode_chunk,
-    _head(SACK): _decode_sack,
-    _head(COMMITTED): _decode_committed,
-    _head(RECEIPT): _decode_receipt,
-    _head(LOSS_NOTE): _decode_loss_note,
-    _head(PUT): _decode_put,
-    _head(QUERY): _decode_query,
-    _head(PASSED_ON): _decode_passed_on,
-    _head(WORDS): _decode_words,
+# -- all of them -------------------------------------------------------------------------------------------------------
+
+
+class Format(NamedTuple):
+    """How a kind of message travels."""
+
+    number: int
+    """Its type, the low four bits of the first byte."""
+    encode: Callable[..., list[bytes]]
+    decode: Callable[[bytes, float], Message]
+
+
+FORMATS: dict[type, Format] = {
+    Beacon: Format(BEACON, _encode_beacon, _decode_beacon),
+    Data: Format(DATA, _encode_data, _decode_data),
+    Offer: Format(OFFER, _encode_offer, _decode_offer),
+    Accept: Format(ACCEPT, _encode_accept, _decode_accept),
+    Chunk: Format(CHUNK, _encode_chunk, _decode_chunk),
+    Sack: Format(SACK, _encode_sack, _decode_sack),
+    Committed: Format(COMMITTED, _encode_committed, _decode_committed),
+    Receipt: Format(RECEIPT, _encode_receipt, _decode_receipt),
+    LossNote: Format(LOSS_NOTE, _encode_loss_note, _decode_loss_note),
+    Put: Format(PUT, _encode_put, _decode_put),
+    Query: Format(QUERY, _encode_query, _decode_query),
+    PassedOn: Format(PASSED_ON, _encode_passed_on, _decode_passed_on),
+    Words: Format(WORDS, _encode_words, _decode_words),
 }
-#: Types whose target node id stands in bytes 3 and 4.
-_TARGETED = frozenset(_head(t) for t in (DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, QUERY, PASSED_ON, WORDS))
+_ENCODERS = {kind: format.encode for kind, format in FORMATS.items()}
+# By first byte.
+_DECODERS = {_head(format.number): format.decode for format in FORMATS.values()}
+#: First bytes of messages whose target node id stands in bytes 3 and 4.
+_TARGETED = frozenset(_head(FORMATS[kind].number) for kind, about in KINDS.items() if about.target is Target.NAMED)

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.commits import MAX_WAITING
 from rass_mav.app.clock import Clock
-from rass_mav.app.driver import MAX_WAITING, Driver
+from rass_mav.app.driver import Driver
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data
 from rass_mav.core.policy import POTENTIAL_BASE
@@ -94,7 +95,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             disk.arrived.clear()
             disk.release()
             await neighbour.until(lambda heard: sum(isinstance(m, Committed) for m in heard) == 3)
-            assert driver.commits == 3, "what came in together was committed together"
+            assert driver.gate.commits == 3, "what came in together was committed together"
             driver.stop()
             finish = asyncio.ensure_future(_release_all(disk))
             await driver_done(driver)
@@ -249,12 +250,12 @@ def test_what_waits_for_the_disk_is_bounded_and_the_rest_is_dropped_by_the_link(
                 for _ in range(200):
                     neighbour.hand_over(1, next(numbers), datum)
                 await neighbour.beacons(1)
-                assert driver.waiting <= MAX_WAITING
-            assert driver.waiting >= MAX_WAITING // 2
+                assert driver.gate.waiting <= MAX_WAITING
+            assert driver.gate.waiting >= MAX_WAITING // 2
             releasing = asyncio.ensure_future(_release_all(disk))
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
             await neighbour.beacons(2)
-            assert driver.waiting < MAX_WAITING // 2, "it goes on"
+            assert driver.gate.waiting < MAX_WAITING // 2, "it goes on"
             driver.stop()
             await driver_done(driver)
             releasing.cancel()
@@ -298,13 +299,13 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
                 neighbour.hand_over(3, 100, a_datum(0))
                 with pytest.raises(StoreError, match="not on disk yet"):
                     await asyncio.wait_for(driver.put(b"mine", 0), TIMEOUT_S)
-                while driver.failed_commits < 3:
+                while driver.gate.failures < 3:
                     await neighbour.beacons(1)
                 assert neighbour.kinds() == [], "nothing is promised"
                 assert len(statustexts(told)) == 2, "told once, in two pieces"
                 assert b"trying again" in b"".join(statustexts(told))
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
-            assert driver.commits >= 1
+            assert driver.gate.commits >= 1
         store.abandon()
         with open_store(tmp_path / "node.db") as again:
             payloads = {d.payload for i in again.held() if (d := again.get(i.id)) is not None}

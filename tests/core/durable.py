@@ -36,6 +36,7 @@ class DurableStore:
         self._live = self.disk.snapshot()
         self._urgent = False
         self._lazy = False
+        self._out: State | None = None
 
     def crashed(self) -> DurableStore:
         """What the next life finds."""
@@ -55,6 +56,10 @@ class DurableStore:
     @property
     def accepting(self) -> bool:
         return True
+
+    @property
+    def unwritten(self) -> bool:
+        return self._urgent or self._out is not None
 
     @property
     def used_bytes(self) -> int:
@@ -87,6 +92,8 @@ class DurableStore:
         d = self._live.data[id]
         struck = d._replace(payload=bytes([d.payload[0] ^ 1]) + d.payload[1:])
         self._live.data[id] = struck
+        if self._out is not None and id in self._out.data:
+            self._out.data[id] = struck
         if id in self.disk.data:
             # The states of earlier commits are somebody else's.
             self.disk = self.disk.snapshot()
@@ -131,14 +138,16 @@ class DurableStore:
         self._urgent = True
 
     def take(self, *, force: bool = False) -> object | None:
-        if not (self._urgent or (force and self._lazy)):
+        if not (self.unwritten or (force and self._lazy)):
             return None
         self._urgent = self._lazy = False
-        return self._live.snapshot()
+        self._out = self._live.snapshot()
+        return self._out
 
     def write(self, batch: object) -> None:
+        assert batch is self._out
         assert isinstance(batch, State)
-        self.disk = batch
+        self.disk, self._out = batch, None
 
     def close(self) -> None:
         batch = self.take(force=True)

@@ -1,14 +1,17 @@
 """Custody, model-checked: whatever the network does and whoever is killed, no datum is ever on no disk at all.
 
-Real nodes talk over real bytes. The driver commits, then sends. A kill takes everything but the last commit. With and
-without mirrors: a spare counts for nothing here, there must be a copy in custody. Radiation may take any copy of some
-data; those may be lost, but of what is left of them the same holds, and all that is left arrives in the end.
+Real nodes talk over real bytes, and behind the real commit gate. A commit may take as long as it likes, or fail. A kill
+takes everything but the last commit; one that was under way may have come to the disk or not. With and without mirrors:
+a spare counts for nothing here, there must be a copy in custody. Radiation may take any copy of some data; those may be
+lost, but of what is left of them the same holds, and all that is left arrives in the end. And while there are receipts,
+no loss is forgotten: of a datum of which there is no copy left, a loss note is on some disk.
 """
 
 from __future__ import annotations
 
 import os
 import random
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -16,13 +19,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from rass_mav.agent.commits import CommitGate
+from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, Message
+from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Message, Word, Words
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
-from rass_mav.errors import StoreFullError
+from rass_mav.errors import RassError, StoreError, StoreFullError
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
-from rass_mav.wire import decode, encode
+from rass_mav.wire import decode
 
 from .books import check_node
 from .build import make_node
@@ -53,6 +60,8 @@ class Wander:
 
 
 class Swarm(RuleBasedStateMachine):
+    make_gate = CommitGate
+
     @initialize(
         base=st.booleans(), wander=st.booleans(), receipts=st.booleans(), mirror=st.booleans(), until=st.booleans(),
         immediate=st.booleans(), auto=st.booleans(),
@@ -66,6 +75,8 @@ class Swarm(RuleBasedStateMachine):
             "copies_auto": auto, "own_share": 0.2 * auto,
         }  # fmt: skip
         self.struck: set[DatumId] = set()
+        self.taken: set[tuple[DatumId, int, int]] = set()
+        """Who has told whom that it took a datum."""
         self.policy: Policy = Wander() if wander else PolicySettings(name="rass").make()
         self.now = 0.0
         self.lives = 0
@@ -73,9 +84,11 @@ class Swarm(RuleBasedStateMachine):
         self.stores = {i: DurableStore(epoch=1000 + i) for i in range(NODES)}
         self.nodes: dict[int, Node] = {}
         self.risks = dict.fromkeys(range(NODES), 0.0)
-        self.outbox: dict[int, list[bytes]] = {i: [] for i in range(NODES)}
-        self.newborn: dict[int, dict[DatumId, bytes]] = {i: {} for i in range(NODES)}
-        self.created: dict[DatumId, bytes] = {}
+        self.gates: dict[int, CommitGate] = {}
+        self.batches: dict[int, object] = {}
+        self.writer = FrameWriter(1, 191)
+        self.born: dict[DatumId, bytes] = {}
+        self.created: set[DatumId] = set()
         self.air: list[tuple[int, bytes]] = []
         self.cut: set[frozenset[int]] = set()
         for i in range(NODES):
@@ -88,38 +101,56 @@ class Swarm(RuleBasedStateMachine):
 
     def _start(self, i: int) -> None:
         self.lives += 1
+        self.gates[i] = self.make_gate(self.stores[i])
         self.nodes[i] = make_node(
             i, store=self.stores[i], policy=self.policy, risk=self.risks[i], now=self.now, seed=self.lives,
             base=self.has_base and i == 0, capacity_items=4, inline_bytes=20, chunk_bytes=10, max_tries=3,
             **self.options,
         )  # fmt: skip
 
-    def _queue(self, i: int, messages: list[Message]) -> None:
+    def _say(self, i: int, messages: list[Message]) -> None:
         for message in messages:
-            self.outbox[i] += encode(message, self.now)
+            if isinstance(message, Words):
+                self.taken |= {(id, i, message.target) for id, word in message.entries if word == Word.TAKEN}
+        self._send(i, self.gates[i].say(frames_of(messages, self.writer, 33200, self.stores[i], self.now)))
+
+    def _send(self, i: int, frames: Sequence[Outgoing]) -> None:
+        hearers = [j for j in range(NODES) if j != i and frozenset((i, j)) not in self.cut]
+        for outgoing in frames:
+            fields = tunnel_from_datagram(outgoing.frame)
+            assert fields is not None
+            self.air += [(j, fields[5]) for j in hearers]
+        del self.air[:-400]
+
+    def _begin_commit(self, i: int) -> None:
+        batch = self.gates[i].begin()
+        if batch is None:
+            self._send(i, self.gates[i].written())
+        else:
+            self.batches[i] = batch
+
+    def _end_commit(self, i: int) -> None:
+        self.stores[i].write(self.batches.pop(i))
+        self._send(i, self.gates[i].written())
 
     def _commit(self, i: int) -> None:
-        """What the driver does: make it durable, then let it out."""
-        self.stores[i].commit()
-        for id in self.newborn[i]:
-            assert id in self.stores[i].disk.data
-        self.created.update(self.newborn[i])
-        self.newborn[i] = {}
-        for payload in self.outbox[i]:
-            self.air += [(j, payload) for j in range(NODES) if j != i and frozenset((i, j)) not in self.cut]
-        self.outbox[i] = []
-        del self.air[:-400]
+        """All that was said up to now leaves."""
+        if i in self.batches:
+            self._end_commit(i)
+        self._begin_commit(i)
+        if i in self.batches:
+            self._end_commit(i)
 
     def _hear(self, i: int, payload: bytes) -> None:
         if i in self.nodes:
             message = decode(payload, self.now, i)
             if message is not None:
-                self._queue(i, self.nodes[i].receive(message, self.now))
+                self._say(i, self.nodes[i].receive(message, self.now))
                 self._forward(i)
 
     def _forward(self, i: int) -> None:
         if self.options["immediate"]:
-            self._queue(i, self.nodes[i].forward(self.now))
+            self._say(i, self.nodes[i].forward(self.now))
 
     @rule(i=IDS, size=st.integers(1, 60))
     def put(self, i: int, size: int) -> None:
@@ -130,19 +161,36 @@ class Swarm(RuleBasedStateMachine):
                 id = self.nodes[i].put(payload, self.now)
             except StoreFullError:
                 return
-            self.newborn[i][id] = payload
+            self.born[id] = payload
+
+            def tell(error: RassError | None) -> None:
+                if error is None:
+                    assert id in self.stores[i].disk.data
+                    self.created.add(id)
+                else:
+                    self.gates[i].ask(tell)
+
+            self.gates[i].ask(tell)
             self._forward(i)
 
     @rule(i=IDS)
     def step(self, i: int) -> None:
         self.now += 0.3
         if i in self.nodes:
-            self._queue(i, self.nodes[i].step(self.now))
+            self._say(i, self.nodes[i].step(self.now))
 
     @rule(i=IDS)
     def commit(self, i: int) -> None:
-        if i in self.nodes:
-            self._commit(i)
+        """The disk is done with one commit, and the next one begins."""
+        if i in self.batches:
+            self._end_commit(i)
+        elif i in self.nodes:
+            self._begin_commit(i)
+
+    @rule(i=IDS)
+    def disk_fails(self, i: int) -> None:
+        if self.batches.pop(i, None) is not None:
+            self.gates[i].failed(StoreError("I/O error"))
 
     @rule(order=st.randoms(use_true_random=False), loss=st.sampled_from([0.0, 0.0, 0.3]))
     def turn(self, order: random.Random, loss: float) -> None:
@@ -151,7 +199,7 @@ class Swarm(RuleBasedStateMachine):
         up = list(self.nodes)
         order.shuffle(up)
         for i in up:
-            self._queue(i, self.nodes[i].step(self.now))
+            self._say(i, self.nodes[i].step(self.now))
         self._settle(up, order, loss)
 
     def _settle(self, up: list[int], order: random.Random, loss: float) -> None:
@@ -162,28 +210,36 @@ class Swarm(RuleBasedStateMachine):
             for to, payload in frames:
                 if order.random() >= loss:
                     self._hear(to, payload)
-            if not any(self.outbox.values()):
+            if not self.air and not any(gate.waiting for gate in self.gates.values()):
                 break
 
     @rule(seed=st.integers(0, 1 << 32))
     def storm(self, seed: int) -> None:
         """Many small events: deep histories that single rules reach too seldom."""
         rng = random.Random(seed)
-        for _ in range(60):
+        # No two storms are alike: slow disks, much radiation, long silence show what an average of all does not.
+        likely = {
+            "step": 25, "frame": 35, "frames": 5, "commit": 50, "reboot": 2, "radiation": 2, "disk fails": 1
+        }  # fmt: skip
+        for event in rng.choices([*likely], [often * rng.choice((0.1, 1, 5)) for often in likely.values()], k=60):
             i = rng.randrange(NODES)
-            event = rng.random()
-            if event < 0.25:
+            if event == "step":
                 self.step(i)
-            elif event < 0.6:
+            elif event == "frames":
+                self.deliver_some(rng.randrange(1, 30))
+            elif event == "commit":
                 self.commit(i)
-            elif event < 0.62:
-                self.kill(i)
+            elif event == "reboot":
+                self.kill(i, rng.random() < 0.5)
                 self.restart(i)
-            elif event < 0.64:
+            elif event == "radiation":
                 self.radiation(i, rng.randrange(100))
+            elif event == "disk fails":
+                self.disk_fails(i)
             elif self.air:
                 self.frame(rng.randrange(400), rng.choice(["deliver"] * 5 + ["double", "double", "lose"]))
             self.nothing_is_lost()
+            self.no_loss_is_forgotten()
 
     @precondition(lambda self: self.air)
     @rule(pick=st.integers(0, 399), what=st.sampled_from(["deliver", "deliver", "double", "lose"]))
@@ -200,13 +256,15 @@ class Swarm(RuleBasedStateMachine):
         for to, payload in frames:
             self._hear(to, payload)
 
-    @rule(i=IDS)
-    def kill(self, i: int) -> None:
+    @rule(i=IDS, written=st.booleans())
+    def kill(self, i: int, written: bool) -> None:
+        """`written`: a commit that was under way had come to the disk, but nobody knew."""
         if i in self.nodes:
-            del self.nodes[i]
+            batch = self.batches.pop(i, None)
+            if batch is not None and written:
+                self.stores[i].write(batch)
+            del self.nodes[i], self.gates[i]
             self.stores[i] = self.stores[i].crashed()
-            self.outbox[i] = []
-            self.newborn[i] = {}
 
     @rule(i=IDS)
     def restart(self, i: int) -> None:
@@ -249,9 +307,20 @@ class Swarm(RuleBasedStateMachine):
         if not hasattr(self, "stores"):
             return
         found = self._in_custody()
-        assert self.created.keys() - self.struck <= found.keys(), "a datum is in custody on no disk"
+        assert self.created - self.struck <= found.keys(), "a datum is in custody on no disk"
         # The ledger: created = delivered + held, and nothing comes from nowhere.
-        assert found == {id: self.created[id] for id in found}
+        assert found == {id: self.born[id] for id in found}
+
+    @invariant()
+    def no_loss_is_forgotten(self) -> None:
+        if not getattr(self, "options", {}).get("receipts"):
+            return
+        disks = [store.disk for store in self.stores.values()]
+        # Two custodians whose copies are both rotten may ask each other at the same time. Both say TAKEN, for both are
+        # looking for the datum, and both forget it: a fault that is known.
+        crossed = {id for id, a, b in self.taken if (id, b, a) in self.taken}
+        for id in self.struck - crossed:
+            assert any(id in disk.data or id in disk.losses for disk in disks), "nobody knows that a datum is lost"
 
     @invariant()
     def memory_agrees_with_itself(self) -> None:
@@ -290,19 +359,52 @@ TestCustody = Swarm.TestCase
 STORM_PARTS = 5
 
 
+def weather(seed: int, swarm: Swarm) -> None:
+    """Storms over a swarm, and calm in the end."""
+    rng = random.Random(seed)
+    swarm.begin(
+        rng.random() < 0.3, rng.random() < 0.8, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.5,
+        rng.random() < 0.3, rng.random() < 0.5,
+    )  # fmt: skip
+    for _ in range(6):
+        swarm.storm(rng.getrandbits(32))
+        swarm.put(rng.randrange(NODES), rng.randrange(1, 50))
+        swarm.memory_agrees_with_itself()
+    swarm.teardown()
+
+
 @pytest.mark.no_cover
 @pytest.mark.parametrize("part", range(STORM_PARTS))
 def test_storms(part: int) -> None:
     """The same, many times deeper and from fixed seeds: finds a hand-over not cancelled when data come round."""
     for seed in range(part, int(os.environ.get("RASS_CUSTODY_STORMS", "1500")), STORM_PARTS):
-        rng = random.Random(seed)
-        swarm = Swarm()
-        swarm.begin(
-            rng.random() < 0.3, rng.random() < 0.8, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.5,
-            rng.random() < 0.3, rng.random() < 0.5,
-        )  # fmt: skip
-        for _ in range(6):
-            swarm.storm(rng.getrandbits(32))
-            swarm.put(rng.randrange(NODES), rng.randrange(1, 50))
-            swarm.memory_agrees_with_itself()
-        swarm.teardown()
+        weather(seed, Swarm())
+
+
+class Ungated(CommitGate):
+    """Lets everything leave at once."""
+
+    def say(self, frames: Sequence[Outgoing]) -> Sequence[Outgoing]:
+        return frames
+
+
+class UngatedSwarm(Swarm):
+    make_gate = Ungated
+
+
+@pytest.mark.no_cover
+def test_without_the_gate_the_storms_find_data_that_are_on_no_disk() -> None:
+    with pytest.raises(AssertionError, match="in custody on no disk"):  # noqa: PT012
+        for seed in range(200):
+            weather(seed, UngatedSwarm())
+
+
+@pytest.mark.no_cover
+def test_if_taken_left_before_the_commit_the_storms_would_find_a_loss_that_nobody_knows_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A node whose spare is not on disk yet is asked to take the datum back, says so, and crashes. (Seed 39.)"""
+    monkeypatch.setitem(KINDS, Words, KINDS[Words]._replace(rests=KINDS[Beacon].rests))
+    with pytest.raises(AssertionError, match="nobody knows"):  # noqa: PT012
+        for seed in range(3000):
+            weather(seed, Swarm())

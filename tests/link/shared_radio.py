@@ -20,9 +20,9 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST
+from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.core.observer import Observer
-from rass_mav.link.airtime import Budget, Urgency
+from rass_mav.link.airtime import Budget
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import global_position_int, named_value_float
 from rass_mav.store.memory import MemoryStore

@@ -7,7 +7,7 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.core.messages import BROADCAST
+from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.link.airtime import (
     FRAME_BYTES,
     LEAST_THROTTLE,
@@ -16,7 +16,6 @@ from rass_mav.link.airtime import (
     Budget,
     Pacer,
     Queued,
-    Urgency,
 )
 
 

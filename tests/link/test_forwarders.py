@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from rass_mav.link.airtime import Urgency
+from rass_mav.core.messages import Urgency
 from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.frames import FrameWriter
 

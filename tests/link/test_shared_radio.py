@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import pytest
 
-from rass_mav.link.airtime import VEHICLE_PART, Urgency
+from rass_mav.core.messages import Urgency
+from rass_mav.link.airtime import VEHICLE_PART
 from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader

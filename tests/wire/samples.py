@@ -49,6 +49,7 @@ SAMPLES: dict[str, Message] = {
     "chunk-poll": Chunk(BROADCAST, 0xA1B2, 11, True, b"chunk"),
     "sack": Sack(2, 3, 0xA1B2, 10, 0b101),
     "committed": Committed(2, 3, ((0x01020304, HELLO.crc),), (0x01020305,)),
+    "committed-refused": Committed(2, 3, (), (0x01020305,)),
     "receipt": Receipt(1, 0x0BADF00D, (ReceiptEntry(3, 0xCAFEBABE, 7, 0b10),)),
     "receipt-span": Receipt(
         1, 0x0BADF00D, (ReceiptEntry(4, 0x12345678, 70, 0),), (ReceiptSpan(3, 0xCAFEBABE, 40, 0b10, 0b1, 12),)
@@ -58,7 +59,8 @@ SAMPLES: dict[str, Message] = {
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
     "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
-    "corrupt": Words(2, 3, (WordEntry(HELLO.id, Word.AGAIN), WordEntry(WORLD.id, Word.NONE))),
+    "words": Words(2, 3, (WordEntry(HELLO.id, Word.AGAIN), WordEntry(WORLD.id, Word.NONE))),
+    "words-taken": Words(2, 3, (WordEntry(HELLO.id, Word.TAKEN),)),
 }
 
 u8, u15, u16, u32 = (st.integers(0, (1 << bits) - 1) for bits in (8, 15, 16, 32))

@@ -1,0 +1,150 @@
+"""Commit, then send: what a node says waits for the commit that covers what it rests on, and for no other."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.commits import MAX_WAITING, CommitGate
+from rass_mav.agent.outgoing import Outgoing
+from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.core.messages import BROADCAST, Committed, Data, Handover, Message, Word, WordEntry, Words
+from rass_mav.errors import RassError, StoreError
+from rass_mav.store import SqliteStore
+from tests.agent.test_agent import heard, make, said
+from tests.core.durable import DurableStore
+
+ID = DatumId(9, 77, 0)
+SPARE = Data(2, 1, (Handover(100, make_datum(ID, 0, 0.0, b"reading")),), True)
+
+
+@pytest.fixture
+def agent(tmp_path: Path) -> Any:
+    """A drone on a real disk."""
+    with SqliteStore.open(tmp_path / "node.db", draw_epoch=lambda: 7) as store:
+        yield Agent(make(1).settings, store, random.Random(1), now=0.0)
+
+
+def waiting(agent: Agent, message: Message) -> list[tuple[Any, bool]]:
+    """What is answered to a message, and whether it waits."""
+    answers = heard(agent, message, 0.0)
+    return [(m, outgoing.promises) for m, outgoing in zip(said(answers), answers, strict=True)]
+
+
+def test_who_takes_back_a_spare_that_is_not_on_disk_says_so_after_the_commit(agent: Agent) -> None:
+    assert waiting(agent, SPARE) == [(Committed(1, 2, ((100, SPARE.handovers[0].datum.crc),), ()), True)]
+    asked = Words(2, 1, (WordEntry(ID, Word.AGAIN),))
+    # After a crash now there would be no copy at all, and who asked would have dropped its loss note.
+    assert waiting(agent, asked) == [(Words(1, 2, (WordEntry(ID, Word.TAKEN),)), True)]
+
+
+def test_other_words_about_copies_do_not_wait(agent: Agent) -> None:
+    heard(agent, SPARE, 0.0)
+    wanted = Words(3, 1, (WordEntry(ID, Word.WANTED),))
+    assert waiting(agent, wanted) == [(Words(1, 3, (WordEntry(ID, Word.HERE),)), False)]
+    other = Words(2, 1, (WordEntry(ID._replace(sequence=1), Word.AGAIN),))
+    none, search = waiting(agent, other)
+    assert none == (Words(1, 2, (WordEntry(other.entries[0].id, Word.NONE),)), False)
+    assert search == (Words(1, BROADCAST, (WordEntry(other.entries[0].id, Word.WANTED),)), False)
+
+
+def test_a_refusal_promises_nothing_and_leaves_also_when_the_disk_does_not_take_anything(tmp_path: Path) -> None:
+    full = make(1, store={"capacity_items": 1}).settings
+    with SqliteStore.open(tmp_path / "node.db", draw_epoch=lambda: 7) as store:
+        agent = Agent(full, store, random.Random(1), now=0.0)
+        first, second = (Data(2, 1, (Handover(n, make_datum(ID._replace(sequence=n), 0, 0.0, b"x")),)) for n in (5, 6))
+        assert [wait for _, wait in waiting(agent, first)] == [True]
+        assert waiting(agent, second) == [(Committed(1, 2, (), (6,)), False)]
+
+
+# -- the gate itself ---------------------------------------------------------------------------------------------------
+
+
+def frame(promises: bool, name: str = "") -> Outgoing:
+    return Outgoing(name.encode(), BROADCAST, promises)
+
+
+def test_when_nothing_is_unwritten_all_leaves_at_once_in_its_order() -> None:
+    gate = CommitGate(DurableStore(1))
+    words = [frame(False, "a"), frame(True, "b"), frame(False, "c")]
+    assert gate.say(words) == words
+    assert gate.begin() is None
+    assert gate.written() == []
+
+
+def test_what_rests_on_nothing_does_not_wait() -> None:
+    store = DurableStore(1)
+    gate = CommitGate(store)
+    store.set_meta("n", 1)
+    assert gate.say([frame(True, "b"), frame(False, "a")]) == [frame(False, "a")]
+    assert gate.waiting == 1
+    batch = gate.begin()
+    assert batch is not None
+    assert gate.say([frame(True, "c"), frame(False, "d")]) == [frame(False, "d")]
+    with pytest.raises(RuntimeError):
+        gate.begin()
+    store.write(batch)
+    assert gate.written() == [frame(True, "b")], "what was said meanwhile is covered by the next commit"
+    assert gate.begin() is None
+    assert gate.written() == [frame(True, "c")]
+
+
+def test_what_waits_is_bounded() -> None:
+    store = DurableStore(1)
+    gate = CommitGate(store)
+    store.set_meta("n", 1)
+    assert gate.say([frame(True)] * (MAX_WAITING + 5)) == []
+    assert (gate.waiting, gate.dropped) == (MAX_WAITING, 5)
+
+
+@given(st.lists(st.sampled_from(["change", "say", "ask", "begin", "written", "failed"]), max_size=60))
+def test_nothing_leaves_before_what_it_rests_on_is_on_disk_and_nothing_waits_for_ever(events: list[str]) -> None:
+    store = DurableStore(1)
+    gate = CommitGate(store)
+    changes = said = left = 0
+    batch: object | None = None
+    hopes: list[int] = []
+
+    def leaves(frames: Sequence[Outgoing]) -> None:
+        nonlocal left
+        for outgoing in frames:
+            number, rests_on = map(int, outgoing.frame.split())
+            assert store.disk.meta.get("n", 0) >= rests_on
+            assert number == left, "in the order in which it was said"
+            left += 1
+
+    def ask(rests_on: int) -> None:
+        def tell(error: RassError | None) -> None:
+            assert error is not None or store.disk.meta.get("n", 0) >= rests_on
+            hopes.remove(rests_on)
+
+        hopes.append(rests_on)
+        gate.ask(tell)
+
+    for event in [*events, "written", "begin", "written"]:
+        if event == "change":
+            changes += 1
+            store.set_meta("n", changes)
+        elif event == "say":
+            leaves(gate.say([frame(True, f"{said} {changes}")]))
+            said += 1
+        elif event == "ask":
+            ask(changes)
+        elif event == "begin" and not gate.committing:
+            batch = gate.begin()
+            if batch is None:
+                leaves(gate.written())
+        elif event == "written" and gate.committing:
+            store.write(batch)
+            leaves(gate.written())
+        elif event == "failed" and gate.committing:
+            gate.failed(StoreError("I/O error"))
+            assert not hopes, "all who asked are told"
+    assert (left, hopes) == (said, [])

@@ -1,0 +1,118 @@
+"""Every kind of message is known to everybody who has to know it: whoever adds one is told here what is missing."""
+
+from __future__ import annotations
+
+import re
+import typing
+from pathlib import Path
+
+import pytest
+
+from rass_mav.agent import lane
+from rass_mav.core import node, replica
+from rass_mav.core.messages import KINDS, Message, Target, Urgency, Word
+from rass_mav.link.airtime import MAX_WAITING
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.swarm.air_server import AirOrder
+from rass_mav.swarm.mock_air import MockAir
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.wire import encode
+from rass_mav.wire.codec import FORMATS
+from tests.core.build import make_node, make_replica
+from tools import explain_frame
+
+from .samples import HELLO, NOW, SAMPLES, by_type
+
+ROOT = Path(__file__).parents[2]
+UNION = set(typing.get_args(Message))
+TITLES = {
+    number: re.sub(r"(?<=[a-z])([A-Z])", r" \1", kind.__name__).capitalize() for kind, (number, *_) in FORMATS.items()
+}
+EVERYONE = pytest.mark.parametrize("name", SAMPLES)
+
+
+def test_every_kind_says_what_it_is_and_how_it_travels() -> None:
+    assert KINDS.keys() == UNION
+    assert FORMATS.keys() == UNION
+    assert sorted(TITLES) == list(range(1, len(UNION) + 1)), "numbers without holes, each given once"
+
+
+def test_every_kind_has_a_sample_and_can_be_drawn() -> None:
+    assert {type(message) for message in SAMPLES.values()} == UNION
+    assert by_type.keys() == UNION
+
+
+@EVERYONE
+def test_the_target_is_where_the_kind_says(name: str) -> None:
+    message = SAMPLES[name]
+    target = KINDS[type(message)].target
+    assert hasattr(message, "target") == (target is not Target.EVERYBODY)
+    if target is Target.NAMED:
+        [payload] = encode(message, NOW)
+        assert int.from_bytes(payload[3:5], "little") == message.target  # type: ignore[union-attr]
+
+
+def test_every_participant_takes_every_kind_in() -> None:
+    assert node.HANDLERS.keys() == replica.HANDLERS.keys() == UNION
+
+
+@pytest.mark.parametrize("options", [{}, {"base": True}, {"mirror": True}, {"mirror": False, "receipts": False}])
+@EVERYONE
+def test_every_node_hears_every_kind(name: str, options: dict[str, typing.Any]) -> None:
+    for participant in (make_node(2, **options), make_replica(2)):
+        for answer in participant.receive(SAMPLES[name], NOW):
+            assert type(answer) in UNION
+
+
+@EVERYONE
+def test_what_is_counted_on_the_air_knows_every_kind(name: str) -> None:
+    [payload] = encode(SAMPLES[name], NOW)
+    air = MockAir(AirOrder(Scenario(nodes=1)))
+    try:
+        air._count(FrameWriter(7, 191).tunnel(payload, payload_type=33200))
+    finally:
+        air.close()
+    assert air.counted.malformed == 0
+    carries = HELLO.payload in payload or b"chunk" in payload
+    assert (air.counted.data_sent > 0) == carries
+
+
+def test_what_a_link_counts_and_keeps_has_a_place_for_every_urgency() -> None:
+    assert {about.urgency for about in KINDS.values()} | {Urgency.VEHICLE} == set(Urgency)
+    assert len(MAX_WAITING) == len(lane._KINDS) == len(Urgency)
+
+
+@EVERYONE
+def test_the_explainer_knows_every_kind_and_word(name: str) -> None:
+    [payload] = encode(SAMPLES[name], NOW)
+    first, *_ = explain_frame.explain_payload(payload)
+    assert first.startswith(f"{TITLES[payload[0] & 15]} (type ")
+    assert explain_frame._WORDS.keys() == set(Word)
+
+
+def test_the_dissector_knows_every_kind_and_word() -> None:
+    text = (ROOT / "tools" / "rass.lua").read_text(encoding="utf-8")
+    [types] = re.findall(r"local TYPES = \{(.*?)\}", text, re.S)
+    assert dict(enumerate(re.findall(r'"(.*?)"', types), 1)) == TITLES
+    assert {int(number) for number in re.findall(r"^READ\[(\d+)\] = function", text, re.M)} == TITLES.keys()
+    [words] = re.findall(r"local WORDS = \{(.*?)\}", text)
+    assert dict(re.findall(r'\[(\d)\] = "(\w+)"', words)) == {str(int(word)): word.name.lower() for word in Word}
+
+
+def rests(message: Message) -> str:
+    """In the words of the page."""
+    data = KINDS[type(message)].rests(message)
+    return "all changes" if data is None else "its data" if list(data) else "nothing"
+
+
+def test_the_page_says_of_every_kind_what_the_code_says() -> None:
+    text = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").split("## Messages")[1]
+    rows = re.findall(r"^\| (\d+) \| ([\w ]+) \| (\w+) \| (\w+) \| ([\w ]+) \|$", text, re.M)
+    assert {int(number): title for number, title in re.findall(r"^### (\d+) ([\w ]*\w)", text, re.M)} == TITLES
+    assert {int(number): title for number, title, *_ in rows} == TITLES
+    said = {int(number): cells for number, _, *cells in rows}
+    for kind, (target, urgency, _) in KINDS.items():
+        to, haste, on = said[FORMATS[kind].number]
+        assert to == {Target.NAMED: "target"}.get(target, target.name.lower())
+        assert haste == urgency.name.lower()
+        assert set(on.split(" or ")) == {rests(message) for message in SAMPLES.values() if type(message) is kind}
