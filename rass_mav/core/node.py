@@ -92,12 +92,14 @@ class Node(Participant):
 
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
-        keeper, out = self.keeper, list[Message]()
-        if keeper.stirred:
-            keeper.stirred = False
-            if self.holdings.custody:
-                self.percolation.forward(self.potential, now, out)
-            keeper.spares.flush(out)
+        keeper = self.keeper
+        if not keeper.stirred:
+            return []
+        keeper.stirred = False
+        out: list[Message] = []
+        if self.holdings.custody:
+            self.percolation.forward(self.potential, now, out)
+        keeper.spares.flush(out)
         return out
 
     # -- own data ------------------------------------------------------------------------------------------------------
