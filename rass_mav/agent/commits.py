@@ -39,13 +39,18 @@ class CommitGate:
         """Frames dropped because too many waited for a commit that failed, or was slow."""
 
     @property
+    def idle(self) -> bool:
+        """Whether a commit would do nothing: everything is on disk, and nothing waits."""
+        return not (self._held or self._covered or self._asked or self._store.unwritten)
+
+    @property
     def waiting(self) -> int:
         """Frames that wait for a commit."""
         return len(self._held) + len(self._covered)
 
     def say(self, frames: Sequence[Outgoing]) -> Sequence[Outgoing]:
         """What the node says. Returns what may leave now, in the same order; the rest waits for the next commit."""
-        if not (self._held or self._covered or self._store.unwritten):
+        if self.idle:
             return frames
         now = []
         for outgoing in frames:

@@ -19,9 +19,8 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import MAX_WAITING, CommitGate
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, common_pace, slowest_turn
-from rass_mav.agent.outgoing import Outgoing
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.errors import RassError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
 from rass_mav.link.radio import AutopilotLink
@@ -175,8 +174,8 @@ class Driver:
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
                     last += (missed + 1) * step_s
+                self._tend()
                 self._drive_commit()
-                self._to_vehicle()
                 until = min(last + step_s, loop.time() + self._tend_at - self.now())
                 await self._sleep(min(until, self.notifier.alive(loop.time())))
             await self._finish()
@@ -224,7 +223,7 @@ class Driver:
         if vehicle.generation != self._vehicle_generation:
             self._vehicle_generation = vehicle.generation
             reader.flush()
-            agent.greet_vehicle(now)
+            self._send(agent.greet_vehicle(), first=True)
         for data in arrived:
             frames = reader.feed(data)
             if not vehicle.stream and reader.pending:
@@ -271,7 +270,20 @@ class Driver:
         for outgoing in self.gate.say(frames):
             self._send(outgoing)
 
-    def _send(self, outgoing: Outgoing) -> None:
+    def _send(self, outgoing: Outgoing, *, first: bool = False) -> None:
+        if outgoing.way is Way.GROUND:
+            if self.ground is not None:
+                self.ground.send(outgoing.frame)
+        elif outgoing.way is Way.NEIGHBOURS:
+            self._send_to_neighbours(outgoing)
+        elif self.vehicle is not None:
+            if self._through is None:
+                self.vehicle.send(outgoing.frame)
+            else:
+                # What the autopilot is told it may pass on over the neighbours' radio, so it counts there.
+                self._send_on(*self._through, outgoing, first=first)
+
+    def _send_to_neighbours(self, outgoing: Outgoing) -> None:
         if self._mute:
             return
         now = self.now()
@@ -280,11 +292,14 @@ class Driver:
         ways = list(zip(self.links, self.lanes, strict=True))
         reaching = [way for way in ways if way[0].reaches(target)]
         for link, lane in reaching or ways:
-            if lane.pacer is None:
-                link.send(outgoing.frame, target)
-            else:
-                lane.push(outgoing, now)
-                self._pump(link, lane)
+            self._send_on(link, lane, outgoing)
+
+    def _send_on(self, link: Link, lane: Lane, outgoing: Outgoing, *, first: bool = False) -> None:
+        if lane.pacer is None:
+            link.send(outgoing.frame, outgoing.target)
+        else:
+            lane.push(outgoing, self.now(), first=first)
+            self._pump(link, lane)
 
     def _pump(self, link: Link, lane: Lane) -> None:
         """Send what may leave now, and come back when more may."""
@@ -304,31 +319,10 @@ class Driver:
             loop = asyncio.get_running_loop()
             self._alarms[lane] = loop.call_later(due - now, self._pump, link, lane)
 
-    def _to_vehicle(self) -> None:
-        """To the autopilot and to the ground: what is due, and what has gathered."""
-        agent = self.agent
-        self._tend_at = agent.tend(self.now())
-        ways = [(self.vehicle, agent.to_vehicle)]
-        if agent.ground is not None:
-            ways.append((self.ground, agent.ground.to_ground))
-        for way, frames in ways:
-            if way is not None and way is self.vehicle and self._through is not None:
-                self._through_autopilot(*self._through, frames)
-            elif way is not None:
-                for frame in frames:
-                    way.send(frame)
-            frames.clear()
-
-    def _through_autopilot(self, link: Link, lane: Lane, frames: Sequence[bytes]) -> None:
-        """What the autopilot is told it may pass on over the neighbours' radio, so it counts there."""
-        if lane.pacer is None:
-            for frame in frames:
-                link.send(frame, BROADCAST)
-        elif frames:
-            now = self.now()
-            for frame in frames:
-                lane.pacer.push(frame, BROADCAST, Urgency.VEHICLE, now)
-            self._pump(link, lane)
+    def _tend(self) -> None:
+        """Say to the autopilot and to the ground what is due."""
+        frames, self._tend_at = self.agent.tend(self.now())
+        self._hand_out(frames)
 
     def _greeting(self, link: Link) -> bool:
         """Whether the autopilot's port was opened and waits for its first heartbeat."""
@@ -346,11 +340,6 @@ class Driver:
         loop = asyncio.get_running_loop()
         if self._retry_at is not None and loop.time() < self._retry_at and not force:
             return
-        ground = self.agent.ground
-        if ground is not None:
-            for word in ground.promised:
-                self._promise(word)
-            ground.promised.clear()
         batch = self.gate.begin(force=force)
         if batch is None:
             self._retry_at = None
@@ -380,17 +369,6 @@ class Driver:
         for outgoing in self.gate.written():
             self._send(outgoing)
 
-    def _promise(self, word: Callable[[], None]) -> None:
-        """Say it after the commit."""
-
-        def tell(error: RassError | None) -> None:
-            if error is None:
-                word()
-            else:
-                self.gate.ask(tell)
-
-        self.gate.ask(tell)
-
     def _alarm(self, error: StoreError) -> None:
         now = self.now()
         if now >= self._next_alarm:
@@ -398,7 +376,7 @@ class Driver:
             what = "disk full" if isinstance(error, StoreFullError) else "cannot write to disk"
             log.error("%s", error)
             self.agent.tell_ground(_CRITICAL, f"RASS: {what}, data are not confirmed; trying again")
-            self._to_vehicle()
+            self._tend()
 
     async def _finish(self) -> None:
         """Commit what there is, and send what it covers: last words, as far as the sockets take them."""
@@ -410,7 +388,7 @@ class Driver:
             self._finish_commit()
             if self._retry_at is not None:
                 raise StoreError("stopped, but the last data could not be written to disk")
-        self._to_vehicle()
+        self._tend()
 
 
 def _learn(link: Link, source: Address, node_id: int) -> None:

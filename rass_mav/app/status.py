@@ -101,8 +101,8 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "parameters_refused": agent.ground.refused,
             "texts_dropped": agent.ground.texts.dropped,
         },
-        "malformed": agent.malformed + sum(lane.reader.malformed for lane in driver.lanes),
-        "foreign": agent.foreign,
+        "malformed": agent.peers.malformed + sum(lane.reader.malformed for lane in driver.lanes),
+        "foreign": agent.peers.foreign,
         "vehicle_malformed": agent.vehicle_reader.malformed,
         "rivals": [{"epoch": f"{epoch:08x}", "age_s": round(now - at, 3)} for epoch, at in sorted(node.rivals.items())],
     }

@@ -226,7 +226,7 @@ def test_peers_through_the_autopilots_port(tmp_path: Path) -> None:
         await nodes[1].driver.put(b"through", 0)
         await nodes[1].driver.put(b"and a long one" * 100, 0)
         await arrivals.until(2)
-        assert nodes[1].agent.vehicle_writer is nodes[1].agent.peer_writer, "one port, one sequence"
+        assert nodes[1].agent.vehicle_writer is nodes[1].agent.peers.writer, "one port, one sequence"
         assert nodes[1].driver.links[0].counters().received > 0
         for node in nodes:
             await node.end()

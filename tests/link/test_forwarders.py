@@ -11,6 +11,7 @@ import pytest
 from forwarders import Forwarder, wire
 from shared_radio import Arrivals, RadioNode, Simulation
 
+from rass_mav.agent.outgoing import Way
 from rass_mav.app.links import AirtimeSection
 from rass_mav.core.messages import Urgency
 from rass_mav.mavlink.frames import FrameWriter
@@ -43,10 +44,10 @@ class Companion(RadioNode):
         )  # type: ignore[arg-type]
 
     def say(self, frames: Any) -> None:
-        for frame in self.agent.to_vehicle:
-            self.forwarder.hear(self.port, frame)
-        self.agent.to_vehicle.clear()
-        super().say(frames)
+        for outgoing in frames:
+            if outgoing.way is Way.VEHICLE:
+                self.forwarder.hear(self.port, outgoing.frame)
+        super().say([outgoing for outgoing in frames if outgoing.way is Way.NEIGHBOURS])
 
 
 class Result(NamedTuple):
