@@ -19,8 +19,6 @@ MAX_WAITING = 2048
 class CommitGate:
     """Holds back what rests on changes that are not on disk yet. At most one commit is under way."""
 
-    __slots__ = ("_asked", "_covered", "_held", "_store", "_told", "commits", "committing", "dropped", "failures")
-
     def __init__(self, store: Store) -> None:
         """`store`: of the node whose frames these are; one that is driven has no other gate."""
         self._store = store

@@ -85,7 +85,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             neighbour.hand_over(1, 102, a_datum(2))
             await neighbour.beacons(3)
             assert neighbour.kinds() == []
-            assert driver.committing
+            assert driver.writer.gate.committing
             assert len(disk.submitted) == 1, "one commit at a time"
             disk.arrived.clear()
             disk.release()
@@ -95,7 +95,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             disk.arrived.clear()
             disk.release()
             await neighbour.until(lambda heard: sum(isinstance(m, Committed) for m in heard) == 3)
-            assert driver.gate.commits == 3, "what came in together was committed together"
+            assert driver.writer.gate.commits == 3, "what came in together was committed together"
             driver.stop()
             finish = asyncio.ensure_future(_release_all(disk))
             await driver_done(driver)
@@ -250,12 +250,12 @@ def test_what_waits_for_the_disk_is_bounded_and_the_rest_is_dropped_by_the_link(
                 for _ in range(200):
                     neighbour.hand_over(1, next(numbers), datum)
                 await neighbour.beacons(1)
-                assert driver.gate.waiting <= MAX_WAITING
-            assert driver.gate.waiting >= MAX_WAITING // 2
+                assert driver.writer.gate.waiting <= MAX_WAITING
+            assert driver.writer.gate.waiting >= MAX_WAITING // 2
             releasing = asyncio.ensure_future(_release_all(disk))
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
             await neighbour.beacons(2)
-            assert driver.gate.waiting < MAX_WAITING // 2, "it goes on"
+            assert driver.writer.gate.waiting < MAX_WAITING // 2, "it goes on"
             driver.stop()
             await driver_done(driver)
             releasing.cancel()
@@ -308,7 +308,7 @@ def statustexts(frames: list[bytes]) -> list[bytes]:
 def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rass_mav.app.driver.RETRY_S", 2 * STEP_S)
+    monkeypatch.setattr("rass_mav.app.writer.RETRY_S", 2 * STEP_S)
 
     async def scenario() -> None:
         hub = LoopbackHub()
@@ -323,13 +323,13 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
                 neighbour.hand_over(3, 100, a_datum(0))
                 with pytest.raises(StoreError, match="not on disk yet"):
                     await asyncio.wait_for(driver.put(b"mine", 0), TIMEOUT_S)
-                while driver.gate.failures < 3:
+                while driver.writer.gate.failures < 3:
                     await neighbour.beacons(1)
                 assert neighbour.kinds() == [], "nothing is promised"
                 assert len(statustexts(autopilot.told)) == 2, "told once, in two pieces"
                 assert b"trying again" in b"".join(statustexts(autopilot.told))
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
-            assert driver.gate.commits >= 1
+            assert driver.writer.gate.commits >= 1
         store.abandon()
         with open_store(tmp_path / "node.db") as again:
             payloads = {d.payload for i in again.held() if (d := again.get(i.id)) is not None}
