@@ -128,7 +128,7 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
         "per_s": count / seconds,
         "cpu_us": spent / count * 1e6,
         "sent": sent / count,
-        **{f"commits_{side}": driver.gate.commits / count for side, driver in drivers.items()},
+        **{f"commits_{side}": driver.writer.gate.commits / count for side, driver in drivers.items()},
     }
 
 

@@ -107,7 +107,7 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
     for _ in range(warm_up):
         world.step()
     while True:
-        heard = sum(agent.frames_received for agent in world.agents)
+        heard = sum(agent.peers.received for agent in world.agents)
         begin = time.process_time()
         steps = pipe.recv()
         if not steps:
@@ -115,7 +115,7 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
         for _ in range(steps):
             world.step()
         spent = time.process_time() - begin
-        pipe.send((spent, sum(agent.frames_received for agent in world.agents) - heard))
+        pipe.send((spent, sum(agent.peers.received for agent in world.agents) - heard))
 
 
 def measure(rounds: int, robot_steps: int, warm_up: int, names: Sequence[str] = ()) -> dict[str, dict[str, float]]:

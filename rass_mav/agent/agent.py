@@ -5,14 +5,16 @@ from __future__ import annotations
 import logging
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from rass_mav.agent.ground import Ground, Way
+from rass_mav.agent.ground import Ground
 from rass_mav.agent.heartbeats import Heartbeats
-from rass_mav.agent.outgoing import Outgoing, frames_of
+from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.parameters import recall
+from rass_mav.agent.peers import Peers
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
@@ -20,16 +22,13 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
 from rass_mav.core.store import Store
-from rass_mav.errors import MalformedError, StoreFullError
+from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Reading, Telemetry
-from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode
-from rass_mav.wire.codec import ForeignError
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
 
 log = logging.getLogger(__name__)
@@ -53,7 +52,7 @@ _HEARTBEAT_PART = 0.7
 class VehicleService(Protocol):
     """Does something with the autopilot or the ground station, over the autopilot's port.
 
-    What it has to say it appends to the agent's `to_vehicle`.
+    What it has to say it says by the agent's `tell_vehicle`.
     """
 
     def hear(self, frame: Frame, now: float) -> None:
@@ -64,39 +63,32 @@ class VehicleService(Protocol):
 
 
 class Agent:
-    """Bytes in, frames out. The driver brings time, links and commits (docs/architecture.md)."""
+    """Bytes in, frames out. The driver brings time, links and commits (docs/architecture.md).
+
+    All that leaves is returned: by `step` and `tend`, by `peer_bytes` and `peer_frame` to what was heard, by `forward`
+    after a datum was put, and by `greet_vehicle`.
+    """
 
     # A thousand of them share a processor's cache in the mock swarm.
     __slots__ = (
         "_beats",
-        "_component_id",
-        "_fixed_system_id",
         "_immediate",
         "_next_full_report",
         "_next_rival_report",
-        "_next_turn",
-        "_node_id",
-        "_payload_type",
-        "_phase",
         "_refused",
         "_rng",
+        "_said",
         "_text_id",
-        "_turn_s",
-        "beacon_from",
-        "foreign",
-        "frames_received",
+        "_turns",
         "ground",
         "last_reading",
-        "malformed",
         "node",
-        "peer_reader",
-        "peer_writer",
+        "peers",
         "services",
         "settings",
         "steps",
         "store",
         "telemetry",
-        "to_vehicle",
         "vehicle_reader",
         "vehicle_writer",
     )
@@ -129,38 +121,22 @@ class Agent:
         if settings.ground is not None and mavlink.system_id is None and not mavlink.autopilot_id:
             # Autopilots never forget a sender, so the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
-        self.peer_writer = FrameWriter(system_id, mavlink.component_id)
+        self.peers = Peers(settings.node_id, FrameWriter(system_id, mavlink.component_id), mavlink.payload_type)
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
-        self.peer_reader = FrameReader()
-        self.to_vehicle: list[bytes] = []
-        """Frames for the autopilot (and through it the ground station); the driver takes them away."""
-        self.frames_received = 0
-        """TUNNEL frames of ours heard from the radio, whoever they were for."""
-        self.malformed = 0
-        """TUNNEL payloads that do not parse."""
-        self.foreign = 0
-        """TUNNEL payloads of another version, type or purpose."""
+        self._said: list[Outgoing] = []
+        """For the autopilot and the ground, until the next `step` or `tend`."""
         self.steps = 0
         """Steps done."""
         self.last_reading: Reading | None = None
         """The last reading, of the autopilot or of the node's own sensor."""
-        self.beacon_from: int | None = None
-        """Node id of the sender of the last beacon. A driver whose links learn addresses sets it to None before
-        `peer_bytes` and looks at it after."""
-        self._node_id = settings.node_id
         self._immediate = settings.forward == "immediate"
-        self._phase = {"step-id": 1, "step+id": -1, "together": 0}[settings.data.due] * settings.node_id
-        self._payload_type = mavlink.payload_type
-        self._component_id = mavlink.component_id
-        self._fixed_system_id = mavlink.system_id is not None
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._next_rival_report = now
         self._refused = 0
         self._next_full_report = now
-        self._next_turn = now
-        self._turn_s = settings.step_s
+        self._turns = Turns(settings.step_s, now)
         self.services: list[VehicleService] = []
         """Who else listens to the autopilot's port."""
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
@@ -206,9 +182,9 @@ class Agent:
 
     def share_port(self) -> None:
         """The neighbours are reached through the autopilot's port: who listens there expects one sequence."""
-        self.vehicle_writer = self.peer_writer
+        self.vehicle_writer = self.peers.writer
         if self.ground is not None:
-            self.ground.outboxes[Way.VEHICLE].writer = self.peer_writer
+            self.ground.outboxes[Way.VEHICLE].writer = self.peers.writer
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -231,8 +207,8 @@ class Agent:
         latched = telemetry.system_id
         if not telemetry.handle(frame, now):
             return
-        if telemetry.system_id != latched and not self._fixed_system_id:
-            self.peer_writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
+        if telemetry.system_id != latched and self.settings.mavlink.system_id is None:
+            self.peers.writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
             if self.ground is not None:
                 self.ground.writer.system_id = telemetry.system_id
                 if self.store.get_meta(_SYSTEM_ID) != telemetry.system_id:
@@ -252,118 +228,97 @@ class Agent:
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
         fields = tunnel_from_datagram(data)
+        peers = self.peers
         if fields is not None:
             _, _, system, component, payload_type, payload = fields
-            return self._tunnel(system, component, payload_type, payload, now)
+            message = peers.message(system, component, payload_type, payload, now)
+            return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
         # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
-        for frame in [*self.peer_reader.feed(data), *self.peer_reader.flush()]:
+        for frame in [*peers.reader.feed(data), *peers.reader.flush()]:
             if frame.message_id == TUNNEL:
                 out += self.peer_frame(frame, now)
         return out
 
-    def peer_frame(self, frame: Frame, now: float, only: frozenset[int] | None = None) -> Sequence[Outgoing]:
+    def peer_frame(
+        self, frame: Frame, now: float, may_be_neighbour: Callable[[int], bool] | None = None
+    ) -> Sequence[Outgoing]:
         """A frame with a TUNNEL message from the neighbours' radio. Returns the answers.
 
-        `only`: node ids that may be neighbours; beacons of others go unheard. None: all.
+        `may_be_neighbour`: asked with the node id of the sender of each beacon; if it may not, the beacon goes unheard.
         """
-        try:
-            tunnel = decode_tunnel(frame.payload)
-        except MalformedError as error:
-            self._count_malformed(error)
-            return ()
-        return self._tunnel(
-            tunnel.target_system, tunnel.target_component, tunnel.payload_type, tunnel.payload, now, only
-        )
-
-    def _tunnel(
-        self,
-        system: int,
-        component: int,
-        payload_type: int,
-        payload: bytes,
-        now: float,
-        only: frozenset[int] | None = None,
-    ) -> Sequence[Outgoing]:
-        if payload_type != self._payload_type:
-            self.foreign += 1
-            return ()
-        self.frames_received += 1
-        if (system or component) and not addressed_to(
-            system, component, self.peer_writer.system_id, self._component_id
+        message = self.peers.understood(frame, now)
+        if message is None or (
+            may_be_neighbour is not None
+            and type(message) is Beacon
+            and message.sender != self.settings.node_id
+            and not may_be_neighbour(message.sender)
         ):
             return ()
-        try:
-            message = decode(payload, now, self._node_id)
-        except MalformedError as error:
-            self._count_malformed(error)
-            return ()
-        if message is None:
-            return ()
-        if type(message) is Beacon:
-            self.beacon_from = message.sender
-            if only is not None and message.sender not in only and message.sender != self._node_id:
-                return ()
+        return self._answers(message, now)
+
+    def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
         if self._immediate:
             answers += self.node.forward(now)
-        return self._encoded(answers, now) if answers else ()
-
-    def _count_malformed(self, error: MalformedError) -> None:
-        if isinstance(error, ForeignError):
-            self.foreign += 1
-        else:
-            self.malformed += 1
-        log.debug("frame not understood: %s", error)
+        return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> Sequence[Outgoing]:
         """What is due every `step_s` seconds: a turn of Alg. 1, unless the link bears fewer; then a measurement.
 
-        Returns what the node sends.
+        Returns what leaves.
         """
         self._beat(now)
         for service in self.services:
             service.step(now)
         out: list[Outgoing] = []
         node = self.node
-        step_s = self.settings.step_s
-        if node.pace.turn_s <= step_s or now >= self._next_turn - 0.5 * step_s:
-            self._next_turn = now + self._until_next_turn(node.pace.turn_s, step_s)
-            out = self._encoded(node.step(now), now)
+        if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
+            out = self.peers.frames(node.step(now), self.store, now)
         if self.node.rivals and now >= self._next_rival_report:
             self._report_rivals(now)
-        data = self.settings.data
-        if (
-            data.interval_steps
-            and not self.node.base
-            and (self.steps - self._phase) % data.interval_steps == 0
-            and (data.until_step is None or self.steps < data.until_step)
-        ):
+        if self._is_measured():
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
-        return out
+        return out + self._take_said()
+
+    def _is_measured(self) -> bool:
+        """Whether a measurement is due in this step."""
+        data = self.settings.data
+        if not data.interval_steps or self.node.base or (data.until_step is not None and self.steps >= data.until_step):
+            return False
+        phase = {"step-id": 1, "step+id": -1, "together": 0}[data.due] * self.settings.node_id
+        return (self.steps - phase) % data.interval_steps == 0
 
     def forward(self, now: float) -> Sequence[Outgoing]:
         """With `node.forward: immediate`: what came in or was put since the last turn moves on; else nothing."""
-        return self._encoded(self.node.forward(now), now) if self._immediate else ()
+        return self.peers.frames(self.node.forward(now), self.store, now) if self._immediate else ()
 
-    def greet_vehicle(self, now: float) -> None:
-        """Say the heartbeat to the autopilot. On a port that has just been opened it must be the first frame: an
-        autopilot sends nothing to where it has heard nobody."""
-        self.to_vehicle.insert(0, self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT))
+    def greet_vehicle(self) -> Outgoing:
+        """The heartbeat to the autopilot. On a port that has just been opened it must be the first frame: an autopilot
+        sends nothing to where it has heard nobody."""
         self._beats.greeted()
+        return aside(self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT), Way.VEHICLE)
+
+    def tell_vehicle(self, frame: bytes) -> None:
+        """Say a frame of `vehicle_writer` to the autopilot, with the next `step` or `tend`."""
+        self._said.append(aside(frame, Way.VEHICLE))
 
     def _beat(self, now: float) -> None:
         """Say the heartbeats that are due. By the loop that does the work, so that they stop when the work stops."""
         if not self._beats.due(now):
             return
         if self._beats.due_to_vehicle():
-            self.greet_vehicle(now)
+            self._said.append(self.greet_vehicle())
         if self.ground is not None:
-            self.ground.to_ground.append(self.ground.writer.frame(HEARTBEAT, _HEARTBEAT))
+            self._said.append(aside(self.ground.writer.frame(HEARTBEAT, _HEARTBEAT), Way.GROUND))
+
+    def _take_said(self) -> list[Outgoing]:
+        said, self._said = self._said, []
+        return said
 
     def beat_next(self, now: float) -> None:
         """Let a heartbeat be the next frame that leaves."""
@@ -375,23 +330,16 @@ class Agent:
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].rate = (1.0 - _HEARTBEAT_PART) * rate
 
-    def tend(self, now: float) -> float:
-        """Between steps: say to the autopilot and the ground what is due. Returns when to come again."""
-        if self.ground is None:
-            return math.inf
-        self._beat(now)
-        return min(self._beats.next_at, self.ground.tend(now))
+    def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
+        """Between steps: say to the autopilot and the ground what is due.
 
-    def _until_next_turn(self, turn_s: float, step_s: float) -> float:
-        """Whole steps, seconds. A new length begins at a random place: nodes that were switched on together, or have
-        met, must not all speak in the same second."""
-        changed, self._turn_s = turn_s != self._turn_s, turn_s
-        if turn_s > step_s and changed:
-            return step_s * self._rng.randint(1, round(turn_s / step_s))
-        return turn_s
-
-    def _encoded(self, messages: Sequence[Message], now: float) -> list[Outgoing]:
-        return frames_of(messages, self.peer_writer, self._payload_type, self.store, now)
+        Returns what leaves, and when to come again.
+        """
+        due = math.inf
+        if self.ground is not None:
+            self._beat(now)
+            due = min(self._beats.next_at, self.ground.tend(now, self._said))
+        return self._take_said(), due
 
     def measure(self, now: float) -> DatumId | None:
         """Make a datum of where the vehicle is and what the sensor says. None: there was no room (overflow)."""
@@ -432,7 +380,7 @@ class Agent:
             return
         self._text_id = self._text_id % 0xFFFF + 1
         for message in statustext(severity, text, text_id=self._text_id):
-            self.to_vehicle.append(self.vehicle_writer.message(message))
+            self.tell_vehicle(self.vehicle_writer.message(message))
 
     def _report_rivals(self, now: float) -> None:
         recent = [epoch for epoch, at in self.node.rivals.items() if now - at <= RIVAL_REPORT_S]

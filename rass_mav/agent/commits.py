@@ -19,8 +19,6 @@ MAX_WAITING = 2048
 class CommitGate:
     """Holds back what rests on changes that are not on disk yet. At most one commit is under way."""
 
-    __slots__ = ("_asked", "_covered", "_held", "_store", "_told", "commits", "committing", "dropped", "failures")
-
     def __init__(self, store: Store) -> None:
         """`store`: of the node whose frames these are; one that is driven has no other gate."""
         self._store = store
@@ -39,13 +37,18 @@ class CommitGate:
         """Frames dropped because too many waited for a commit that failed, or was slow."""
 
     @property
+    def idle(self) -> bool:
+        """Whether a commit would do nothing: everything is on disk, and nothing waits."""
+        return not (self._held or self._covered or self._asked or self._store.unwritten)
+
+    @property
     def waiting(self) -> int:
         """Frames that wait for a commit."""
         return len(self._held) + len(self._covered)
 
     def say(self, frames: Sequence[Outgoing]) -> Sequence[Outgoing]:
         """What the node says. Returns what may leave now, in the same order; the rest waits for the next commit."""
-        if not (self._held or self._covered or self._store.unwritten):
+        if self.idle:
             return frames
         now = []
         for outgoing in frames:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 from rass_mav import __version__
 from rass_mav.agent.outbox import Outbox
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.parameters import INDEX, PARAMETERS
 from rass_mav.agent.settings import AgentSettings, GroundSettings
 from rass_mav.agent.texts import Texts
@@ -52,17 +52,8 @@ LEAST_INTERVAL_S, MOST_INTERVAL_S = 0.5, 2000.0
 _WARNING = 4
 
 
-class Way(IntEnum):
-    """How a frame came, and how answers go back."""
-
-    VEHICLE = 0
-    """Through the autopilot."""
-    GROUND = 1
-    """Directly (`ground.url`)."""
-
-
 class Ground:
-    """What an agent says to the ground, and how it answers. Frames gather in `Agent.to_vehicle` and in `to_ground`."""
+    """What an agent says to the ground, and how it answers. It leaves with what `tend` says."""
 
     def __init__(self, agent: Agent, about: GroundSettings, configured: AgentSettings, now: float) -> None:
         """:param configured: the settings of the file, without what was set from the ground."""
@@ -74,19 +65,16 @@ class Ground:
         self.texts = Texts()
         self.writer = FrameWriter(agent.vehicle_writer.system_id, agent.vehicle_writer.component_id)
         """Writes the frames that go directly to the ground: each way has its own sequence."""
-        self.to_ground: list[bytes] = []
-        """Frames that go directly to a ground station; the driver takes them away."""
         self._reader = FrameReader()
         self._heard: set[Way] = set()
-        self.outboxes = tuple(
-            Outbox(writer, self._listed, len(PARAMETERS)) for writer in (agent.vehicle_writer, self.writer)
-        )
+        self.outboxes = {
+            way: Outbox(way, writer, self._listed, len(PARAMETERS))
+            for way, writer in ((Way.VEHICLE, agent.vehicle_writer), (Way.GROUND, self.writer))
+        }
         self.refused = 0
         """PARAM_SETs refused."""
         self.computer: Callable[[], mav.ComputerStatus] | None = None
         """Asked how the computer does; None: nobody knows."""
-        self.promised: list[Callable[[], None]] = []
-        """Answers that rest on what is not on disk yet. The driver takes them and calls them after the commit."""
         self._intervals = {NAMED_VALUE_FLOAT: about.values_s, mav.ONBOARD_COMPUTER_STATUS: about.computer_s}
         self._next = dict.fromkeys(self._intervals, now)
 
@@ -143,12 +131,8 @@ class Ground:
             return
         # Others may have changed with it: the policy brings its own weights.
         others = [i for i, value in enumerate(self._values()) if value != before[i] and i != index]
-
-        def answer() -> None:
-            for i in (index, *others):
-                outbox.answer(*self._listed(i))
-
-        self.promised.append(answer)
+        for i in (index, *others):
+            outbox.answer(*self._listed(i), promises=True)
 
     def _reason(self, index: int) -> int:
         if not PARAMETERS[index].key:
@@ -247,7 +231,7 @@ class Ground:
         """A text for people; `severity` as MAV_SEVERITY."""
         self.texts.add(severity, text)
 
-    def tend(self, now: float) -> float:
+    def tend(self, now: float, out: list[Outgoing]) -> float:
         """Say what is due. Returns when to come again."""
         due = math.inf
         for message_id, interval in self._intervals.items():
@@ -261,16 +245,15 @@ class Ground:
             self._text_id = self._text_id % 0xFFFF + 1
             for piece in statustext(text.severity, text.text, text_id=self._text_id):
                 self._say(STATUSTEXT, payload_of(piece))
-        agent = self._agent
-        for outbox, frames in zip(self.outboxes, (agent.to_vehicle, self.to_ground), strict=True):
-            frame = outbox.take(now)
-            if frame is not None:
-                frames.append(frame)
+        for outbox in self.outboxes.values():
+            outgoing = outbox.take(now)
+            if outgoing is not None:
+                out.append(outgoing)
             due = min(due, outbox.due())
         return min(due, self.texts.due())
 
     def _say(self, message_id: int, payload: bytes) -> None:
-        for outbox in self.outboxes:
+        for outbox in self.outboxes.values():
             outbox.say(message_id, payload)
 
     def _periodic(self, message_id: int, now: float) -> list[tuple[int, bytes]]:

@@ -80,23 +80,22 @@ class Lane:
         if not self.duplicates.is_new(frame, now):
             self.copies += 1
             return ()
-        agent = self.agent
-        agent.beacon_from = None
-        answers = agent.peer_frame(frame, now, self._only)
-        sender = agent.beacon_from
-        if sender is not None and sender != agent.node.id:
+
+        def may_be_neighbour(sender: int) -> bool:
             if self._only is not None and sender not in self._only:
                 self.not_neighbours += 1
-            else:
-                on_beacon(sender)
-        return answers
+                return False
+            on_beacon(sender)
+            return True
+
+        return self.agent.peer_frame(frame, now, may_be_neighbour)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
-    def push(self, outgoing: Outgoing, now: float) -> None:
-        """A frame wants to leave. Only for a lane with a budget."""
+    def push(self, outgoing: Outgoing, now: float, *, first: bool = False) -> None:
+        """A frame wants to leave; `first`: before all that are as urgent. Only for a lane with a budget."""
         assert self.pacer is not None
-        self.pacer.push(outgoing.frame, outgoing.target, outgoing.urgency, now)
+        self.pacer.push(outgoing.frame, outgoing.target, outgoing.urgency, now, first=first)
 
     def report(self) -> dict[str, Any]:
         """For `status`."""

@@ -1,8 +1,9 @@
-"""From messages to frames for the neighbours: to whom, how urgent, and whether they rest on the disk."""
+"""What leaves a node: frames, and of each where it goes, how urgent it is, and whether it rests on the disk."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 from rass_mav.core.messages import BROADCAST, KINDS, Message, Target, Urgency
@@ -11,8 +12,18 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
 
 
+class Way(IntEnum):
+    """Where a frame goes, or came from."""
+
+    VEHICLE = 0
+    """The autopilot, and through it the ground."""
+    GROUND = 1
+    """A ground station, directly (`ground.url`)."""
+    NEIGHBOURS = 2
+
+
 class Outgoing(NamedTuple):
-    """A frame for the neighbours."""
+    """A frame that leaves."""
 
     frame: bytes
     target: int
@@ -21,6 +32,12 @@ class Outgoing(NamedTuple):
     """True: it rests on what is not on disk yet, and must not leave before the store has committed."""
     urgency: Urgency = Urgency.DATA
     """What goes first where airtime is short."""
+    way: Way = Way.NEIGHBOURS
+
+
+def aside(frame: bytes, way: Way, *, promises: bool = False) -> Outgoing:
+    """A frame for the autopilot or the ground."""
+    return Outgoing(frame, BROADCAST, promises, Urgency.VEHICLE, way)
 
 
 def frames_of(

@@ -136,4 +136,4 @@ class MessageRates:
             target_system=telemetry.system_id,
             target_component=telemetry.component_id,
         )
-        self._agent.to_vehicle.append(self._agent.vehicle_writer.message(request))
+        self._agent.tell_vehicle(self._agent.vehicle_writer.message(request))

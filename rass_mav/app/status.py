@@ -71,20 +71,20 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             **node.figures(),
         },
         "commits": {
-            "done": driver.gate.commits,
-            "failed": driver.gate.failures,
-            "frames_waiting": driver.gate.waiting,
-            "frames_dropped": driver.gate.dropped,
+            "done": driver.writer.gate.commits,
+            "failed": driver.writer.gate.failures,
+            "frames_waiting": driver.writer.gate.waiting,
+            "frames_dropped": driver.writer.gate.dropped,
         },
         "links": [
             {
-                "name": link.name,
-                "trouble": link.trouble or None,
-                "one_hop": link.one_hop,
-                **link.counters()._asdict(),
-                **lane.report(),
+                "name": channel.link.name,
+                "trouble": channel.link.trouble or None,
+                "one_hop": channel.link.one_hop,
+                **channel.link.counters()._asdict(),
+                **channel.lane.report(),
             }
-            for link, lane in zip(driver.links, driver.lanes, strict=True)
+            for channel in driver.channels
         ],
         "copies": {"heard_twice": driver.duplicates.heard_twice, "echoes": driver.duplicates.echoes},
         "vehicle": None if driver.vehicle is None else _port(driver.vehicle),
@@ -96,8 +96,8 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "parameters_refused": agent.ground.refused,
             "texts_dropped": agent.ground.texts.dropped,
         },
-        "malformed": agent.malformed + sum(lane.reader.malformed for lane in driver.lanes),
-        "foreign": agent.foreign,
+        "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),
+        "foreign": agent.peers.foreign,
         "vehicle_malformed": agent.vehicle_reader.malformed,
         "rivals": [{"epoch": f"{epoch:08x}", "age_s": round(now - at, 3)} for epoch, at in sorted(node.rivals.items())],
     }

@@ -76,7 +76,7 @@ class Listener:
         payload = request_message(
             AUTOPILOT_VERSION, target_system=telemetry.system_id, target_component=telemetry.component_id
         )
-        self._agent.to_vehicle.append(self._agent.vehicle_writer.frame(COMMAND_LONG, payload))
+        self._agent.tell_vehicle(self._agent.vehicle_writer.frame(COMMAND_LONG, payload))
 
 
 async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:

@@ -152,14 +152,14 @@ class Pacer:
         """Frames that wait."""
         return sum(map(len, self._queues))
 
-    def push(self, frame: bytes, target: int, urgency: Urgency, now: float) -> None:
-        """A frame wants to leave. `target`: node id, or BROADCAST."""
+    def push(self, frame: bytes, target: int, urgency: Urgency, now: float, *, first: bool = False) -> None:
+        """A frame wants to leave. `target`: node id, or BROADCAST. `first`: before all that are as urgent."""
         queue = self._queues[urgency]
         if len(queue) >= MAX_WAITING[urgency]:
             # The oldest has the least use: what was not answered in time is sent again.
             queue.popleft()
             self.dropped[urgency] += 1
-        queue.append(Queued(frame, target, now))
+        (queue.appendleft if first else queue.append)(Queued(frame, target, now))
 
     def pop(self, now: float) -> Queued | None:
         """The frame that leaves now, or None. Ask again until None."""

@@ -57,8 +57,8 @@ class Statistics:
 
     def retire(self, agent: Agent) -> None:
         """An agent's life ends, and another one takes its place: what it counted still counts."""
-        self._received += agent.frames_received
-        self._malformed += agent.malformed + agent.peer_reader.malformed
+        self._received += agent.peers.received
+        self._malformed += agent.peers.malformed + agent.peers.reader.malformed
         self._sent_data += agent.node.pace.sent
 
     def summary(self) -> dict[str, Any]:
@@ -73,8 +73,8 @@ class Statistics:
         capacity = self._full_items or settings.store.capacity_items
         room = drones * self._steps * (capacity or 0)
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
-        received = self._received + sum(agent.frames_received for agent in world.agents)
-        malformed = self._malformed + sum(a.malformed + a.peer_reader.malformed for a in world.agents)
+        received = self._received + sum(agent.peers.received for agent in world.agents)
+        malformed = self._malformed + sum(a.peers.malformed + a.peers.reader.malformed for a in world.agents)
         sent_data = self._sent_data + sum(agent.node.pace.sent for agent in world.agents)
         summary = {
             "nodes": len(world.agents),

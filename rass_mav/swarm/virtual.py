@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.outgoing import Outgoing
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import Fate
 from rass_mav.store.memory import MemoryStore
@@ -116,8 +116,6 @@ class VirtualSwarm(ABC):
             if node_id in off:
                 continue
             self._say(node_id, agent.step(now), t)
-            if agent.to_vehicle:
-                agent.to_vehicle.clear()
         if self._at_once:
             self._deliver(t, now)
         self.loops += count_loops([agent.node.routing.next_hop for agent in self.agents])
@@ -125,13 +123,13 @@ class VirtualSwarm(ABC):
         self.t = t + 1
 
     def _deliver(self, t: int, now: float) -> None:
-        agents, stores = self.agents, self.stores
+        agents, gates = self.agents, self.gates
         arrivals = self.radio.arrivals(t, self.neighbours)
         if off := self.off:
             arrivals = (arrival for arrival in arrivals if arrival[1] not in off)
         for _, hearer, frame in arrivals:
             answers = agents[hearer].peer_bytes(frame, now)
-            if answers or stores[hearer].unwritten:
+            if answers or not gates[hearer].idle:
                 self._say(hearer, answers, t)
 
     def _say(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
@@ -146,7 +144,9 @@ class VirtualSwarm(ABC):
     def _send(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
         send = self.radio.send
         for outgoing in frames:
-            send(node_id, outgoing.frame, t)
+            # The mock flight controllers and the ground listen to nobody.
+            if outgoing.way is Way.NEIGHBOURS:
+                send(node_id, outgoing.frame, t)
 
     def _make_store(self, settings: AgentSettings, rng: random.Random) -> MemoryStore:
         """An empty store, with an epoch of its own."""

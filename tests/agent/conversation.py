@@ -6,9 +6,12 @@ import random
 from typing import Any
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.ground import VALUE_NAMES
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
+from rass_mav.core.store import Store
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter
@@ -27,18 +30,20 @@ SAID = [name for name in VALUE_NAMES if name != "RASS_COST"]
 class Conversation:
     """An agent with a ground station that asks through the autopilot, and with its own hands on the clock."""
 
-    def __init__(self, node_id: int = 7, store: MemoryStore | None = None, **sections: Any) -> None:
+    def __init__(self, node_id: int = 7, store: Store | None = None, **sections: Any) -> None:
         raw = {"node_id": node_id, "base": sections.pop("base", False), "step_s": 1.0}
         raw |= {name: sections.get(name, {}) for name in SECTIONS}
         # Most parameters are weights of this policy.
         raw["policy"] = {"name": "rass", **raw["policy"]}
         raw["ground"] = {**QUIET, **raw["ground"]}
         self.now = 0.0
-        self.store = store or MemoryStore(1000 + node_id)
+        self.store: Store = store or MemoryStore(1000 + node_id)
         about = convert(raw, AgentSettings, "test")
         self.agent = Agent(about, self.store, random.Random(1), now=0.0)
         assert self.agent.ground is not None
         self.ground = self.agent.ground
+        self.gate = CommitGate(self.store)
+        self.leaving: list[Outgoing] = []
         self.gcs = FrameWriter(*GCS)
         self.parsers = (common.MAVLink(None), common.MAVLink(None))
         self.times: list[float] = []
@@ -51,28 +56,25 @@ class Conversation:
             self.agent.vehicle_bytes(data, self.now)
 
     def commit(self) -> None:
-        """What a driver does: the store writes, and what was promised is said."""
-        promised, self.ground.promised = self.ground.promised, []
-        batch = self.store.take()
+        """What a driver does: the store writes, and what waited for that leaves."""
+        batch = self.gate.begin()
         if batch is not None:
             self.store.write(batch)
-        for word in promised:
-            word()
+        self.leaving += self.gate.written()
 
     def hear(self, until: float | None = None, *, direct: bool = False) -> list[Any]:
         """What arrives at the ground station up to a time (default: half a second from now), woken up as asked."""
         until = self.now + 0.5 if until is None else until
         out = []
         while self.now <= until:
-            due = self.agent.tend(self.now)
-            frames = (self.agent.to_vehicle, self.ground.to_ground)
-            for way, parser in enumerate(self.parsers):
-                for data in frames[way]:
-                    for message in parser.parse_buffer(data):
-                        if way == direct:
-                            out.append(message)
-                            self.times.append(self.now)
-                frames[way].clear()
+            frames, due = self.agent.tend(self.now)
+            self.leaving += self.gate.say(frames)
+            while self.leaving:
+                outgoing = self.leaving.pop(0)
+                for message in self.parsers[outgoing.way].parse_buffer(outgoing.frame):
+                    if (outgoing.way is Way.GROUND) is direct:
+                        out.append(message)
+                        self.times.append(self.now)
             assert due > self.now, "or it would be asked for ever"
             self.now = due
         self.now = until

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
@@ -45,35 +47,41 @@ def make(node_id: int, *, base: bool = False, forward: str = "step", **sections:
     return Agent(settings, store, random.Random(node_id), now=0.0, newborn=True)
 
 
-def said(frames: Any, now: float = 0.0) -> list[Any]:
+def on(way: Way, frames: Sequence[Outgoing]) -> list[Outgoing]:
+    return [outgoing for outgoing in frames if outgoing.way is way]
+
+
+def step(agent: Agent, now: float) -> list[Outgoing]:
+    """What a step says to the neighbours."""
+    return on(Way.NEIGHBOURS, agent.step(now))
+
+
+def said(frames: Sequence[Outgoing], now: float = 0.0) -> list[Any]:
     out = []
-    for outgoing in frames:
+    for outgoing in on(Way.NEIGHBOURS, frames):
         fields = tunnel_from_datagram(outgoing.frame)
         assert fields is not None
         out.append(decode(fields[5], now))
     return out
 
 
-def to_vehicle(agent: Agent) -> list[Any]:
+def to_vehicle(frames: Sequence[Outgoing]) -> list[Any]:
     reader = FrameReader()
-    frames = [frame for data in agent.to_vehicle for frame in reader.feed(data)]
-    agent.to_vehicle.clear()
-    return frames
+    return [frame for outgoing in on(Way.VEHICLE, frames) for frame in reader.feed(outgoing.frame)]
 
 
 def test_a_step_says_a_beacon_to_all_and_a_heartbeat_to_the_vehicle() -> None:
     agent = make(3)
-    [outgoing] = agent.step(0.0)
+    frames = agent.step(0.0)
+    [outgoing] = on(Way.NEIGHBOURS, frames)
     assert (outgoing.target, outgoing.promises) == (BROADCAST, False)
     assert isinstance(said([outgoing])[0], Beacon)
-    [frame] = to_vehicle(agent)
+    [frame] = to_vehicle(frames)
     heartbeat = parse(frame)
     assert (frame.message_id, frame.component_id) == (HEARTBEAT, 191)
     assert (heartbeat.type, heartbeat.autopilot) == (18, 8)  # ONBOARD_CONTROLLER, INVALID
-    agent.step(0.5)
-    assert to_vehicle(agent) == []
-    agent.step(1.0)
-    assert [frame.message_id for frame in to_vehicle(agent)] == [HEARTBEAT]
+    assert to_vehicle(agent.step(0.5)) == []
+    assert [frame.message_id for frame in to_vehicle(agent.step(1.0))] == [HEARTBEAT]
 
 
 def test_telemetry_becomes_risk_and_a_measurement() -> None:
@@ -96,7 +104,7 @@ def test_telemetry_becomes_risk_and_a_measurement() -> None:
     assert measurement.latitude == pytest.approx(45.5)
     assert measurement.longitude == pytest.approx(-73.6)
     assert (measurement.altitude, measurement.reading) == (120.0, 150.0)
-    assert agent.peer_writer.system_id == 7, "the system id is taken from the autopilot"
+    assert agent.peers.writer.system_id == 7, "the system id is taken from the autopilot"
     # Ten seconds later the reading is stale: unknown again.
     id = agent.measure(12.0)
     assert id is not None
@@ -137,35 +145,35 @@ def test_a_reading_of_somebody_else_is_not_ours() -> None:
 
 def test_a_datagram_that_is_cut_off_does_not_spoil_the_next_one() -> None:
     a, b = make(1), make(2)
-    [beacon] = a.step(0.0)
+    [beacon] = step(a, 0.0)
     b.peer_bytes(beacon.frame[:-5], 0.0)
     b.peer_bytes(beacon.frame, 0.0)
     assert list(b.node.routing.neighbours) == [1]
-    assert b.peer_reader.malformed == 1
+    assert b.peers.reader.malformed == 1
 
 
 def test_two_frames_in_one_datagram_and_garbage_between() -> None:
     a, b, c = make(1), make(2), make(3)
-    c.peer_bytes(a.step(0.0)[0].frame + b"\xfd\x00garbage" + b.step(0.0)[0].frame, 0.0)
+    c.peer_bytes(step(a, 0.0)[0].frame + b"\xfd\x00garbage" + step(b, 0.0)[0].frame, 0.0)
     assert sorted(c.node.routing.neighbours) == [1, 2]
 
 
 def test_tunnel_frames_for_others_are_left_alone() -> None:
     a, b = make(1), make(2)
-    [beacon] = a.step(0.0)
+    [beacon] = step(a, 0.0)
     payload = tunnel_from_datagram(beacon.frame)
     assert payload is not None
     writer = FrameWriter(9, 191)
     strangers = [
         writer.tunnel(payload[5], payload_type=33201),
         writer.tunnel(payload[5], payload_type=33200, target_system=77),
-        writer.tunnel(payload[5], payload_type=33200, target_system=b.peer_writer.system_id, target_component=5),
+        writer.tunnel(payload[5], payload_type=33200, target_system=b.peers.writer.system_id, target_component=5),
     ]
     for frame in strangers:
         assert not b.peer_bytes(frame, 0.0)
     assert not b.node.routing.neighbours
-    assert b.foreign == 1
-    ours = writer.tunnel(payload[5], payload_type=33200, target_system=b.peer_writer.system_id, target_component=191)
+    assert b.peers.foreign == 1
+    ours = writer.tunnel(payload[5], payload_type=33200, target_system=b.peers.writer.system_id, target_component=191)
     b.peer_bytes(ours, 0.0)
     assert list(b.node.routing.neighbours) == [1]
 
@@ -176,36 +184,33 @@ def test_garbage_in_a_tunnel_is_counted_and_survived() -> None:
     agent.peer_bytes(writer.tunnel(b"\x11short", payload_type=33200), 0.0)
     agent.peer_bytes(writer.tunnel(b"\x21" + bytes(60), payload_type=33200), 0.0)
     agent.peer_bytes(writer.tunnel(b"", payload_type=33200), 0.0)
-    assert (agent.malformed, agent.foreign) == (2, 1)
+    assert (agent.peers.malformed, agent.peers.foreign) == (2, 1)
 
 
 def test_a_second_node_with_our_id_is_told_to_the_ground() -> None:
     one, other = make(5), make(5)
     other.node.store.set_meta("x", 1)
     twin = Agent(other.settings, MemoryStore(4242), random.Random(9), now=0.0, newborn=True)
-    [beacon] = twin.step(0.0)
+    [beacon] = step(twin, 0.0)
     one.peer_bytes(beacon.frame, 0.0)
-    one.step(1.0)
-    texts = [parse(frame).text for frame in to_vehicle(one) if frame.message_id == STATUSTEXT]
+    texts = [parse(frame).text for frame in to_vehicle(one.step(1.0)) if frame.message_id == STATUSTEXT]
     assert any("node id 5" in (text if isinstance(text, str) else text.decode()) for text in texts), texts
     # Said once, not at every step.
-    one.peer_bytes(twin.step(1.0)[0].frame, 1.0)
-    one.step(2.0)
-    assert [f for f in to_vehicle(one) if f.message_id == STATUSTEXT] == []
+    one.peer_bytes(step(twin, 1.0)[0].frame, 1.0)
+    assert [f for f in to_vehicle(one.step(2.0)) if f.message_id == STATUSTEXT] == []
 
 
 def test_an_echo_of_our_own_beacon_is_no_rival() -> None:
     agent = make(5)
-    agent.peer_bytes(agent.step(0.0)[0].frame, 0.0)
+    agent.peer_bytes(step(agent, 0.0)[0].frame, 0.0)
     assert not agent.node.rivals
     assert agent.node.echoes == 1
 
 
 def test_a_full_node_tells_the_ground_and_goes_on() -> None:
     agent = make(4, store={"capacity_items": 1}, data={"interval_steps": 1})
-    for t in range(4):
-        agent.step(float(t))
-    texts = [parse(frame).text for frame in to_vehicle(agent) if frame.message_id == STATUSTEXT]
+    heard = to_vehicle([outgoing for t in range(4) for outgoing in agent.step(float(t))])
+    texts = [parse(frame).text for frame in heard if frame.message_id == STATUSTEXT]
     assert len(texts) == 1
     assert agent.store.counters()["overflow"] == 3
 
@@ -221,8 +226,8 @@ def test_what_rests_on_an_unfinished_commit_is_marked() -> None:
     slow = Agent(drone.settings, Slow(7), random.Random(2), now=0.0, newborn=True)
     for node in (drone, slow):
         node.measure(0.0)
-        node.peer_bytes(base.step(0.0)[0].frame, 0.0)
-        beacon, data = node.step(1.0)
+        node.peer_bytes(step(base, 0.0)[0].frame, 0.0)
+        beacon, data = step(node, 1.0)
         assert isinstance(said([data])[0], Data)
         assert (beacon.promises, data.promises) == (False, node is slow)
         [answer] = base.peer_bytes(data.frame, 1.0)
@@ -293,12 +298,12 @@ def test_what_is_signed_is_read_like_all_else_and_answered_unsigned() -> None:
         agent.vehicle_bytes(signed.message(message), 0.0)
     assert agent.node.risk.risk(0.0) == 0.25
     neighbour = make(8, base=True)
-    neighbour.peer_writer = FrameWriter(8, 191, Signer(bytes(range(32)), 1, 1))
-    for outgoing in neighbour.step(0.0):
+    neighbour.peers.writer = FrameWriter(8, 191, Signer(bytes(range(32)), 1, 1))
+    for outgoing in step(neighbour, 0.0):
         assert outgoing.frame[2] & FLAG_SIGNED
         agent.peer_bytes(outgoing.frame, 0.0)
     agent.node.put(b"x", 0.0)
-    answers = agent.step(1.0)
+    answers = step(agent, 1.0)
     assert {type(message) for message in said(answers)} == {Beacon, Data}, "it has a neighbour"
     assert not any(outgoing.frame[2] & FLAG_SIGNED for outgoing in answers)
 

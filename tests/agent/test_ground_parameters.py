@@ -23,6 +23,7 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
+from tests.core.durable import DurableStore
 
 from .conversation import Conversation, kinds, values
 
@@ -65,7 +66,7 @@ def test_one_parameter_by_name_and_by_index() -> None:
 
 
 def test_a_value_is_taken_over_at_once_and_answered_when_it_is_on_disk() -> None:
-    c = Conversation()
+    c = Conversation(store=DurableStore(7))
     c.ask(common.MAVLink_param_set_message(7, 191, b"RASS_ALPHA", 2.5, mav.REAL32))
     assert c.agent.node.policy.potential(2, 0.0, 5) == pytest.approx((1 << 24) / 5.0, abs=1)
     assert c.hear() == [], "nothing is confirmed yet"

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.agent.outbox import GAP_S, MAX_ANSWERS, Outbox
+from rass_mav.agent.outgoing import Way
 from rass_mav.agent.texts import BURST, EVERY_S, MAX_WAITING, REPEAT_S, Text, Texts
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT
@@ -19,7 +20,7 @@ ANSWER, SAID, LISTED = STATUSTEXT, NAMED_VALUE_FLOAT, 22
 
 
 def outbox() -> Outbox:
-    return Outbox(FrameWriter(7, 191), lambda index: (LISTED, bytes([index + 1])), SIZE)
+    return Outbox(Way.VEHICLE, FrameWriter(7, 191), lambda index: (LISTED, bytes([index + 1])), SIZE)
 
 
 def drain(box: Outbox, now: float = 0.0) -> list[tuple[float, int, bytes]]:
@@ -28,9 +29,9 @@ def drain(box: Outbox, now: float = 0.0) -> list[tuple[float, int, bytes]]:
     out = []
     while (due := box.due()) < math.inf:
         now = max(now, due)
-        data = box.take(now)
-        assert data is not None, "it asked for this moment"
-        [frame] = reader.feed(data)
+        outgoing = box.take(now)
+        assert outgoing is not None, "it asked for this moment"
+        [frame] = reader.feed(outgoing.frame)
         out.append((now, frame.message_id, frame.payload.rstrip(b"\0")))
     return out
 
@@ -66,9 +67,9 @@ def test_a_listing_asked_for_again_and_again_comes_to_its_end() -> None:
     for turn in range(2 * SIZE):
         if turn < SIZE:
             box.list_all()
-        frame = box.take(turn * GAP_S)
-        if frame is not None:
-            listed.append(FrameReader().feed(frame)[0].payload[0])
+        outgoing = box.take(turn * GAP_S)
+        if outgoing is not None:
+            listed.append(FrameReader().feed(outgoing.frame)[0].payload[0])
     assert listed == [1, 2, 3, 4, 5, 1, 2, 3, 4]
 
 
@@ -80,9 +81,9 @@ def test_questions_cannot_silence_what_is_said() -> None:
     for turn in range(6):
         for number in range(MAX_ANSWERS):
             box.answer(ANSWER, bytes([turn, number + 1]))
-        data = box.take(turn * GAP_S)
-        assert data is not None
-        first.append(FrameReader().feed(data)[0].message_id)
+        outgoing = box.take(turn * GAP_S)
+        assert outgoing is not None
+        first.append(FrameReader().feed(outgoing.frame)[0].message_id)
     assert SAID in first
     assert LISTED in first
 

@@ -15,8 +15,8 @@ from rass_mav.errors import ConfigError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, global_position_int, parse
-from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
+from tests.agent.test_agent import to_vehicle
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 GLOBAL, LOCAL = 33, 32
@@ -54,13 +54,12 @@ class Flight:
             if GLOBAL in self.granted:
                 boot_ms = int(1000 * (self.now - self.booted)) + 1
                 self.say(global_position_int(45.0, -73.0, 100.0, 10.0, boot_ms))
-        self.agent.step(self.now)
+        said = self.agent.step(self.now)
         for _ in range(5):  # an answer brings the next request
-            frames = [f for data in self.agent.to_vehicle for f in FrameReader().feed(data)]
-            self.agent.to_vehicle.clear()
-            for frame in frames:
+            for frame in to_vehicle(said):
                 if frame.message_id == COMMAND_LONG:
                     self.hear(parse(frame))
+            said, _ = self.agent.tend(self.now)
 
     def hear(self, request: Any) -> None:
         assert (request.command, request.target_system, request.target_component) == (511, 7, 1)

@@ -7,7 +7,7 @@ import itertools
 import os
 import random
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,6 +23,8 @@ from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import DatumError, StoreDamagedError, StoreError, StoreFullError
+from rass_mav.link.base import LinkCounters
+from rass_mav.link.vehicle import VehiclePort
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store import MemoryStore, SqliteStore
@@ -85,7 +87,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             neighbour.hand_over(1, 102, a_datum(2))
             await neighbour.beacons(3)
             assert neighbour.kinds() == []
-            assert driver.committing
+            assert driver.writer.gate.committing
             assert len(disk.submitted) == 1, "one commit at a time"
             disk.arrived.clear()
             disk.release()
@@ -95,7 +97,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             disk.arrived.clear()
             disk.release()
             await neighbour.until(lambda heard: sum(isinstance(m, Committed) for m in heard) == 3)
-            assert driver.gate.commits == 3, "what came in together was committed together"
+            assert driver.writer.gate.commits == 3, "what came in together was committed together"
             driver.stop()
             finish = asyncio.ensure_future(_release_all(disk))
             await driver_done(driver)
@@ -250,12 +252,12 @@ def test_what_waits_for_the_disk_is_bounded_and_the_rest_is_dropped_by_the_link(
                 for _ in range(200):
                     neighbour.hand_over(1, next(numbers), datum)
                 await neighbour.beacons(1)
-                assert driver.gate.waiting <= MAX_WAITING
-            assert driver.gate.waiting >= MAX_WAITING // 2
+                assert driver.writer.gate.waiting <= MAX_WAITING
+            assert driver.writer.gate.waiting >= MAX_WAITING // 2
             releasing = asyncio.ensure_future(_release_all(disk))
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
             await neighbour.beacons(2)
-            assert driver.gate.waiting < MAX_WAITING // 2, "it goes on"
+            assert driver.writer.gate.waiting < MAX_WAITING // 2, "it goes on"
             driver.stop()
             await driver_done(driver)
             releasing.cancel()
@@ -275,6 +277,30 @@ def disk_that_refuses() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+class Autopilot(VehiclePort):
+    """Keeps what it is told, and says nothing."""
+
+    name = "autopilot"
+
+    def __init__(self) -> None:
+        self.told: list[bytes] = []
+
+    def start(self, wake: Callable[[], None]) -> None:
+        pass
+
+    def receive(self) -> list[bytes]:
+        return []
+
+    def send(self, frame: bytes) -> None:
+        self.told.append(frame)
+
+    def counters(self) -> LinkCounters:
+        return LinkCounters(len(self.told), 0, 0, 0, 0)
+
+    def close(self) -> None:
+        pass
+
+
 def statustexts(frames: list[bytes]) -> list[bytes]:
     reader = FrameReader()
     return [f.payload[1:51] for frame in frames for f in reader.feed(frame) if f.message_id == STATUSTEXT]
@@ -283,7 +309,7 @@ def statustexts(frames: list[bytes]) -> list[bytes]:
 def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rass_mav.app.driver.RETRY_S", 2 * STEP_S)
+    monkeypatch.setattr("rass_mav.app.writer.RETRY_S", 2 * STEP_S)
 
     async def scenario() -> None:
         hub = LoopbackHub()
@@ -292,20 +318,19 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
         store = open_store(tmp_path / "node.db")
         neighbour = NeighbourEnd(a, 9)
         async with running(b, store, settings(3)) as driver:
-            told: list[bytes] = []
-            driver._to_vehicle = lambda: told.extend(_taken(driver))  # type: ignore[method-assign]
+            driver.vehicle = autopilot = Autopilot()
             await neighbour.beacons(1)
             with disk_that_refuses():
                 neighbour.hand_over(3, 100, a_datum(0))
                 with pytest.raises(StoreError, match="not on disk yet"):
                     await asyncio.wait_for(driver.put(b"mine", 0), TIMEOUT_S)
-                while driver.gate.failures < 3:
+                while driver.writer.gate.failures < 3:
                     await neighbour.beacons(1)
                 assert neighbour.kinds() == [], "nothing is promised"
-                assert len(statustexts(told)) == 2, "told once, in two pieces"
-                assert b"trying again" in b"".join(statustexts(told))
+                assert len(statustexts(autopilot.told)) == 2, "told once, in two pieces"
+                assert b"trying again" in b"".join(statustexts(autopilot.told))
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
-            assert driver.gate.commits >= 1
+            assert driver.writer.gate.commits >= 1
         store.abandon()
         with open_store(tmp_path / "node.db") as again:
             payloads = {d.payload for i in again.held() if (d := again.get(i.id)) is not None}
@@ -313,12 +338,6 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
         assert len(payloads) == 2
 
     run(scenario)
-
-
-def _taken(driver: object) -> list[bytes]:
-    agent = driver.agent  # type: ignore[attr-defined]
-    frames, agent.to_vehicle = agent.to_vehicle, []
-    return list(frames)
 
 
 def test_a_full_database_file_is_told_as_a_full_disk(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.app.driver import SENSOR_REPORT_S, Driver
+from rass_mav.app.driver import Driver
+from rass_mav.app.sensor_watch import REPORT_S
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore
 from tests.ptys import SerialDevice
@@ -97,7 +98,7 @@ def test_readings_reach_the_agent_and_the_ground_is_told_when_they_stop(caplog: 
             assert (risk.risk(driven.now), risk.known(driven.now)) == (0.25, True)
             assert driven.agent.last_reading == (0.25, 999.0)
             # It falls silent. For a start that takes long the ground is not alarmed; then it is, once.
-            driven.now += SENSOR_REPORT_S - 1.0
+            driven.now += REPORT_S - 1.0
             await driven.steps()
             assert (risk.risk(driven.now), driven.told()) == (1.0, [])
             driven.now += 2.0
@@ -109,7 +110,7 @@ def test_readings_reach_the_agent_and_the_ground_is_told_when_they_stop(caplog: 
                 await driven.steps()
                 driven.now += 3.0
                 assert driven.told() == []
-            driven.now += SENSOR_REPORT_S
+            driven.now += REPORT_S
             driven.sensor.say(0.5, driven.now)
             await driven.steps()
             assert driven.told() == ["RASS: the radiation sensor reads again"]

@@ -232,8 +232,8 @@ def test_peers_through_the_autopilots_port(tmp_path: Path) -> None:
         await nodes[1].driver.put(b"through", 0)
         await nodes[1].driver.put(b"and a long one" * 100, 0)
         await arrivals.until(2)
-        assert nodes[1].agent.vehicle_writer is nodes[1].agent.peer_writer, "one port, one sequence"
-        assert nodes[1].driver.links[0].counters().received > 0
+        assert nodes[1].agent.vehicle_writer is nodes[1].agent.peers.writer, "one port, one sequence"
+        assert nodes[1].driver.channels[0].link.counters().received > 0
         for node in nodes:
             await node.end()
         cable.pull_out()
@@ -263,7 +263,7 @@ def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(t
         # 12 bytes around each payload; its trailing zeros do not travel.
         said = sum(12 + len(frame.payload.rstrip(b"\0")) for frame in autopilot.heard)
         assert said <= airtime.burst_bytes + seconds * airtime.bytes_s * airtime.duty
-        told = node.driver.lanes[0].report()["airtime"]["sent"]
+        told = node.driver.channels[0].lane.report()["airtime"]["sent"]
         assert told["vehicle"] >= 3
         await node.end()
         device.pull_out()

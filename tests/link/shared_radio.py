@@ -16,11 +16,11 @@ from typing import Any
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, common_pace, slowest_turn
-from rass_mav.agent.outgoing import Outgoing
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, Urgency
+from rass_mav.core.messages import Urgency
 from rass_mav.core.observer import Observer
 from rass_mav.link.airtime import Budget
 from rass_mav.mavlink.frames import FrameWriter
@@ -136,23 +136,17 @@ class RadioNode:
         turn_s, items = common_pace([lane], 1.0, agent.settings.store.bandwidth_items)
         agent.node.keep_pace(turn_s, items, now, slowest_turn([lane], 1.0))
         agent.pace_vehicle(lane.pacer.vehicle_rate)
-        self.say(agent.step(now))
-        if agent.ground is None:
-            agent.to_vehicle.clear()
-        else:
+        ways = {Way.NEIGHBOURS} if agent.ground is None else {Way.NEIGHBOURS, Way.VEHICLE}
+        self.say([outgoing for outgoing in agent.step(now) if outgoing.way in ways])
+        if agent.ground is not None:
             self.tend()
         self.simulation.at(now + 1.0, self.step)
 
     def tend(self) -> None:
         """What goes to the autopilot and the ground, over the same radio; as the driver does it."""
         now = self.simulation.now
-        pacer = self.lane.pacer
-        assert pacer is not None
-        due = self.agent.tend(now)
-        for frame in self.agent.to_vehicle:
-            pacer.push(frame, BROADCAST, Urgency.VEHICLE, now)
-        self.agent.to_vehicle.clear()
-        self.pump()
+        frames, due = self.agent.tend(now)
+        self.say([outgoing for outgoing in frames if outgoing.way is Way.VEHICLE])
         # Beyond it, the next step comes first.
         if due < now + 1.0:
             self.simulation.at(due, self.tend)
@@ -160,7 +154,8 @@ class RadioNode:
     def say(self, frames: Any) -> None:
         for outgoing in frames:
             assert isinstance(outgoing, Outgoing)
-            self.lane.duplicates.said(outgoing.frame, self.simulation.now)
+            if outgoing.way is Way.NEIGHBOURS:
+                self.lane.duplicates.said(outgoing.frame, self.simulation.now)
             self.lane.push(outgoing, self.simulation.now)
         self.pump()
 

@@ -86,6 +86,13 @@ def test_beacons_go_first_then_answers_then_data() -> None:
     assert left == [Urgency.BEACON, Urgency.ANSWER, Urgency.DATA, Urgency.DATA]
 
 
+def test_a_greeting_goes_before_what_waits_for_a_port_that_was_closed() -> None:
+    made = pacer(Budget(bytes_s=1000.0, duty=1.0, burst_frames=1))
+    made.push(b"value", BROADCAST, Urgency.VEHICLE, 0.0)
+    made.push(b"heartbeat", BROADCAST, Urgency.VEHICLE, 0.1, first=True)
+    assert [queued.frame for _, queued in drain(made, 10.0)] == [b"heartbeat", b"value"]
+
+
 def test_only_the_newest_beacon_waits() -> None:
     made = pacer(Budget(bytes_s=100.0), neighbours=50)
     drain_at = 0.0

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from rass_mav.agent.outgoing import Way
 from rass_mav.core.messages import Urgency
 from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.frames import FrameWriter
@@ -47,10 +48,10 @@ class Companion(RadioNode):
         )
 
     def say(self, frames: Any) -> None:
-        for frame in self.agent.to_vehicle:
-            self.forwarder.hear(self.port, frame)
-        self.agent.to_vehicle.clear()
-        super().say(frames)
+        for outgoing in frames:
+            if outgoing.way is Way.VEHICLE:
+                self.forwarder.hear(self.port, outgoing.frame)
+        super().say([outgoing for outgoing in frames if outgoing.way is Way.NEIGHBOURS])
 
 
 class Result(NamedTuple):

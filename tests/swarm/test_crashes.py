@@ -156,10 +156,10 @@ def test_who_is_off_says_hears_and_makes_nothing() -> None:
     )
     world.run(10)
     world.crash(4, 25)
-    heard = world.agents[4].frames_received
+    heard = world.agents[4].peers.received
     world.run(15, after=check)
     assert not [step for node, step in said if node == 4 and step >= 10]
-    assert world.agents[4].frames_received == heard == 0
+    assert world.agents[4].peers.received == heard == 0
     assert world.agents[4].telemetry.reading is None
     world.run(5, after=check)
     assert {step for node, step in said if node == 4 and step >= 10} == set(range(25, 30))
@@ -167,7 +167,7 @@ def test_who_is_off_says_hears_and_makes_nothing() -> None:
     born = sorted(step for id, step in world.ledger.born.items() if id.origin == 4)
     assert born == [step for step in [*range(10), *range(25, 30)] if (step - 4) % 3 == 0]
     # What it counted in its first life still counts.
-    heard_in_all = sum(agent.frames_received for agent in world.agents)
+    heard_in_all = sum(agent.peers.received for agent in world.agents)
     assert world.statistics.summary()["frames"]["received"] > heard_in_all
 
 

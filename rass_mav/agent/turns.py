@@ -1,0 +1,28 @@
+"""In which steps a node has its turn, where its links do not bear a beacon in each."""
+
+from __future__ import annotations
+
+import random
+
+
+class Turns:
+    """Turns of whole steps. Time is an argument."""
+
+    __slots__ = ("_next_at", "_turn_s")
+
+    def __init__(self, turn_s: float, now: float) -> None:
+        self._turn_s = turn_s
+        self._next_at = now
+
+    def due(self, turn_s: float, step_s: float, now: float, rng: random.Random) -> bool:
+        """Whether this step has a turn, if there is one every `turn_s` seconds; then the next one begins.
+
+        A new length begins at a random place: nodes that were switched on together, or have met, must not all speak in
+        the same second.
+        """
+        if turn_s > step_s and now < self._next_at - 0.5 * step_s:
+            return False
+        changed, self._turn_s = turn_s != self._turn_s, turn_s
+        wait_s = turn_s if turn_s <= step_s or not changed else step_s * rng.randint(1, round(turn_s / step_s))
+        self._next_at = now + wait_s
+        return True

@@ -1,0 +1,50 @@
+"""A link and the node's side of it: what is sent leaves when the link bears it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from rass_mav.agent.lane import Lane
+from rass_mav.agent.outgoing import Outgoing
+from rass_mav.link.base import Link
+
+
+class Channel:
+    """One way to the neighbours, on the event loop."""
+
+    def __init__(self, link: Link, lane: Lane, now: Callable[[], float], closed: Callable[[], bool]) -> None:
+        """`now`: the agent's timeline. `closed`: whether nothing may leave yet; then the caller comes back."""
+        self.link = link
+        self.lane = lane
+        self._now = now
+        self._closed = closed
+        self._alarm: asyncio.TimerHandle | None = None
+
+    def send(self, outgoing: Outgoing, *, first: bool = False) -> None:
+        """Send a frame as soon as the link bears it; `first`: before all that are as urgent."""
+        if self.lane.pacer is None:
+            self.link.send(outgoing.frame, outgoing.target)
+        else:
+            self.lane.push(outgoing, self._now(), first=first)
+            self._pump()
+
+    def _pump(self) -> None:
+        """Send what may leave now, and come back when more may."""
+        pacer = self.lane.pacer
+        assert pacer is not None
+        if self._closed():
+            return
+        now = self._now()
+        while (queued := pacer.pop(now)) is not None:
+            self.link.send(queued.frame, queued.target)
+        self.stop()
+        due = pacer.next_at(now)
+        if due is not None:
+            self._alarm = asyncio.get_running_loop().call_later(due - now, self._pump)
+
+    def stop(self) -> None:
+        """Do not come back."""
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None

@@ -1,0 +1,99 @@
+"""The commits of a running node: the gate's batches are written on a worker thread, one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+
+from rass_mav.agent.commits import CommitGate
+from rass_mav.agent.outgoing import Outgoing
+from rass_mav.core.store import Store
+from rass_mav.errors import RassError, StoreDamagedError, StoreError
+
+log = logging.getLogger(__name__)
+
+#: After a failed commit the next try comes so much later, seconds.
+RETRY_S = 1.0
+
+
+class Writer:
+    """Writes the batches of one store, on the event loop."""
+
+    def __init__(
+        self, store: Store, executor: Executor, wake: Callable[[], None], failed: Callable[[StoreError], None]
+    ) -> None:
+        """`executor`: one thread. `wake`: called when a write has ended: then `drive`. `failed`: told why one has."""
+        self.gate = CommitGate(store)
+        """What waits for which commit."""
+        self.retry_at: float | None = None
+        """When a failed commit is tried again, on the loop's clock; None: the last one did not fail."""
+        self._store = store
+        self._executor = executor
+        self._wake = wake
+        self._failed = failed
+        self._write: asyncio.Future[None] | None = None
+
+    def drive(self, *, force: bool = False) -> Sequence[Outgoing]:
+        """Take note of a finished commit, and begin the next one. Returns what may leave. `StoreDamagedError`."""
+        out: list[Outgoing] = []
+        if self._write is not None:
+            if not self._write.done():
+                return out
+            out += self._finish(self._write)
+        loop = asyncio.get_running_loop()
+        if self.retry_at is not None and loop.time() < self.retry_at and not force:
+            return out
+        batch = self.gate.begin(force=force)
+        if batch is None:
+            self.retry_at = None
+            return [*out, *self.gate.written()]
+        self._write = loop.run_in_executor(self._executor, self._store.write, batch)
+        self._write.add_done_callback(lambda _: self._wake())
+        return out
+
+    def _finish(self, write: asyncio.Future[None]) -> Sequence[Outgoing]:
+        self._write = None
+        try:
+            write.result()
+        except StoreDamagedError:
+            raise
+        except StoreError as error:
+            self.retry_at = asyncio.get_running_loop().time() + RETRY_S
+            self.gate.failed(StoreError(f"not on disk yet, kept in memory until it can be written: {error}"))
+            self._failed(error)
+            return ()
+        if self.retry_at is not None:
+            self.retry_at = None
+            log.warning("the store can be written again")
+        return self.gate.written()
+
+    async def finish(self) -> Sequence[Outgoing]:
+        """Commit what there is. Returns what that covers; `StoreError` if it could not be written."""
+        out: list[Outgoing] = []
+        if self._write is not None:
+            await asyncio.wait([self._write])
+        out += self.drive(force=True)
+        if self._write is not None:
+            await asyncio.wait([self._write])
+            out += self._finish(self._write)
+            if self.retry_at is not None:
+                raise StoreError("stopped, but the last data could not be written to disk")
+        return out
+
+    async def durable(self) -> None:
+        """Wait until all that has changed is on disk. `StoreError` if the disk does not take it now."""
+        durable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        def tell(error: RassError | None) -> None:
+            if durable.done():
+                return
+            if error is None:
+                durable.set_result(None)
+            else:
+                durable.set_exception(error)
+
+        self.gate.ask(tell)
+        self._wake()
+        await durable
