@@ -2,42 +2,25 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from typing import Any
 
+from rass_mav.core import messages
 from rass_mav.core.custody.handovers import HandoverNumbers
+from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum
-from rass_mav.core.messages import (
-    Accept,
-    Beacon,
-    Chunk,
-    Committed,
-    Data,
-    LossNote,
-    Message,
-    Offer,
-    PassedOn,
-    Put,
-    Query,
-    Receipt,
-    Sack,
-    Words,
-)
+from rass_mav.core.messages import Committed, Message
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.notes import LossNotes, NoLossNotes, fate_of
 from rass_mav.core.news.receipts import NoReceipts, Receipts
-from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
-from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.spares.atbase import AtBase
 from rass_mav.core.spares.mirrors import Mirrors
-from rass_mav.core.store import Store
 
 
 class Node(Participant):
@@ -45,34 +28,20 @@ class Node(Participant):
 
     __slots__ = ("archive", "keeper", "percolation", "transfers")
 
-    def __init__(
-        self,
-        settings: NodeSettings,
-        store: Store,
-        policy: Policy,
-        risk: RiskEstimator,
-        rng: random.Random,
-        *,
-        now: float,
-        observer: Observer | None = None,
-        newborn: bool = False,
-    ) -> None:
-        """`now` in seconds, on the timeline of all later calls.
-
-        `newborn`: nobody can remember this node from an earlier life, so it need not wait before it takes a route.
-        """
-        super().__init__(settings, store, policy, risk, rng, now, observer, newborn)
-        self.archive = Archive(store.ids(), store.losses()) if self.base else None
+    def _take_up(self, now: float) -> Holdings:
+        self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.receipts = self._make_receipts()
-        self.keeper = self._make_keeper()
-        self.holdings = self.keeper.holdings
-        self.transfers = Transfers(self.keeper, self.pace, rng, self.routing.lifetime_s)
-        self.percolation = Percolation(self.keeper, self.transfers, self.routing, self.pace, policy, risk, rng)
+        self.keeper = keeper = self._make_keeper()
+        self.transfers = Transfers(keeper, self.pace, self.rng, self.routing.lifetime_s)
+        self.percolation = Percolation(
+            keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
+        )
         if self.base:
-            self.keeper.spares = AtBase(self.keeper)
-        elif settings.mirror:
-            self.keeper.spares = Mirrors(self.keeper, self.routing, self.pace, risk, rng, now)
+            keeper.spares = AtBase(keeper)
+        elif self.settings.mirror:
+            keeper.spares = Mirrors(keeper, self.routing, self.pace, self.risk, self.rng, now)
+        return keeper.holdings
 
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
@@ -175,7 +144,7 @@ class Node(Participant):
         self.keeper.spares.flush(answers)
         return answers
 
-    def _on_data(self, data: Data, now: float) -> list[Message]:
+    def _on_data(self, data: messages.Data, now: float) -> list[Message]:
         keeper = self.keeper
         take = keeper.keep_spare if data.spare else keeper.take_custody
         committed: list[tuple[int, int]] = []
@@ -212,22 +181,22 @@ class Node(Participant):
         keeper.spares.answered(message, now, out)
         return out
 
-    def _on_passed_on(self, message: PassedOn, now: float) -> list[Message]:
+    def _on_passed_on(self, message: messages.PassedOn, now: float) -> list[Message]:
         self.keeper.spares.on_passed_on(message)
         return []
 
-    def _on_words(self, message: Words, now: float) -> list[Message]:
+    def _on_words(self, message: messages.Words, now: float) -> list[Message]:
         out: list[Message] = []
         self.keeper.spares.on_words(message, now, out)
         return out
 
-    def _on_receipt(self, receipt: Receipt, now: float) -> list[Message]:
+    def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
         changed = self.receipts.learn(receipt)
         if changed:
             self.keeper.heed(changed)
         return []
 
-    def _on_loss_note(self, note: LossNote, now: float) -> list[Message]:
+    def _on_loss_note(self, note: messages.LossNote, now: float) -> list[Message]:
         if not self.keeper.takes_notes:
             return []
         taken = {number: self.keeper.take_note(id, fate_of(reason)) for number, id, reason in note.entries}
@@ -238,17 +207,17 @@ class Node(Participant):
 
 #: How each message is taken in. Entries of a stigmergy are for `Replica`.
 HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
-    Beacon: Node._on_beacon,
-    Data: Node._on_data,
+    messages.Beacon: Node._on_beacon,
+    messages.Data: Node._on_data,
     Committed: Node._on_committed,
-    Offer: lambda node, message, now: node.transfers.on_offer(message, now),
-    Accept: lambda node, message, now: node.transfers.on_accept(message, now),
-    Chunk: lambda node, message, now: node.transfers.on_chunk(message, now),
-    Sack: lambda node, message, now: node.transfers.on_sack(message, now),
-    Receipt: Node._on_receipt,
-    LossNote: Node._on_loss_note,
-    Put: Node._ignore,
-    Query: Node._ignore,
-    PassedOn: Node._on_passed_on,
-    Words: Node._on_words,
+    messages.Offer: lambda node, message, now: node.transfers.on_offer(message, now),
+    messages.Accept: lambda node, message, now: node.transfers.on_accept(message, now),
+    messages.Chunk: lambda node, message, now: node.transfers.on_chunk(message, now),
+    messages.Sack: lambda node, message, now: node.transfers.on_sack(message, now),
+    messages.Receipt: Node._on_receipt,
+    messages.LossNote: Node._on_loss_note,
+    messages.Put: Node._ignore,
+    messages.Query: Node._ignore,
+    messages.PassedOn: Node._on_passed_on,
+    messages.Words: Node._on_words,
 }

@@ -30,44 +30,19 @@ class Participant(ABC):
     """One RASS participant. `Node` hands custody on, `Replica` copies everything to everybody."""
 
     __slots__ = (
-        "_beacon_number",
-        "_claimed",
-        "_first_number",
-        "_slow_until",
-        "_steps",
-        "base",
-        "echoes",
-        "holdings",
-        "id",
-        "observer",
-        "pace",
-        "policy",
-        "potential",
-        "receipts",
-        "risk",
-        "rivals",
-        "rng",
-        "routing",
-        "settings",
+        "_beacon_number", "_claimed", "_first_number", "_slow_until", "_steps", "base", "echoes", "holdings", "id",
+        "observer", "pace", "policy", "potential", "receipts", "risk", "rivals", "rng", "routing", "settings",
         "store",
-    )
-
-    holdings: Holdings
-    """What is held here."""
-    receipts: NoReceipts
-    """What bases say has arrived."""
+    )  # fmt: skip
 
     def __init__(
-        self,
-        settings: NodeSettings,
-        store: Store,
-        policy: Policy,
-        risk: RiskEstimator,
-        rng: random.Random,
-        now: float,
-        observer: Observer | None,
-        newborn: bool,
-    ) -> None:
+        self, settings: NodeSettings, store: Store, policy: Policy, risk: RiskEstimator, rng: random.Random, *,
+        now: float, observer: Observer | None = None, newborn: bool = False,
+    ) -> None:  # fmt: skip
+        """`now` in seconds, on the timeline of all later calls.
+
+        `newborn`: nobody can remember this node from an earlier life, so it need not wait before it takes a route.
+        """
         self.id = settings.node_id
         self.base = settings.base
         self.settings = settings
@@ -100,6 +75,14 @@ class Participant(ABC):
         self._claimed = self.routing.number
         if self.base:
             self._claim_announcement()
+        self.receipts = NoReceipts()
+        """What bases say has arrived."""
+        self.holdings = self._take_up(now)
+        """What is held here."""
+
+    @abstractmethod
+    def _take_up(self, now: float) -> Holdings:
+        """Take up what the store holds, and make what this kind of participant does with it."""
 
     @property
     def sink(self) -> bool:
@@ -203,23 +186,10 @@ class Participant(ABC):
         wanted_base, wanted_number = wanted or (0, 0)
         self._beacon_number = following(self._beacon_number)
         return Beacon(
-            self.id,
-            store.epoch,
-            self._beacon_number,
-            flags,
-            base,
-            base_epoch,
-            number,
-            hops,
-            wanted_base,
-            wanted_number,
-            int(risk * 65535.0 + 0.5),
-            free,
-            self.policy.tag,
-            self.potential,
-            self.receipts.digest,
+            self.id, store.epoch, self._beacon_number, flags, base, base_epoch, number, hops, wanted_base,
+            wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
             self._turn,
-        )
+        )  # fmt: skip
 
     def _claim_announcement(self) -> None:
         """Keep a number on disk that has not been announced yet: a restarted base goes on after it (RFC 1982)."""

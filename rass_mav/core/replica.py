@@ -9,36 +9,15 @@ new entries find no room: this is why the paper sees the stigmergy fill up once 
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from itertools import islice
 from typing import Any
 
+from rass_mav.core import messages
 from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import (
-    Accept,
-    Beacon,
-    Chunk,
-    Committed,
-    Data,
-    LossNote,
-    Message,
-    Offer,
-    PassedOn,
-    Put,
-    Query,
-    Receipt,
-    Sack,
-    Words,
-)
-from rass_mav.core.news.receipts import NoReceipts
-from rass_mav.core.observer import Observer
+from rass_mav.core.messages import Committed, Message
 from rass_mav.core.participant import Participant
-from rass_mav.core.policy import Policy
-from rass_mav.core.risk import RiskEstimator
-from rass_mav.core.settings import NodeSettings
-from rass_mav.core.store import Store
 
 #: Keys in one query (what fits a frame).
 QUERY_IDS = 12
@@ -56,25 +35,7 @@ class Replica(Participant):
 
     __slots__ = ("_fresh", "_stirred", "missing", "refused", "versions")
 
-    def __init__(
-        self,
-        settings: NodeSettings,
-        store: Store,
-        policy: Policy,
-        risk: RiskEstimator,
-        rng: random.Random,
-        *,
-        now: float,
-        observer: Observer | None = None,
-        newborn: bool = False,
-    ) -> None:
-        """As for `Node`."""
-        super().__init__(settings, store, policy, risk, rng, now, observer, newborn)
-        self.receipts = NoReceipts()
-        self.holdings = Holdings(
-            store, capacity_items=settings.capacity_items, capacity_bytes=settings.capacity_bytes,
-            own_share=settings.own_share,
-        )  # fmt: skip
+    def _take_up(self, now: float) -> Holdings:
         self.versions: dict[DatumId, tuple[int, int]] = {}
         """(Lamport timestamp, robot id of the writer) of each entry held."""
         self.missing: dict[DatumId, int] = {}
@@ -85,6 +46,7 @@ class Replica(Participant):
         """Entries that came in since they were last broadcast."""
         self._stirred = False
         """Whether something came in that `forward` has not looked at."""
+        return Holdings(self.store, self.settings)
 
     # -- Alg. 1, with copies -------------------------------------------------------------------------------------------
 
@@ -116,7 +78,7 @@ class Replica(Participant):
         """What is new, first in first out, within the bandwidth."""
         if not self.routing.neighbours:
             return
-        for id in list(islice(self._fresh, max(self.pace.left - self.pace.kept, 0))):
+        for id in list(islice(self._fresh, max(self.pace.left, 0))):
             del self._fresh[id]
             self._say(id, out)
 
@@ -126,7 +88,7 @@ class Replica(Participant):
         if datum is not None:
             self.pace.spend()
             lamport, writer = self.versions.get(id, (1, id.origin))
-            out.append(Put(self.id, lamport, writer, datum))
+            out.append(messages.Put(self.id, lamport, writer, datum))
 
     def _ask(self, out: list[Message]) -> None:
         """Ask a neighbour, chosen at random, for lost values."""
@@ -134,7 +96,7 @@ class Replica(Participant):
             return
         neighbours = list(self.routing.neighbours)
         ids = list(self.missing)[:QUERY_IDS]
-        out.append(Query(self.id, neighbours[self.rng.randrange(len(neighbours))], tuple(ids)))
+        out.append(messages.Query(self.id, neighbours[self.rng.randrange(len(neighbours))], tuple(ids)))
         for id in ids:
             tries = self.missing.pop(id) + 1
             if tries < MAX_QUERIES:
@@ -195,7 +157,7 @@ class Replica(Participant):
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         return HANDLERS[type(message)](self, message, now)
 
-    def _on_put(self, put: Put, now: float) -> list[Message]:
+    def _on_put(self, put: messages.Put, now: float) -> list[Message]:
         """A neighbour broadcast an entry: keep it if it wins and there is room, and tell it on."""
         id, size = put.datum.id, len(put.datum.payload)
         if not put.datum.intact:
@@ -224,7 +186,7 @@ class Replica(Participant):
             self.observer.delivered(put.datum)
         return []
 
-    def _on_query(self, query: Query, now: float) -> list[Message]:
+    def _on_query(self, query: messages.Query, now: float) -> list[Message]:
         """The values asked for, as far as they are here and bandwidth is left in this step."""
         out: list[Message] = []
         for id in query.ids:
@@ -233,28 +195,28 @@ class Replica(Participant):
             self._say(id, out)
         return out
 
-    def _on_data(self, data: Data, now: float) -> list[Message]:
+    def _on_data(self, data: messages.Data, now: float) -> list[Message]:
         """Custody is refused: nobody here would move the data on."""
         numbers = tuple(number for number, _ in data.handovers if number)
         return [Committed(self.id, data.sender, (), numbers)] if numbers else []
 
-    def _on_offer(self, offer: Offer, now: float) -> list[Message]:
+    def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
         return [Committed(self.id, offer.sender, (), (offer.number,))]
 
 
 #: How each message is taken in. What is said of custody, arrivals and losses is for `Node`.
 HANDLERS: dict[type, Callable[[Replica, Any, float], list[Message]]] = {
-    Beacon: Replica._on_beacon,
-    Data: Replica._on_data,
+    messages.Beacon: Replica._on_beacon,
+    messages.Data: Replica._on_data,
     Committed: Replica._ignore,
-    Offer: Replica._on_offer,
-    Accept: Replica._ignore,
-    Chunk: Replica._ignore,
-    Sack: Replica._ignore,
-    Receipt: Replica._ignore,
-    LossNote: Replica._ignore,
-    Put: Replica._on_put,
-    Query: Replica._on_query,
-    PassedOn: Replica._ignore,
-    Words: Replica._ignore,
+    messages.Offer: Replica._on_offer,
+    messages.Accept: Replica._ignore,
+    messages.Chunk: Replica._ignore,
+    messages.Sack: Replica._ignore,
+    messages.Receipt: Replica._ignore,
+    messages.LossNote: Replica._ignore,
+    messages.Put: Replica._on_put,
+    messages.Query: Replica._on_query,
+    messages.PassedOn: Replica._ignore,
+    messages.Words: Replica._ignore,
 }

@@ -34,10 +34,6 @@ class Store(Protocol):
         """32 bits, drawn when the store was created."""
 
     @property
-    def fresh(self) -> bool:
-        """True if this opening created the store (as against finding an earlier life's data)."""
-
-    @property
     def accepting(self) -> bool:
         """False while the disk fails: custody is refused then, own new data are still buffered."""
 
@@ -103,6 +99,3 @@ class Store(Protocol):
 
     def write(self, batch: object) -> None:
         """Make a batch durable. Blocking; may be called on another thread, one call at a time."""
-
-    def close(self) -> None:
-        """Write what is buffered and release the files."""

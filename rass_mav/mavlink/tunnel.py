@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
@@ -56,6 +57,8 @@ def decode_tunnel(payload: bytes) -> TunnelFields:
     return TunnelFields(target_system, target_component, payload_type, data)
 
 
+# In a mock swarm all who hear a frame hear it one after the other.
+@lru_cache(maxsize=16)
 def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
     """The short way from a datagram to what a node said, for a receiver that takes unsigned frames.
 

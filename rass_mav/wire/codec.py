@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -226,6 +227,10 @@ def _encode_words(m: Words, now: float) -> list[bytes]:
 # -- decoding ----------------------------------------------------------------------------------------------------------
 
 
+# Around decoders of what is said to everybody: in a mock swarm all who hear it decode it one after the other.
+_remembered = lru_cache(maxsize=16)
+
+
 def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | None:
     """The message in a TUNNEL payload. Raises `MalformedError`, and nothing else, whatever the bytes.
 
@@ -248,6 +253,7 @@ def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | 
         raise MalformedError(f"truncated message: {error}") from None
 
 
+@_remembered
 def _decode_beacon(p: bytes, now: float) -> Beacon:
     fields = _BEACON.unpack_from(p, 1)
     if fields[0] == BROADCAST:
@@ -307,6 +313,7 @@ def _decode_committed(p: bytes, now: float) -> Committed:
     return Committed(sender, target, committed, refused)
 
 
+@_remembered
 def _decode_receipt(p: bytes, now: float) -> Receipt:
     _, base, epoch, counts = _RECEIPT.unpack_from(p)
     middle = _RECEIPT.size + (counts & 15) * _RECEIPT_ENTRY.size
@@ -333,6 +340,7 @@ def _decode_loss_note(p: bytes, now: float) -> LossNote:
     return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), row[4]) for row in rows]))
 
 
+@_remembered
 def _decode_put(p: bytes, now: float) -> Put:
     (_, sender, lamport, writer, origin, epoch, sequence, age, hops, kind, crc, size) = _PUT.unpack_from(p)
     data = p[_PUT.size : _PUT.size + size]

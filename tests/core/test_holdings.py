@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, State
 from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import Fate
+from rass_mav.core.settings import NodeSettings
 from rass_mav.errors import StoreFullError
 
 from .books import check
@@ -14,8 +17,14 @@ from .build import datum
 from .durable import DurableStore
 
 
+def holdings_of(store: DurableStore, *, load: bool = True, **settings: Any) -> Holdings:
+    return Holdings(
+        store, NodeSettings(node_id=1, **{"capacity_items": None, "inline_bytes": 0, **settings}), load=load
+    )
+
+
 def test_the_order_is_least_recently_used_first() -> None:
-    holdings = Holdings(DurableStore(1))
+    holdings = holdings_of(DurableStore(1))
     a, b, c = (datum(sequence=s) for s in range(3))
     for d in (a, b, c, b):
         holdings.add(d)
@@ -24,18 +33,18 @@ def test_the_order_is_least_recently_used_first() -> None:
 
 def test_a_restart_finds_the_data_in_their_order() -> None:
     store = DurableStore(1)
-    holdings = Holdings(store)
+    holdings = holdings_of(store)
     for s in (2, 0, 1):
         holdings.add(datum(sequence=s, payload=b"x" * (s + 1)))
     store.commit()
-    again = Holdings(store.crashed())
+    again = holdings_of(store.crashed())
     assert list(again) == list(holdings)
     assert again.custody_bytes == 6
-    assert len(Holdings(store, load=False)) == 0
+    assert len(holdings_of(store, load=False)) == 0
 
 
 def test_capacity_by_items() -> None:
-    holdings = Holdings(DurableStore(1), capacity_items=2)
+    holdings = holdings_of(DurableStore(1), capacity_items=2)
     assert holdings.free() == 2
     holdings.add(datum(sequence=0))
     assert holdings.room_for(1 << 20, own=False)
@@ -45,7 +54,7 @@ def test_capacity_by_items() -> None:
 
 
 def test_capacity_by_bytes() -> None:
-    holdings = Holdings(DurableStore(1), capacity_bytes=10)
+    holdings = holdings_of(DurableStore(1), capacity_bytes=10)
     first = holdings.add(datum(payload=b"123456"))
     assert holdings.room_for(4, own=False)
     assert not holdings.room_for(5, own=False)
@@ -57,12 +66,12 @@ def test_capacity_by_bytes() -> None:
 
 
 def test_free_items_fit_the_wire() -> None:
-    assert Holdings(DurableStore(1)).free() == 0xFFFF
-    assert Holdings(DurableStore(1), capacity_items=1 << 20).free() == 0xFFFE
+    assert holdings_of(DurableStore(1)).free() == 0xFFFF
+    assert holdings_of(DurableStore(1), capacity_items=1 << 20).free() == 0xFFFE
 
 
 def test_over_the_stores_quota_nothing_changes() -> None:
-    holdings = Holdings(DurableStore(1, quota_bytes=10))
+    holdings = holdings_of(DurableStore(1, quota_bytes=10))
     holdings.add(datum(payload=b"12345678"))
     with pytest.raises(StoreFullError):
         holdings.add(datum(sequence=1, payload=b"123"))
@@ -72,7 +81,7 @@ def test_over_the_stores_quota_nothing_changes() -> None:
 
 
 def test_spares_lie_in_the_room_that_custody_leaves() -> None:
-    holdings = Holdings(DurableStore(1), capacity_items=3, capacity_bytes=30)
+    holdings = holdings_of(DurableStore(1), capacity_items=3, capacity_bytes=30)
     a, b, c, d = (datum(sequence=s) for s in range(4))
     first = holdings.add(a)
     holdings.add(b)
@@ -98,7 +107,7 @@ def test_spares_lie_in_the_room_that_custody_leaves() -> None:
 
 
 def test_spares_yield_for_the_stores_quota() -> None:
-    holdings = Holdings(DurableStore(1, quota_bytes=14))
+    holdings = holdings_of(DurableStore(1, quota_bytes=14))
     holdings.add(datum(), State.SPARE)
     assert not holdings.crowded(7)
     assert holdings.crowded(8)
@@ -106,16 +115,16 @@ def test_spares_yield_for_the_stores_quota() -> None:
 
 def test_after_a_restart_all_is_custody() -> None:
     store = DurableStore(1)
-    holdings = Holdings(store)
+    holdings = holdings_of(store)
     holdings.change(holdings.add(datum()), State.SPARE)
     holdings.add(datum(sequence=1), State.SPARE)
     store.commit()
-    again = Holdings(store.crashed())
+    again = holdings_of(store.crashed())
     assert len(again.custody) == len(again) == 2
 
 
 def test_an_answer_counts_only_with_number_and_neighbour() -> None:
-    holdings = Holdings(DurableStore(1))
+    holdings = holdings_of(DurableStore(1))
     holding = holdings.add(datum())
     holdings.give(holding, Pending(5, 2, 0.0))
     assert holdings.answered(5, 2) is holding
@@ -130,7 +139,7 @@ def test_an_answer_counts_only_with_number_and_neighbour() -> None:
 
 
 def test_what_is_not_in_the_table_of_changes_is_our_bug() -> None:
-    holdings = Holdings(DurableStore(1))
+    holdings = holdings_of(DurableStore(1))
     holding = holdings.add(datum())
     with pytest.raises(AssertionError):
         holdings.change(holding, State.PASSED_ON)
@@ -138,7 +147,7 @@ def test_what_is_not_in_the_table_of_changes_is_our_bug() -> None:
 
 def test_a_scrub_goes_round() -> None:
     store = DurableStore(1)
-    holdings = Holdings(store)
+    holdings = holdings_of(store)
     ids = [holdings.add(datum(sequence=s)).id for s in range(5)]
     store.flip_bit(ids[3])
     looks = [[h.id for h in holdings.damaged(2)] for _ in range(6)]
@@ -155,7 +164,7 @@ OPERATIONS = [
 @given(st.lists(st.tuples(st.sampled_from(OPERATIONS), st.integers(0, 5), st.integers(1, 9), st.integers(0, 2))))
 def test_the_indexes_follow_from_the_records_whatever_happens(operations: list[tuple[str, int, int, int]]) -> None:
     store = DurableStore(1)
-    holdings = Holdings(store, small_bytes=SMALL)
+    holdings = holdings_of(store, inline_bytes=SMALL)
     for number, (operation, sequence, size, other) in enumerate(operations):
         d = datum(sequence=sequence, payload=bytes(size))
         holding = holdings.get(d.id)

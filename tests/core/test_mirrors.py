@@ -401,7 +401,8 @@ def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float,
     rng = random.Random(seed)
     risks = {i: rng.random() for i in range(1, 6)}
     links = [(i, j) for i in risks for j in risks if i < j and (j == i + 1 or rng.random() < 0.4)]
-    net = Net(risks, links, immediate=immediate, copies_auto=auto)
+    # Eight tries at a loss of 0.3 are in vain now and then, and then a datum is lost indeed.
+    net = Net(risks, links, immediate=immediate, copies_auto=auto, max_tries=40)
     net.loses = lambda message: rng.random() < loss
     net.step(3)
     ids = [net.put(rng.choice(list(risks))) for _ in range(6)]

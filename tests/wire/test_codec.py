@@ -173,6 +173,17 @@ def test_impossible_values_are_malformed(name: str, offset: int, bad: bytes) -> 
         decode((frame[:offset] + bad + frame[offset + len(bad) :]).ljust(128, b"\0"), NOW)
 
 
+@pytest.mark.parametrize("name", SAMPLES)
+def test_the_same_bytes_say_the_same_whenever_they_are_heard_but_for_ages(name: str) -> None:
+    payload = golden()[name]
+    for now in (NOW, NOW + 5.0, NOW):
+        message = decode(payload, now)
+        assert message is not None
+        assert message == decode(bytes(bytearray(payload)), now)
+        [again] = encode(message, now)
+        assert again == payload
+
+
 def test_what_does_not_go_whole_is_our_bug() -> None:
     too_large = HELLO._replace(payload=bytes(INLINE_BYTES + 1))
     with pytest.raises(ValueError, match="does not go whole"):

@@ -17,6 +17,7 @@ from math import inf
 
 from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store, StoredInfo
 
 
@@ -112,49 +113,20 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all",
-        "_capacity_bytes",
-        "_looked_at",
-        "_own_bytes",
-        "_own_items",
-        "_small_bytes",
-        "_store",
-        "asked",
-        "bare",
-        "capacity_items",
-        "custody",
-        "custody_bytes",
-        "large",
-        "offers",
-        "partners",
-        "passed_on",
-        "pending",
-        "reserved",
-        "spare",
-        "spare_bytes",
-    )
+        "_all", "_capacity_bytes", "_looked_at", "_own_bytes", "_own_items", "_small_bytes", "_store", "asked",
+        "bare", "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
+        "reserved", "spare", "spare_bytes",
+    )  # fmt: skip
 
-    def __init__(
-        self,
-        store: Store,
-        *,
-        capacity_items: int | None = None,
-        capacity_bytes: int | None = None,
-        own_share: float = 0.0,
-        small_bytes: int = 0,
-        load: bool = True,
-    ) -> None:
-        """`own_share`, 0..1: of what is bounded, that part is kept for the node's own measurements. `small_bytes`: data
-        up to this size go whole in one frame.
-
-        `load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers what
-        was a spare, and a copy too many is allowed."""
+    def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
+        """`load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers
+        what was a spare, and a copy too many is allowed."""
         self._store = store
-        self.capacity_items = capacity_items
-        self._capacity_bytes = capacity_bytes
-        self._own_items = int(own_share * (capacity_items or 0))
-        self._own_bytes = int(own_share * (capacity_bytes or 0))
-        self._small_bytes = small_bytes
+        self.capacity_items = settings.capacity_items
+        self._capacity_bytes = settings.capacity_bytes
+        self._own_items = int(settings.own_share * (settings.capacity_items or 0))
+        self._own_bytes = int(settings.own_share * (settings.capacity_bytes or 0))
+        self._small_bytes = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
         """What is in custody, least recently used first (the paper's LRU eviction)."""

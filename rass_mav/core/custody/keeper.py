@@ -23,29 +23,14 @@ class Keeper:
     """The keeping half of a drone."""
 
     __slots__ = (
-        "arrived",
-        "corrupt_received",
-        "holdings",
-        "notes",
-        "numbers",
-        "observer",
-        "receipts",
-        "refused",
-        "settings",
-        "spares",
-        "stirred",
-        "store",
-    )
+        "arrived", "corrupt_received", "holdings", "notes", "numbers", "observer", "receipts", "refused", "settings",
+        "spares", "stirred", "store",
+    )  # fmt: skip
 
     def __init__(
-        self,
-        settings: NodeSettings,
-        store: Store,
-        numbers: HandoverNumbers,
-        receipts: NoReceipts,
-        notes: NoLossNotes,
+        self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, notes: NoLossNotes,
         observer: Observer,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`receipts`: what bases say has arrived. `notes`: word of lost data, on its way to a base."""
         self.settings = settings
         self.store = store
@@ -66,14 +51,7 @@ class Keeper:
         """Whether something came into custody that `Node.forward` has not looked at."""
 
     def _take_up(self) -> Holdings:
-        settings = self.settings
-        return Holdings(
-            self.store,
-            capacity_items=settings.capacity_items,
-            capacity_bytes=settings.capacity_bytes,
-            own_share=settings.own_share,
-            small_bytes=settings.inline_bytes,
-        )
+        return Holdings(self.store, self.settings)
 
     # -- taking in -----------------------------------------------------------------------------------------------------
 
@@ -252,14 +230,9 @@ class Sink(Keeper):
     __slots__ = ("archive",)
 
     def __init__(
-        self,
-        settings: NodeSettings,
-        store: Store,
-        numbers: HandoverNumbers,
-        receipts: NoReceipts,
-        archive: Archive,
+        self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, archive: Archive,
         observer: Observer,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer)
         self.archive = archive
         """What has become of all data."""
@@ -267,7 +240,7 @@ class Sink(Keeper):
 
     def _take_up(self) -> Holdings:
         # What has arrived is the archive's.
-        return Holdings(self.store, load=False)
+        return Holdings(self.store, self.settings, load=False)
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether the store takes another datum of `size` bytes of payload."""

@@ -22,15 +22,9 @@ class Percolation:
     __slots__ = ("_batches", "_id", "_keeper", "_pace", "_risk", "_rng", "_routing", "_transfers", "policy")
 
     def __init__(
-        self,
-        keeper: Keeper,
-        transfers: Transfers,
-        routing: RoutingTable,
-        pace: Pace,
-        policy: Policy,
-        risk: RiskEstimator,
-        rng: random.Random,
-    ) -> None:
+        self, keeper: Keeper, transfers: Transfers, routing: RoutingTable, pace: Pace, policy: Policy,
+        risk: RiskEstimator, rng: random.Random,
+    ) -> None:  # fmt: skip
         self._id = keeper.settings.node_id
         self._keeper = keeper
         self._transfers = transfers
@@ -66,13 +60,8 @@ class Percolation:
         view = View(
             [n for n in neighbours.values() if n.heard >= now - 1.5 * n.turn_s],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
-            routing.distance,
-            potential,
-            self._risk.risk(now),
-            pace.left - pace.kept,
-            self._for_neighbour,
-            self._rng,
-        )
+            routing.distance, potential, self._risk.risk(now), pace.left - pace.kept, self._for_neighbour, self._rng,
+        )  # fmt: skip
         plan = self.policy.plan(view)
         if not plan and len(view.neighbours) < len(neighbours):
             view.neighbours = neighbours.values()

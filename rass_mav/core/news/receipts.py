@@ -115,30 +115,14 @@ class Receipts(NoReceipts):
 
     told = True
     __slots__ = (
-        "_archive",
-        "_digest",
-        "_known",
-        "_max_origins",
-        "_met",
-        "_news",
-        "_pause",
-        "_period",
-        "_phase",
-        "_round",
-        "_rounds",
-        "_source",
-        "forgetful",
-    )
+        "_archive", "_digest", "_known", "_max_origins", "_met", "_news", "_pause", "_period", "_phase", "_round",
+        "_rounds", "_source", "forgetful",
+    )  # fmt: skip
 
     def __init__(
-        self,
-        source: Pair = (0, 0),
-        *,
-        archive: Archive | None = None,
-        period: int = 1,
-        phase: int = 0,
+        self, source: Pair = (0, 0), *, archive: Archive | None = None, period: int = 1, phase: int = 0,
         max_origins: int = MAX_ORIGINS,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`source`: (node id, epoch) of a base. `archive`: what has arrived at this very base; None: not a base.
 
         A turn comes every `period` steps, when (step + phase) is a multiple of it.

@@ -30,38 +30,15 @@ class RoutingTable:
     """Who is around, and the way to a base. One route is chosen; several bases compete like an anycast."""
 
     __slots__ = (
-        "_asked",
-        "_bound",
-        "_bound_until",
-        "_feasible",
-        "_max_hops",
-        "base",
-        "distance",
-        "epoch",
-        "lifetime_s",
-        "longest_s",
-        "metric",
-        "neighbours",
-        "next_hop",
-        "node_id",
-        "rank",
-        "route",
-        "step_s",
-        "toll",
-        "turn_s",
+        "_asked", "_bound", "_bound_until", "_feasible", "_max_hops", "base", "distance", "epoch", "lifetime_s",
+        "longest_s", "metric", "neighbours", "next_hop", "node_id", "rank", "route", "step_s", "toll", "turn_s",
         "wanted",
-    )
+    )  # fmt: skip
 
     def __init__(
-        self,
-        settings: NodeSettings,
-        epoch: int,
-        rank: Rank,
-        *,
-        turn_s: float = 0.0,
-        restarted: float | None = None,
+        self, settings: NodeSettings, epoch: int, rank: Rank, *, turn_s: float = 0.0, restarted: float | None = None,
         number: int = 0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`turn_s`: how far apart the own beacons are, if more than a step. `number`: a base's first announcement's.
 
         `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:

@@ -52,14 +52,8 @@ class Mirrors(NoSpares):
     __slots__ = ("_again_at", "_keeper", "_now", "_offers", "_passed", "_repairs", "_routing", "_speech")
 
     def __init__(
-        self,
-        keeper: Keeper,
-        routing: RoutingTable,
-        pace: Pace,
-        risk: RiskEstimator,
-        rng: random.Random,
-        now: float,
-    ) -> None:
+        self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random, now: float,
+    ) -> None:  # fmt: skip
         self._keeper = keeper
         self._routing = routing
         self._now = now
