@@ -8,13 +8,10 @@ from typing import TYPE_CHECKING
 from rass_mav.core.datum import DatumId
 from rass_mav.core.news.arrivals import WINDOW_BITS, has_arrived
 from rass_mav.core.news.notes import MAX_NOTES
+from rass_mav.swarm.errors import InvariantError
 
 if TYPE_CHECKING:
     from rass_mav.swarm.virtual import VirtualSwarm
-
-
-class InvariantError(AssertionError):
-    """The swarm broke a promise: our bug, never the user's."""
 
 
 def check(world: VirtualSwarm) -> None:
