@@ -1,12 +1,19 @@
-"""The import rules of docs/architecture.md, and a bound on how much a class may hold."""
+"""The rules of docs/architecture.md: who may import whom, who knows what, and how much a class may hold."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from rass_mav.agent.commits import CommitGate
+from rass_mav.core.messages import KINDS
+from rass_mav.swarm.virtual import VirtualSwarm
+
+from .core import test_custody_machine
 
 PACKAGE = Path(__file__).parents[1] / "rass_mav"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -23,6 +30,17 @@ MAY_IMPORT["swarm"] = MAY_IMPORT["app"] | {"app"}
 MAY_IMPORT["replay"] = MAY_IMPORT["experiment"] = MAY_IMPORT["swarm"] | {"swarm"}
 MAY_IMPORT["commands"] = set(MAY_IMPORT) - {"commands"}
 
+#: The same inside core, for its modules and its sub-rooms. The ground floor is what all of core may import.
+GROUND_FLOOR = {"datum", "messages", "observer", "pace", "risk", "store"}
+IN_CORE: dict[str, set[str]] = {part: set() for part in GROUND_FLOOR}
+IN_CORE["routes"] = {"settings"}
+IN_CORE["policy"] = IN_CORE["news"] = {"routes"}
+IN_CORE["settings"] = {"policy"}
+IN_CORE["custody"] = {"settings", "policy", "routes", "news"}
+IN_CORE["spares"] = IN_CORE["participant"] = IN_CORE["custody"] | {"custody"}
+IN_CORE["replica"] = IN_CORE["participant"] | {"participant"}
+IN_CORE["node"] = IN_CORE["replica"] | {"spares"}
+
 #: What core may import of the standard library: nothing that knows a clock, a file, a thread or the environment.
 PURE = {
     "__future__", "abc", "bisect", "collections", "collections.abc", "dataclasses", "enum", "functools", "heapq",
@@ -35,20 +53,62 @@ MOST_ATTRIBUTES = 33
 DATA_BASES = {"NamedTuple", "Struct", "TypedDict", "Section"}
 
 
-def imports(path: Path) -> Iterator[str]:
+def module(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module(path): path for path in FILES}
+
+
+def imported(node: ast.AST, path: Path) -> Iterator[str]:
+    """What a statement imports, by full name: modules of ours as such, else what it names behind `import` or `from`."""
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        package = path.relative_to(PACKAGE.parent).parts[: -node.level] if node.level else ()
+        origin = ".".join([*package, *([node.module] if node.module else [])])
+        for alias in node.names:
+            inner = f"{origin}.{alias.name}"
+            yield inner if inner in MODULES or origin == "rass_mav" else origin
+
+
+def imports(path: Path) -> set[str]:
     """All modules that a file imports, by full name, wherever in it."""
-    inside = path.relative_to(PACKAGE.parent).with_suffix("").parts
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            if node.level:
-                module = ".".join([*inside[: -node.level], *([node.module] if node.module else [])])
-            else:
-                assert node.module is not None
-                module = node.module
-            yield module
-            yield from (f"{module}.{alias.name}" for alias in node.names if module == "rass_mav")
+    return {name for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) for name in imported(node, path)}
+
+
+def named(path: Path) -> set[str]:
+    """What a file has of other modules, by full name."""
+    nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom)]
+    return {f"{origin}.{alias.name}" for node in nodes for origin in imported(node, path) for alias in node.names}
+
+
+def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
+    for node in ast.iter_child_nodes(tree):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            yield node
+            yield from outside_functions(node)
+
+
+def circle(edges: dict[str, set[str]]) -> list[str]:
+    """Some circle, from a node back to itself; empty: there is none."""
+    done: set[str] = set()
+
+    def look(node: str, way: list[str]) -> list[str]:
+        if node in way:
+            return [*way[way.index(node) :], node]
+        found: list[str] = []
+        if node not in done:
+            for other in sorted(edges.get(node, ())):
+                found = found or look(other, [*way, node])
+            done.add(node)
+        return found
+
+    for node in sorted(edges):
+        if found := look(node, []):
+            return found
+    return []
 
 
 def room(path: Path) -> str | None:
@@ -72,6 +132,49 @@ def test_arrows_point_one_way(path: Path) -> None:
     assert others <= MAY_IMPORT[own]
 
 
+def test_the_search_for_circles_finds_them() -> None:
+    assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"d"}, "d": {"b"}}) == ["b", "c", "d", "b"]
+    assert circle({"a": {"a"}}) == ["a", "a"]
+
+
+@pytest.mark.parametrize("own", sorted(MAY_IMPORT))
+def test_no_circle_of_imports_inside_a_room(own: str) -> None:
+    """Imports for type checkers only count too; those inside functions do not, for they are made later."""
+    edges = {}
+    for path in FILES:
+        if room(path) == own:
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            edges[module(path)] = {name for node in outside_functions(tree) for name in imported(node, path)}
+    assert circle(edges) == []
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if room(p) == "core"], ids=name)
+def test_arrows_inside_core_point_one_way(path: Path) -> None:
+    own, *_ = path.relative_to(PACKAGE / "core").with_suffix("").parts
+    others = {m.split(".")[2] for m in imports(path) if m.startswith("rass_mav.core.")} - {own}
+    assert others <= IN_CORE.get(own, set()) | GROUND_FLOOR
+
+
+def test_every_part_of_core_is_in_its_rules() -> None:
+    parts = {path.relative_to(PACKAGE / "core").with_suffix("").parts[0] for path in FILES if room(path) == "core"}
+    assert parts - {"__init__"} == IN_CORE.keys()
+    # Settings know policies, which look at neighbours; so the room `routes` lies on both sides of them.
+    assert circle({part: others - {"settings"} for part, others in IN_CORE.items()}) == []
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if room(p) == "core" and p.name != "node.py"], ids=name)
+def test_nobody_in_core_below_the_node_knows_it(path: Path) -> None:
+    """In code; prose may tell of it."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        named = [getattr(node, key, None) for key in ("id", "attr", "name", "asname")]
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+            named += re.findall(r"\w+", node.value)
+        assert "Node" not in named
+
+
 @pytest.mark.parametrize("path", FILES, ids=name)
 def test_pymavlink_is_imported_in_its_room_only_and_never_mavutil(path: Path) -> None:
     pymavlink = [m for m in imports(path) if m.split(".")[0] == "pymavlink"]
@@ -90,6 +193,33 @@ def test_core_is_pure(path: Path) -> None:
             assert node.attr == "Random"
         if isinstance(node, ast.Call):
             assert ast.unparse(node.func) not in ("random.Random", "Random", "open", "input", "print", "__import__")
+
+
+def test_what_a_message_rests_on_is_said_in_core_and_asked_in_one_place() -> None:
+    """`KINDS` says it, `agent/outgoing.py` makes frames that know whether to wait, and the gate alone asks them."""
+    made, asked = set(), set()
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] == "Outgoing":
+                made.add(name(path))
+            if isinstance(node, ast.Attribute) and node.attr == "promises":
+                asked.add(name(path))
+    assert (made, asked) == ({"agent/outgoing.py"}, {"agent/commits.py"})
+    about = {name(path) for path in FILES if "rass_mav.core.messages.KINDS" in named(path)}
+    assert about == {"agent/outgoing.py", "wire/codec.py"}
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if room(p) in ("agent", "app", "link", "store")], ids=name)
+def test_who_carries_messages_does_not_ask_of_which_kind_they_are(path: Path) -> None:
+    """But for the beacon: whoever says one is a neighbour."""
+    kinds = {f"rass_mav.core.messages.{kind.__name__}" for kind in KINDS}
+    assert named(path) & kinds <= {"rass_mav.core.messages.Beacon"}
+
+
+def test_the_driver_the_mock_swarm_and_the_custody_machine_have_the_same_gate() -> None:
+    assert VirtualSwarm.make_gate is test_custody_machine.Swarm.make_gate is CommitGate
+    gates = {room(path) for path in FILES if "rass_mav.agent.commits.CommitGate" in named(path)}
+    assert gates == {"app", "swarm"}
 
 
 def is_data(cls: ast.ClassDef) -> bool:

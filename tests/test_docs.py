@@ -15,6 +15,7 @@ import yaml
 
 from rass_mav.app.config import load_config
 from rass_mav.cli import build_parser
+from rass_mav.core.custody.holdings import CHANGES, State
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -158,3 +159,19 @@ def test_scenarios_and_examples_are_yaml_that_people_can_read() -> None:
         text = path.read_text(encoding="utf-8")
         assert isinstance(yaml.safe_load(text), dict)
         assert text.startswith("# ")
+
+
+def states_of_a_copy() -> str:
+    """What docs/protocol.md shows of `CHANGES`: a picture and a table."""
+    declared = [f'    state "{state.value}" as {state.name}' for state in State]
+    arrows = [" --> ".join("[*]" if state is None else state.name for state in change) for change in CHANGES]
+    words = [" | ".join("no copy" if state is None else state.value for state in change) for change in CHANGES]
+    rows = [f"| {change} | {cause} |" for change, cause in zip(words, CHANGES.values(), strict=True)]
+    picture = ["```mermaid", "stateDiagram-v2", *declared, *(f"    {arrow}" for arrow in arrows), "```"]
+    return "\n".join([*picture, "", "| from | to | by |", "|---|---|---|", *rows, "", ""])
+
+
+def test_the_page_draws_the_states_of_a_copy_as_the_code_has_them() -> None:
+    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    wanted = states_of_a_copy()
+    assert wanted in page, f"docs/protocol.md should have:\n\n{wanted}"

@@ -78,6 +78,13 @@ def test_nobody_lists_sensors_or_links_or_asks_which_one_it_is(room: str, names:
         assert not [asked for asked in questions(tree) if asked in names], where
 
 
+def test_nobody_names_a_counter_but_its_room() -> None:
+    """Where its name means nothing else."""
+    names = SENSORS.keys() - {"autopilot", "log"}
+    for where, tree in outside("sensor"):
+        assert not [text for text in texts(tree) if names & set(re.findall(r"[\w-]+", text))], where
+
+
 def test_the_search_finds_what_it_looks_for() -> None:
     tree = ast.parse(
         '"""udp"""\nx = ("udp", "serial")\ny = Literal["udp", "log"]\nz = {"udp": 1}\nlink.type != "udp"\n'
@@ -177,7 +184,7 @@ def test_a_new_sensor_is_one_module_and_one_row(add: Add, tmp_path: Path, monkey
 
 LINK = """
 from rass_mav.errors import ConfigError
-from rass_mav.link.loopback import LoopbackHub, LoopbackLink
+from tests.link.loopback import LoopbackHub, LoopbackLink
 
 HUB = LoopbackHub()
 

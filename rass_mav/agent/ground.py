@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from rass_mav import __version__
 from rass_mav.agent.outbox import Outbox
@@ -18,8 +18,10 @@ from rass_mav.agent.parameters import INDEX, PARAMETERS
 from rass_mav.agent.settings import AgentSettings, GroundSettings
 from rass_mav.agent.texts import Texts
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.core.participant import Participant
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.routes.costs import COST_ONE, NO_COST
+from rass_mav.core.store import Store
 from rass_mav.errors import ConfigError, MalformedError
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import payload_of
@@ -40,9 +42,6 @@ from rass_mav.mavlink.reader import FrameReader
 
 from . import parameters
 
-if TYPE_CHECKING:
-    from rass_mav.agent.agent import Agent
-
 log = logging.getLogger(__name__)
 
 #: Names of the NAMED_VALUE_FLOATs that a node says. PX4 repeats them as its own: no reading may have one of them.
@@ -52,10 +51,25 @@ LEAST_INTERVAL_S, MOST_INTERVAL_S = 0.5, 2000.0
 _WARNING = 4
 
 
+class Host(Protocol):
+    """Whom the ground is told about, and who does what it asks for: the agent."""
+
+    settings: AgentSettings
+    store: Store
+    node: Participant
+    vehicle_writer: FrameWriter
+
+    def beat_next(self, now: float) -> None:
+        """Let a heartbeat be the next frame that leaves."""
+
+    def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
+        """Go on with other settings."""
+
+
 class Ground:
     """What an agent says to the ground, and how it answers. It leaves with what `tend` says."""
 
-    def __init__(self, agent: Agent, about: GroundSettings, configured: AgentSettings, now: float) -> None:
+    def __init__(self, agent: Host, about: GroundSettings, configured: AgentSettings, now: float) -> None:
         """:param configured: the settings of the file, without what was set from the ground."""
         self._agent = agent
         self._about = about

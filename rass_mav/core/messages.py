@@ -231,7 +231,7 @@ class ReceiptEntry(NamedTuple):
 
 
 class ReceiptSpan(NamedTuple):
-    """The same when there is more to say: numbers told lost, or a floor (see `core.arrivals`)."""
+    """The same when there is more to say: numbers told lost, or a floor (see `core.news.arrivals`)."""
 
     origin: int
     epoch: int

@@ -15,7 +15,7 @@ from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.experiment.figures import OTHERS, Curve, Panel, draw
 from rass_mav.experiment.tables import markdown, write_csv, write_text
-from rass_mav.swarm.invariants import count_loops
+from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.topology import grid, line
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.store.reader import SqliteReader
-from rass_mav.swarm.invariants import InvariantError
+from rass_mav.swarm.errors import InvariantError
 from rass_mav.swarm.ledger import LOST
 
 

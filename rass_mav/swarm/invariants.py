@@ -3,36 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.news.arrivals import WINDOW_BITS, has_arrived
 from rass_mav.core.news.notes import MAX_NOTES
+from rass_mav.swarm.errors import InvariantError
 
 if TYPE_CHECKING:
     from rass_mav.swarm.virtual import VirtualSwarm
-
-
-class InvariantError(AssertionError):
-    """The swarm broke a promise: our bug, never the user's."""
-
-
-def count_loops(next_hops: Sequence[int | None]) -> int:
-    """Cycles in the graph of next hops (each node has one at most)."""
-    loops = 0
-    state = [0] * len(next_hops)
-    for start in range(len(next_hops)):
-        if state[start]:
-            continue
-        node: int | None = start
-        mark = start + 1
-        while node is not None and not state[node]:
-            state[node] = mark
-            node = next_hops[node]
-        if node is not None and state[node] == mark:
-            loops += 1
-    return loops
 
 
 def check(world: VirtualSwarm) -> None:

@@ -35,7 +35,7 @@ from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
 from rass_mav.swarm.children import Child, Children, orderly_end
-from rass_mav.swarm.invariants import count_loops
+from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
 from rass_mav.swarm.surroundings import Surroundings

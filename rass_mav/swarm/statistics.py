@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+from rass_mav.agent.agent import Agent
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.swarm.failures import Failures
+from rass_mav.swarm.ledger import Ledger
+from rass_mav.swarm.radio import Radio
 
-if TYPE_CHECKING:
-    from rass_mav.agent.agent import Agent
-    from rass_mav.swarm.virtual import VirtualSwarm
+
+class Counted(Protocol):
+    """What the figures are of: a swarm in virtual time."""
+
+    seed: int
+    topology: str
+    agents: list[Agent]
+    ledger: Ledger
+    radio: Radio
+    loops: int
+    failures: Failures | None
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -29,7 +41,7 @@ def spread(values: list[int]) -> dict[str, float | int | None]:
 class Statistics:
     """Counts once a step, after the air is quiet."""
 
-    def __init__(self, world: VirtualSwarm, full_items: int | None = None) -> None:
+    def __init__(self, world: Counted, full_items: int | None = None) -> None:
         """`full_items`: how many data in a drone's store are 100 %; None: its capacity."""
         self._world = world
         self._full_items = full_items

@@ -18,8 +18,8 @@ from rass_mav.core.datum import Fate
 from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.failures import Failures
-from rass_mav.swarm.invariants import count_loops
 from rass_mav.swarm.ledger import Ledger
+from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.radio import Radio, Record
 from rass_mav.swarm.scenario import RadioSection
 from rass_mav.swarm.statistics import Statistics

@@ -11,7 +11,7 @@ import pytest
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.store.sqlite import SqliteStore
 from rass_mav.swarm.census import Census
-from rass_mav.swarm.invariants import InvariantError
+from rass_mav.swarm.errors import InvariantError
 
 
 class Fleet:

@@ -9,7 +9,8 @@ import pytest
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import Receipt, ReceiptEntry
 from rass_mav.core.news.receipts import MAX_ROUNDS, PAUSE, Receipts
-from rass_mav.swarm.invariants import InvariantError, check
+from rass_mav.swarm.errors import InvariantError
+from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 from tests.nodes import node_of

@@ -16,7 +16,8 @@ from pymavlink.dialects.v20 import common
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.catalogue import load_scenario
-from rass_mav.swarm.invariants import check, count_loops
+from rass_mav.swarm.invariants import check
+from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 

@@ -39,10 +39,13 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.SPARE, State.PASSED_ON): "the partner says that it has passed the datum on",
     (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
-    (State.SPARE, State.CUSTODY): "the partner is gone, or asks for it; or it is offered, or was told lost",
+    (State.SPARE, State.CUSTODY): "the partner is gone, or a custodian asks for it; or it is offered, or was told lost",
     (State.PASSED_ON, State.CUSTODY): "a custodian asks for it; or it is offered, or was told lost",
-    (State.CUSTODY, None): "handed over to a base, arrived elsewhere, corrupt, expired, or no room",
-    (State.SPARE, None): "arrived, corrupt, expired, or no room",
+    (State.CUSTODY, None): "handed over and no spare kept, arrived elsewhere, corrupt, expired, or no room",
+    (
+        State.SPARE,
+        None,
+    ): "arrived, corrupt, expired, or no room; or passed on by the partner (`mirror_until: passed-on`)",
     (State.PASSED_ON, None): "arrived, corrupt, expired, or no room",
 }
 
