@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-from rass_mav.errors import RassError
+from rass_mav.errors import RassError, os_errors_as
 
 #: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
 VIRTUAL_START_S = 1_577_836_800.0
@@ -135,12 +135,9 @@ def recorder(
         return
     from rass_mav.mavlink.tlog import TlogWriter
 
-    try:
-        with Path(path).open("wb") as file:
-            writer = TlogWriter(file)
-            yield lambda frame, step: writer.record(frame, start_s + step * step_s)
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(RassError, path), Path(path).open("wb") as file:
+        writer = TlogWriter(file)
+        yield lambda frame, step: writer.record(frame, start_s + step * step_s)
 
 
 @contextlib.contextmanager

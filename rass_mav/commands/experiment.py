@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 from .common import HelpFormatter, Subparsers, add_command, add_set, print_json, progress, say, start_logging
 
@@ -255,10 +255,8 @@ def _show(out: Path, files: Sequence[Path], table: str) -> None:
 
 def _directory(path: str) -> Path:
     out = Path(path)
-    try:
+    with os_errors_as(RassError, f"--out {path}"):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RassError(f"--out {path}: {(error.strerror or str(error)).lower()}") from None
     return out
 
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from rass_mav.errors import ConfigError, DatumError, RassError
+from rass_mav.errors import ConfigError, DatumError, RassError, os_errors_as
 
 from .common import Subparsers, add_command, add_set, clean, print_json, say, start_logging
 
@@ -148,11 +148,8 @@ def _put(options: argparse.Namespace) -> int:
     else:
         kind = Kind.FILE
         path = Path(options.file)
-        try:
-            with path.open("rb") as file:
-                payload = pack_file(path.name, _read(file, MAX_PAYLOAD))
-        except OSError as error:
-            raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        with os_errors_as(ConfigError, path), path.open("rb") as file:
+            payload = pack_file(path.name, _read(file, MAX_PAYLOAD))
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise DatumError(f"a datum holds 1 to {MAX_PAYLOAD} bytes, got {'more' if payload else 'none'}")
     with _client(options) as client:
@@ -181,10 +178,8 @@ def _get(options: argparse.Namespace) -> int:
         content = unpack_file(content)[1]
     answer["bytes"] = len(content)
     if options.output is not None:
-        try:
+        with os_errors_as(RassError, options.output):
             Path(options.output).write_bytes(content)
-        except OSError as error:
-            raise RassError(f"{options.output}: {(error.strerror or str(error)).lower()}") from None
     elif options.json:
         answer["content"] = base64.b64encode(content).decode()
     else:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 from .common import Subparsers, add_command, add_set, clean, print_json, progress, recorder, say, start_logging
 
@@ -83,11 +83,9 @@ def _replay(options: argparse.Namespace) -> int:
         wall = _run(swarm, options)
     rows = arrivals(swarm)
     if options.output is not None:
-        try:
-            with Path(options.output).open("w", newline="", encoding="utf-8") as file:
-                write_csv(rows, file)
-        except OSError as error:
-            raise RassError(f"{options.output}: {(error.strerror or str(error)).lower()}") from None
+        path = Path(options.output)
+        with os_errors_as(RassError, path), path.open("w", newline="", encoding="utf-8") as file:
+            write_csv(rows, file)
     result = summary(swarm, rows)
     result["wall_s"] = round(wall, 3)
     result["robot_steps_per_s"] = round(len(swarm.agents) * swarm.t / wall) if wall else 0

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, ServiceError
+from rass_mav.errors import ConfigError, ServiceError, os_errors_as
 
 from .common import HelpFormatter, Subparsers, add_command, print_json, say, start_logging
 
@@ -64,10 +64,8 @@ def _install(options: argparse.Namespace) -> int:
 
     start_logging(options.verbose)
     config = load_config(options.config)
-    try:
+    with os_errors_as(ConfigError, options.config):
         text = Path(options.config).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{options.config}: {(error.strerror or str(error)).lower()}") from None
     groups = options.group if options.group is not None else [GROUP]
     plan = plan_install(
         config, text, name=options.name, user=options.user, groups=groups, python=sys.executable, prefix=sys.prefix

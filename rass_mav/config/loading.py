@@ -14,7 +14,7 @@ import yaml
 
 from rass_mav.config.sections import Section
 from rass_mav.config.typed import build, plain, shown
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, os_errors_as
 
 S = TypeVar("S", bound=Section)
 
@@ -55,11 +55,8 @@ _Loader.add_implicit_resolver(
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file; an empty file is an empty mapping. Raises `ConfigError`."""
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(ConfigError, path), Path(path).open("rb") as file:
+        data = file.read(MAX_FILE_BYTES + 1)
     if len(data) > MAX_FILE_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
     try:

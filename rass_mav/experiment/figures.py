@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -267,8 +267,6 @@ def _legend(figure: Figure, axes: Axes, columns: int) -> None:
 def _write(figure: Figure, path: Path, note: str) -> Path:
     if note:
         figure.supxlabel(note, fontsize=7.5, color="#444444")
-    try:
+    with os_errors_as(RassError, path):
         figure.savefig(path, dpi=150, format="png")
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     return path

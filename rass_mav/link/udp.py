@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from rass_mav.config.sections import under
-from rass_mav.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
 from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
@@ -143,8 +143,7 @@ class UdpLink(Link):
         except OSError as error:
             sock.close()
             where = f" on {interface}" if interface else ""
-            reason = (error.strerror or str(error)).lower()
-            raise LinkError(f"{self.name}: multicast {group[0]}:{group[1]}{where}: {reason}") from None
+            raise LinkError(f"{self.name}: multicast {group[0]}:{group[1]}{where}: {why(error)}") from None
         return sock
 
     def start(self, wake: Callable[[], None]) -> None:

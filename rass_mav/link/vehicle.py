@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from rass_mav.errors import LinkError
+from rass_mav.errors import LinkError, why
 
 from .address import VehicleUrl, resolve
 from .base import MAX_INBOX, Address, Datagram, LinkCounters
@@ -75,7 +75,7 @@ class VehicleLink(VehiclePort):
                 self._socket.connect(address)
             except OSError as error:
                 self._socket.close()
-                raise LinkError(f"{self.name}: {(error.strerror or str(error)).lower()}") from None
+                raise LinkError(f"{self.name}: {why(error)}") from None
         self.address: Address = self._socket.getsockname()
         """Own address."""
         self._sender = Sender(self._socket, self.name)

@@ -30,7 +30,7 @@ from rass_mav.app.config import (
 from rass_mav.app.payloads import parse_id
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
-from rass_mav.errors import ConfigError, ControlError, SwarmError
+from rass_mav.errors import ConfigError, ControlError, SwarmError, os_errors_as
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
@@ -432,10 +432,8 @@ def conduct(
 
 
 def _prepare(directory: Path) -> None:
-    try:
+    with os_errors_as(ConfigError, directory):
         directory.mkdir(parents=True, exist_ok=True)
         used = any(directory.iterdir())
-    except OSError as error:
-        raise ConfigError(f"{directory}: {(error.strerror or str(error)).lower()}") from None
     if used:
         raise ConfigError(f"{directory}: expected a new or an empty directory")

@@ -24,7 +24,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.errors import ConfigError, MalformedError, RassError
+from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
 from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, udp_socket
 from rass_mav.mavlink.component import ACCEPTED, CMD_SET_MESSAGE_INTERVAL, UNSUPPORTED, command_ack
@@ -270,10 +270,8 @@ def read_defaults(path: str | None) -> dict[str, float]:
     if path is None:
         return {}
     values = {}
-    try:
+    with os_errors_as(ConfigError, path):
         text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
         if words:
