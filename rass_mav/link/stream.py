@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from rass_mav.errors import LinkError
 
-from .base import MAX_INBOX, Address, Datagram
+from .base import MAX_INBOX, Address, Datagram, LinkCounters, Port
 
 log = logging.getLogger(__name__)
 
@@ -229,6 +229,36 @@ class StreamPort:
             loop.remove_reader(channel.fileno())
             loop.remove_writer(channel.fileno())
             channel.close()
+
+
+class OverStream(Port):
+    """What a port does that hands everything on to a `StreamPort`."""
+
+    stream = True
+    port: StreamPort
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to open and read the port."""
+        self.port.start(wake)
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened."""
+        return self.port.generation
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return self.port.trouble
+
+    def counters(self) -> LinkCounters:
+        """What has been done so far. Received are pieces of the stream."""
+        port = self.port
+        return LinkCounters(port.sent, port.received, 0, port.dropped, 0)
+
+    def close(self) -> None:
+        """Close the port."""
+        self.port.close()
 
 
 def _fail_loudly(task: asyncio.Task[None]) -> None:

@@ -17,7 +17,7 @@ from rass_mav.config.sections import under
 from rass_mav.errors import ConfigError, LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
-from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
+from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters, remember
 from .interface import EVERY_NETWORK, find_interface, is_address, is_name
 from .settings import LinkSection
 from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
@@ -148,7 +148,6 @@ class UdpLink(Link):
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop."""
-        self._wake = wake
         self._readers = [Reader(sock, self._inbox, wake, is_echo=self._is_own) for sock in self._sockets]
 
     def receive(self) -> list[Datagram]:
@@ -188,13 +187,8 @@ class UdpLink(Link):
 
     def learn(self, node_id: int, source: Address) -> None:
         """From now on, frames for this node go there."""
-        if node_id in self._configured:
-            return
-        learned = self._learned
-        learned[node_id] = source
-        learned.move_to_end(node_id)
-        if len(learned) > MAX_LEARNED:
-            learned.popitem(last=False)
+        if node_id not in self._configured:
+            remember(self._learned, node_id, source, MAX_LEARNED)
 
     def counters(self) -> LinkCounters:
         """What has been done so far; dropped in is what the kernel had no room for."""
