@@ -6,15 +6,17 @@ import functools
 import gc
 import hashlib
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
 from rass_mav.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
+from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 
@@ -70,6 +72,34 @@ class Run:
         """Where its outcome is kept: readable, and different for different keys."""
         parts = (self.world, self.scenario.topology, self.policy, self.variant, str(self.scenario.seed), self.key[:16])
         return "_".join(part for part in parts if part) + ".json"
+
+
+class Extent(NamedTuple):
+    """How much an experiment does of each of its cases."""
+
+    runs: int
+    """Seeds 0 .. runs - 1."""
+    steps: int
+    assignments: Sequence[str] = ()
+    """`key.path=value`: they override all other keys."""
+
+    def plan(
+        self,
+        world: str,
+        scenario: str,
+        policies: Iterable[str],
+        *,
+        variant: str = "",
+        keys: Mapping[str, Any] | None = None,
+        measures: tuple[str, ...] = (),
+    ) -> list[Run]:
+        """The runs of a scenario under each policy. `keys`: what differs from the scenario. Raises `ConfigError`."""
+        planned = []
+        for policy in policies:
+            options = {"policy.name": policy, "steps": self.steps, **(keys or {})}
+            loaded = load_scenario(scenario, options, self.assignments)
+            planned += [Run(world, variant, replace(loaded, seed=seed), measures) for seed in range(self.runs)]
+        return planned
 
 
 class Result(msgspec.Struct):

@@ -58,6 +58,15 @@ def write_runs(path: Path, results: Sequence[Result]) -> Path:
     return write_csv(path, [*RUN_COLUMNS, *columns], rows)
 
 
+def cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> str:
+    """A figure in a Markdown table; `sign`: what stands before a mean that is not negative."""
+    if value is None:
+        return "n/a"
+    if not isinstance(value, Estimate):
+        return f"{value:.{digits}f}"
+    return (sign if value.mean >= 0 else "") + value.text(digits)
+
+
 def figures_of(value: Estimate | None, digits: int = 4) -> list[float | None]:
     """Mean and half width for two columns of a CSV file."""
     if value is None:
