@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import HelpFormatter, Subparsers, add_command, add_set, print_json, progress, say, start_logging
+from .common import Subparsers, add_command, add_group, add_set, print_json, progress, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.experiment.runs import Extent, Result, Run
@@ -24,20 +24,17 @@ _VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate", "copies-auto")
 
 def register(subparsers: Subparsers) -> None:
     """Add the command with its experiments."""
-    parser = subparsers.add_parser(
-        "experiment", help="run a named experiment: CSV, Markdown tables and PNG figures",
+    names = add_group(
+        subparsers, "experiment", "name", help="run a named experiment: CSV, Markdown tables and PNG figures",
         description="Run a named experiment. The runs that it finished are kept, and the same command goes on.",
-        epilog="example: rass-mav experiment paper --out results", formatter_class=HelpFormatter,
+        example="rass-mav experiment paper --out results",
     )  # fmt: skip
-    names = parser.add_subparsers(dest="experiment", metavar="NAME", required=True)
 
     paper = _add(
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
         "rass-mav experiment paper --out results --runs 2 --topology grid",
     )  # fmt: skip
-    paper.add_argument(
-        "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
-    )
+    _add_choices(paper, "--topology", _TOPOLOGIES, "four")
     paper.add_argument(
         "--world", choices=("paper", "reference", "both"), default="both",
         help="paper: the text's rules; reference: what the authors' code did (default: both)",
@@ -66,21 +63,14 @@ def register(subparsers: Subparsers) -> None:
         names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
         "rass-mav experiment local-maxima --out results",
     )  # fmt: skip
-    maxima.add_argument(
-        "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
-    )
+    _add_choices(maxima, "--topology", _TOPOLOGIES, "four")
 
     policies = _add(
         names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
         "rass-mav experiment policies --out results --runs 2 --topology grid",
     )  # fmt: skip
-    places = (*_TOPOLOGIES, "islands")
-    policies.add_argument(
-        "--topology", nargs="+", choices=places, default=list(places), help="which (default: all five)"
-    )
-    policies.add_argument(
-        "--variant", nargs="+", choices=_VARIANTS, default=list(_VARIANTS), help="which (default: all five)"
-    )
+    _add_choices(policies, "--topology", (*_TOPOLOGIES, "islands"), "five")
+    _add_choices(policies, "--variant", _VARIANTS, "five")
     policies.add_argument(
         "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",
         help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
@@ -99,12 +89,14 @@ def _add_out(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="where everything is written")
 
 
+def _add_choices(parser: argparse.ArgumentParser, option: str, choices: Sequence[str], how_many: str) -> None:
+    parser.add_argument(
+        option, nargs="+", choices=choices, default=list(choices), help=f"which (default: all {how_many})"
+    )
+
+
 def _add(
-    names: Subparsers,
-    name: str,
-    run: Callable[[argparse.Namespace], int],
-    help: str,
-    example: str,
+    names: Subparsers, name: str, run: Callable[[argparse.Namespace], int], help: str, example: str
 ) -> argparse.ArgumentParser:
     """An experiment made of runs of the mock swarm."""
     parser = add_command(names, name, run, help=help, example=example)
@@ -226,7 +218,7 @@ def _told(
     """What was written, and in words also the `table`."""
     names = [path.name for path in files]
     if options.json:
-        print_json({"experiment": options.experiment, "out": str(out), **counts, "files": names})
+        print_json({"experiment": options.name, "out": str(out), **counts, "files": names})
     else:
         say((out / table).read_text(encoding="utf-8"))
         say(f"in {out}: {', '.join(names)}")

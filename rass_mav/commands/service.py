@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, ServiceError, os_errors_as
 
-from .common import HelpFormatter, Subparsers, add_command, print_json, say, start_logging
+from .common import Subparsers, add_command, add_group, answer, print_json, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.app.service import Plan
@@ -23,14 +23,11 @@ GROUP = "dialout"
 
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
-    service = subparsers.add_parser(
-        "service",
-        help="a node that systemd starts at boot: install, remove, status",
+    actions = add_group(
+        subparsers, "service", "action", help="a node that systemd starts at boot: install, remove, status",
         description="A node that systemd starts at boot and again when it fails.",
-        epilog="example: sudo rass-mav service install drone.yaml",
-        formatter_class=HelpFormatter,
-    )
-    actions = service.add_subparsers(dest="action", metavar="ACTION", required=True)
+        example="sudo rass-mav service install drone.yaml",
+    )  # fmt: skip
     install = add_command(
         actions, "install", _install, help="install the service, or bring it up to date, and start it",
         example="sudo rass-mav service install drone.yaml",
@@ -153,10 +150,7 @@ def _status(options: argparse.Namespace) -> int:
         about["restarts"] = int(known.get("NRestarts") or 0)
         about["status"] = known.get("StatusText") or None
         well = about["active"] == "active"
-    if options.json:
-        print_json(about)
-    else:
-        say(_line(about))
+    answer(options, about, [_line(about)])
     return 0 if well else 1
 
 
