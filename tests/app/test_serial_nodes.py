@@ -28,11 +28,11 @@ from rass_mav.mavlink.messages import (
     NAMED_VALUE_FLOAT,
     TUNNEL,
     autopilot_heartbeat,
-    named_value_float,
 )
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
 from tests.link.ptys import Device
+from tests.telemetry import named_value_float
 
 from .app_drivers import TIMEOUT_S, Arrivals, run, settings
 
