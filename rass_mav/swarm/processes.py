@@ -184,7 +184,7 @@ class ProcessSwarm:
         self._directory = directory
         self._children = children
         self._clock = Clock()
-        self._nodes = [NodeProcess(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
+        self._nodes = [self._node(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
         self._drones = self._nodes[scenario.bases :]
         self._census = Census([node.store for node in self._nodes], scenario.bases, self._step_s)
         self._kill_rng = random.Random(f"{scenario.seed}:kills")
@@ -197,6 +197,9 @@ class ProcessSwarm:
         self._loops = 0
         self.kills = 0
         """Processes killed with SIGKILL and started again."""
+
+    def _node(self, node_id: int, directory: Path, socket: Path) -> NodeProcess:
+        return NodeProcess(node_id, directory, socket)
 
     # -- the phases ----------------------------------------------------------------------------------------------------
 
