@@ -62,12 +62,7 @@ class LsRequest(Section):
     """All data that this node holds."""
 
 
-_REQUESTS: dict[str, type[Section]] = {
-    "status": StatusRequest,
-    "put": PutRequest,
-    "get": GetRequest,
-    "ls": LsRequest,
-}
+_REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest, "get": GetRequest, "ls": LsRequest}
 
 
 class ControlServer:

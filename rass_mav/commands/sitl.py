@@ -61,12 +61,7 @@ def _sitl(options: argparse.Namespace) -> int:
         assert firmware is not None
     with progress_of_steps(scenario.steps, quiet=options.json) as show:
         summary = run(
-            scenario,
-            firmware,
-            through=options.through,
-            keep=options.keep,
-            record=options.record,
-            progress=show,
+            scenario, firmware, through=options.through, keep=options.keep, record=options.record, progress=show
         )
     answer(options, summary, chain(summary_lines(summary), flight_lines(summary["sitl"])))
     return 0

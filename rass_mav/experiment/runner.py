@@ -70,12 +70,7 @@ class Archive:
 
 
 def run_all(
-    runs: Sequence[Run],
-    directory: Path,
-    *,
-    jobs: int = 1,
-    dask: str | None = None,
-    progress: Progress | None = None,
+    runs: Sequence[Run], directory: Path, *, jobs: int = 1, dask: str | None = None, progress: Progress | None = None
 ) -> Outcome:
     """Do those of `runs` that are not in `directory` yet.
 

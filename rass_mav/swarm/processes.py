@@ -20,13 +20,7 @@ import msgspec
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
-from rass_mav.app.config import (
-    AutopilotSection,
-    ControlSection,
-    NodeSection,
-    RunConfig,
-    RunStoreSettings,
-)
+from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
 from rass_mav.app.payloads import parse_id
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
