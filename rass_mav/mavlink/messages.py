@@ -90,14 +90,8 @@ def radio_txbuf(frame: Frame) -> int | None:
 
 def companion_heartbeat() -> MavlinkMessage:
     """HEARTBEAT of a companion computer: it is active and no autopilot."""
-    return common.MAVLink_heartbeat_message(
-        common.MAV_TYPE_ONBOARD_CONTROLLER,
-        common.MAV_AUTOPILOT_INVALID,
-        0,
-        0,
-        common.MAV_STATE_ACTIVE,
-        _DIALECT_VERSION,
-    )
+    kind, state = common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_STATE_ACTIVE
+    return common.MAVLink_heartbeat_message(kind, common.MAV_AUTOPILOT_INVALID, 0, 0, state, _DIALECT_VERSION)
 
 
 def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkMessage:
@@ -106,13 +100,9 @@ def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkM
     :param custom_mode: the flight mode as ArduCopter counts them, 0..2^32 - 1.
     """
     base_mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+    state = common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY
     return common.MAVLink_heartbeat_message(
-        common.MAV_TYPE_QUADROTOR,
-        common.MAV_AUTOPILOT_ARDUPILOTMEGA,
-        base_mode,
-        custom_mode,
-        common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY,
-        _DIALECT_VERSION,
+        common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_ARDUPILOTMEGA, base_mode, custom_mode, state, _DIALECT_VERSION
     )
 
 
