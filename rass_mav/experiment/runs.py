@@ -144,16 +144,10 @@ def execute(run: Run) -> Result:
     finally:
         gc.unfreeze()
     return Result(
-        key=run.key,
-        world=run.world,
-        topology=run.scenario.topology,
-        policy=run.policy,
-        variant=run.variant,
-        seed=run.scenario.seed,
-        steps=run.scenario.steps,
+        run.key, run.world, run.scenario.topology, run.policy, run.variant, run.scenario.seed, run.scenario.steps,
         summary=world.statistics.summary(),
         series=series.series,
         delays=dict(sorted(Counter(world.ledger.delays()).items())),
         distances=distances.result(world),
         extra={name: measure.result() for name, measure in extra.items()},
-    )
+    )  # fmt: skip

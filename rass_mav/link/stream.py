@@ -81,7 +81,7 @@ class StreamPort:
         """How often the port was opened."""
         self.generation = 0
         """Grows with each opening: what was half read before has no end any more."""
-        self._wake: Callable[[], None] = _nobody
+        self._wake: Callable[[], None] = lambda: None  # nobody is listening yet
         self._channel: Channel | None = None
         self._task: asyncio.Task[None] | None = None
         self._lost = asyncio.Event()
@@ -266,7 +266,3 @@ def _fail_loudly(task: asyncio.Task[None]) -> None:
         task.get_loop().call_exception_handler(
             {"message": f"{task.get_name()} has failed", "exception": task.exception(), "task": task}
         )
-
-
-def _nobody() -> None:
-    """Nobody is listening yet."""

@@ -55,7 +55,7 @@ class VehicleLink(VehiclePort):
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop. `wake` is called when something has arrived."""
-        self._reader = Reader(self._socket, self._inbox, wake, is_echo=_never)
+        self._reader = Reader(self._socket, self._inbox, wake, is_echo=lambda source: False)
 
     @property
     def generation(self) -> int:
@@ -97,7 +97,3 @@ class VehicleLink(VehiclePort):
             self._reader.stop()
         self._sender.stop()
         self._socket.close()
-
-
-def _never(source: Address) -> bool:
-    return False

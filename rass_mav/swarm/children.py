@@ -34,13 +34,9 @@ class Child:
         with log.open("ab") as stderr:
             # A session of its own: Ctrl-C on a terminal reaches the parent only, which ends the others in order.
             self._process = subprocess.Popen(
-                [sys.executable, *arguments],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                bufsize=0,
-                start_new_session=True,
-            )
+                [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr,
+                bufsize=0, start_new_session=True,
+            )  # fmt: skip
         self._lines: list[bytes] = []
         self._rest = b""
 

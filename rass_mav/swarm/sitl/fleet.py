@@ -80,13 +80,9 @@ class FlownSwarm(ProcessSwarm):
     def _surround(self, record: str | None) -> None:
         """Start air and vehicles; returns when all can fly."""
         order = FlightOrder(
-            scenario=self._scenario,
-            record=record,
-            through=self._through,
-            px4=self._firmware.name == "px4",
-            readings=not self._scripted,
-            track=str(self._track),
-        )
+            scenario=self._scenario, record=record, through=self._through, px4=self._firmware.name == "px4",
+            readings=not self._scripted, track=str(self._track),
+        )  # fmt: skip
         self._ports = ports = self._start_radio("rass_mav.swarm.sitl.air", order, FlightPorts)
         flights = []
         for drone in self._drones:
