@@ -6,6 +6,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -197,13 +198,8 @@ def _runs(
 
     out = _directory(options.out)
     begin = time.perf_counter()
-    outcome = run_all(
-        planned,
-        out / "runs",
-        jobs=options.jobs,
-        dask=options.dask,
-        progress=lambda total: progress(total, "runs", quiet=options.json),
-    )
+    show = partial(progress, unit="runs", quiet=options.json)
+    outcome = run_all(planned, out / "runs", jobs=options.jobs, dask=options.dask, progress=show)
     wall = time.perf_counter() - begin
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
     _told(options, out, report(outcome.results, out), counts, table)

@@ -192,13 +192,9 @@ class UdpLink(Link):
 
     def counters(self) -> LinkCounters:
         """What has been done so far; dropped in is what the kernel had no room for."""
-        return LinkCounters(
-            self._sender.sent,
-            self._received,
-            sum(kernel_drops(sock) for sock in self._sockets),
-            self._sender.dropped,
-            sum(reader.echoes for reader in self._readers),
-        )
+        overrun = sum(kernel_drops(sock) for sock in self._sockets)
+        echoes = sum(reader.echoes for reader in self._readers)
+        return LinkCounters(self._sender.sent, self._received, overrun, self._sender.dropped, echoes)
 
     def close(self) -> None:
         """Release the sockets."""
