@@ -117,8 +117,10 @@ def _telemetry(count: int) -> dict[str, tuple[int, Work, Work | None]]:
     from rass_mav.mavlink.telemetry import Telemetry
 
     writer, reader, telemetry = FrameWriter(1, 191), FrameReader(), Telemetry(1, 191)
-    position = writer.message(messages.global_position_int(-35.4, 149.2, 590.0, 6.0, 12345))
-    reading = writer.message(messages.named_value_float("RAD", 12.5, 12345))
+    place = messages.global_position_int_payload(-35.4, 149.2, 590.0, 6.0, 12345)
+    position = writer.frame(messages.GLOBAL_POSITION_INT, place)
+    value = messages.named_value_float_payload("RAD", 12.5, 12345)
+    reading = writer.frame(messages.NAMED_VALUE_FLOAT, value)
     [position_frame], [reading_frame] = reader.feed(position), reader.feed(reading)
 
     def handle(frame: Frame) -> Work:

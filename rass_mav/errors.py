@@ -3,6 +3,11 @@
 Everything that comes from the wire, a file or a person raises a `RassError`; anything else that escapes is a bug.
 """
 
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
 
 class RassError(Exception):
     """Base of all errors caused by the outside world, never by our own mistakes."""
@@ -50,3 +55,17 @@ class ControlError(RassError):
 
 class ServiceError(RassError):
     """The system's service could not be installed, removed or asked."""
+
+
+def why(error: Exception) -> str:
+    """What the system says about an error, in small letters, to stand behind a colon."""
+    return (getattr(error, "strerror", None) or str(error)).lower()
+
+
+@contextlib.contextmanager
+def os_errors_as(kind: type[RassError], where: object) -> Iterator[None]:
+    """Raise an `OSError` of the block as an error of this `kind`: where it happened, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{where}: {why(error)}") from None

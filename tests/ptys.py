@@ -5,49 +5,56 @@ from __future__ import annotations
 import os
 import pty
 import select
-import tty
 from pathlib import Path
 
 TIMEOUT_S = 10.0
 
 
 class SerialDevice:
-    """The device's end of a cable. Its port is a link to a pseudo-terminal, as names in /dev/serial/by-id are."""
+    """A device, whose end of the cable the test holds. Its port is a link, as names in /dev/serial/by-id are.
 
-    def __init__(self, port: Path) -> None:
-        self.port = port
-        self._end: int | None = None
-        self._node = -1
-        self.plug()
+    The line discipline is left as it is: whoever opens the port has to see to it that all bytes come through.
+    """
 
-    def plug(self) -> None:
-        """Plug it in; the port appears. What is said before somebody has opened it is lost on them."""
-        self._end, self._node = pty.openpty()
-        tty.setraw(self._node)
-        self.port.symlink_to(os.ttyname(self._node))
+    def __init__(self, path: Path) -> None:
+        """`path`: of the port, which is there once it was plugged in."""
+        self.path = path
+        self._ends: tuple[int, int] | None = None
+
+    @property
+    def far(self) -> int:
+        """The device's end, non-blocking."""
+        assert self._ends is not None
+        return self._ends[0]
+
+    def plug(self) -> SerialDevice:
+        """Plug it in; the port appears."""
+        # The near end stays open: else the far one would fail whenever nobody else has the port open.
+        self._ends = far, near = pty.openpty()
+        os.set_blocking(far, False)
+        self.path.symlink_to(os.ttyname(near))
+        return self
 
     def unplug(self) -> None:
-        """Pull the cable: the port hangs up and its name disappears."""
-        assert self._end is not None
-        self.port.unlink()
-        os.close(self._end)
-        os.close(self._node)
-        self._end = None
+        """Pull the cable, if it is in: the port hangs up and its name disappears."""
+        if self._ends is not None:
+            self.path.unlink()
+            for end in self._ends:
+                os.close(end)
+            self._ends = None
 
     def say(self, data: bytes) -> None:
-        assert self._end is not None
-        os.write(self._end, data)
+        """Blocking, until all is on its way."""
+        while data:
+            _, ready, _ = select.select([], [self.far], [], TIMEOUT_S)
+            assert ready, f"{data!r} is not taken"
+            data = data[os.write(self.far, data) :]
 
     def hear(self, end: bytes) -> bytes:
         """Wait until what was asked of the device ends so, and take it."""
-        assert self._end is not None
         heard = b""
         while not heard.endswith(end):
-            ready, _, _ = select.select([self._end], [], [], TIMEOUT_S)
+            ready, _, _ = select.select([self.far], [], [], TIMEOUT_S)
             assert ready, f"expected {end!r}, heard {heard!r}"
-            heard += os.read(self._end, 4096)
+            heard += os.read(self.far, 4096)
         return heard
-
-    def close(self) -> None:
-        if self._end is not None:
-            self.unplug()

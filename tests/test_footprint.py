@@ -43,7 +43,7 @@ from rass_mav.mavlink import messages
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.reader import FrameReader
 writer, reader = FrameWriter(1, 191), FrameReader()
-said = [messages.companion_heartbeat(), messages.named_value_float("RAD", 1.5, 7), *messages.statustext(4, "x" * 60)]
+said = [messages.companion_heartbeat(), messages.home_position(1.5, 7.0, 3.0), *messages.statustext(4, "x" * 60)]
 frames = [writer.message(message) for message in said]
 heard = [messages.parse(frame).to_dict() for raw in frames for frame in reader.feed(raw)]
 print(json.dumps([[frame.hex() for frame in frames], heard]))

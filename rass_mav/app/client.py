@@ -5,10 +5,9 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-from rass_mav.errors import ControlError, MalformedError
+from rass_mav.errors import ControlError, MalformedError, why
 
 from .jsonlines import dump_line, load_line
 
@@ -28,8 +27,7 @@ class ControlClient:
             self._socket.connect(str(path))
         except OSError as error:
             self._socket.close()
-            reason = (error.strerror or str(error)).lower()
-            raise ControlError(f"{path}: no running node there ({reason})") from None
+            raise ControlError(f"{path}: no running node there ({why(error)})") from None
         self._file = self._socket.makefile("rb")
 
     def ask(self, command: str, **fields: Any) -> dict[str, Any]:
@@ -53,7 +51,7 @@ class ControlClient:
         except TimeoutError:
             raise ControlError(f"{self._path}: the node does not answer") from None
         except OSError as error:
-            raise ControlError(f"{self._path}: {(error.strerror or str(error)).lower()}") from None
+            raise ControlError(f"{self._path}: {why(error)}") from None
         except MalformedError as error:
             raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
 
@@ -65,7 +63,5 @@ class ControlClient:
     def __enter__(self) -> ControlClient:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()

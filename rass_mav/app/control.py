@@ -19,7 +19,7 @@ from typing import Annotated, Any
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
-from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError
+from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError, why
 
 from .driver import Driver
 from .jsonlines import dump_line, load_bytes, load_line
@@ -62,12 +62,7 @@ class LsRequest(Section):
     """All data that this node holds."""
 
 
-_REQUESTS: dict[str, type[Section]] = {
-    "status": StatusRequest,
-    "put": PutRequest,
-    "get": GetRequest,
-    "ls": LsRequest,
-}
+_REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest, "get": GetRequest, "ls": LsRequest}
 
 
 class ControlServer:
@@ -238,7 +233,7 @@ def _listening_socket(path: Path) -> socket.socket:
         sock.setblocking(False)
     except OSError as error:
         sock.close()
-        raise ControlError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise ControlError(f"{path}: {why(error)}") from None
     except ControlError:
         sock.close()
         raise

@@ -25,17 +25,8 @@ class Machine:
 
     def status(self) -> ComputerStatus:
         """How it does now. Processors: since the last call, or since the computer was started."""
-        used, total = self._memory()
-        disk_used, disk_total = self._disk()
-        return ComputerStatus(
-            time.clock_gettime(time.CLOCK_BOOTTIME),
-            self._cores(),
-            self._temperature(),
-            used,
-            total,
-            disk_used,
-            disk_total,
-        )
+        uptime_s = time.clock_gettime(time.CLOCK_BOOTTIME)
+        return ComputerStatus(uptime_s, self._cores(), self._temperature(), *self._memory(), *self._disk())
 
     def _cores(self) -> tuple[float, ...]:
         times = []

@@ -18,6 +18,7 @@ from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.errors import StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
+from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.store.sqlite import SqliteStore
 
@@ -94,14 +95,7 @@ class Runtime:
                 suspect=suspect,
             )
             stack.callback(store.abandon)  # does nothing after `close`
-            vehicle = None
-            if config.autopilot.url is not None:
-                vehicle = open_vehicle(parse_vehicle_url(config.autopilot.url))
-                stack.callback(vehicle.close)
-            ground = None
-            if config.ground.url is not None:
-                ground = open_vehicle(parse_vehicle_url(config.ground.url))
-                stack.callback(ground.close)
+            vehicle, ground = (_opened(url, stack) for url in (config.autopilot.url, config.ground.url))
             links: list[Link] = []
             for section in config.links:
                 links.append(section.open(vehicle))
@@ -131,14 +125,8 @@ class Runtime:
             log.info("node %d (%s) runs, store %s", settings.node_id, config.node.role, config.store_path)
             self._notifier.ready(f"node {settings.node_id} ({config.node.role})")
             if self._ready is not None:
-                self._ready(
-                    {
-                        "node_id": settings.node_id,
-                        "role": config.node.role,
-                        "epoch": f"{store.epoch:08x}",
-                        "socket": str(config.socket_path),
-                    }
-                )
+                about = {"node_id": settings.node_id, "role": config.node.role, "epoch": f"{store.epoch:08x}"}
+                self._ready({**about, "socket": str(config.socket_path)})
             try:
                 try:
                     await driver.run()
@@ -151,3 +139,12 @@ class Runtime:
                 store.close()
                 raise
             store.close()
+
+
+def _opened(url: str | None, stack: AsyncExitStack) -> VehiclePort | None:
+    """The port that a connection string names; None: there is none. The `stack` closes it."""
+    if url is None:
+        return None
+    port = open_vehicle(parse_vehicle_url(url))
+    stack.callback(port.close)
+    return port

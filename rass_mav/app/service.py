@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from rass_mav.errors import ConfigError, ServiceError
+from rass_mav.errors import ConfigError, ServiceError, why
 
 from .config import RunConfig
 
@@ -158,7 +158,7 @@ def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:
         for gone in plan.removed:
             place(root, gone).unlink(missing_ok=True)
     except OSError as error:
-        raise ServiceError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+        raise ServiceError(f"{error.filename}: {why(error)}") from None
     if root is None:
         for command in plan.after:
             run(*command)

@@ -66,10 +66,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         },
         "neighbours": [_neighbour(n, now, node.policy) for n in sorted(routing.neighbours.values(), key=_id)],
         "store": _store(driver),
-        "ledger": {
-            **node.store.counters(),
-            **node.figures(),
-        },
+        "ledger": {**node.store.counters(), **node.figures()},
         "commits": {
             "done": driver.writer.gate.commits,
             "failed": driver.writer.gate.failures,

@@ -8,11 +8,11 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-from rass_mav.errors import RassError
+from rass_mav.errors import RassError, os_errors_as
 
 #: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
 VIRTUAL_START_S = 1_577_836_800.0
@@ -56,6 +56,16 @@ def add_command(
     parser.add_argument("--json", action="store_true", help="print exactly one JSON object")
     parser.set_defaults(run=run)
     return parser
+
+
+def add_group(
+    subparsers: Subparsers, name: str, actions: str, *, help: str, description: str, example: str
+) -> Subparsers:
+    """A command that has commands of its own: what `add_command` adds them to. `actions`: what they are called."""
+    parser = subparsers.add_parser(
+        name, help=help, description=description, epilog=f"example: {example}", formatter_class=HelpFormatter
+    )
+    return parser.add_subparsers(dest=actions, metavar=actions.upper(), required=True)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -115,6 +125,15 @@ def print_json(value: dict[str, Any]) -> None:
     say(json.dumps(value))
 
 
+def answer(options: argparse.Namespace, plain: dict[str, Any], lines: Iterable[str]) -> None:
+    """What a command has found: with --json as one object, else in lines for people."""
+    if options.json:
+        print_json(plain)
+    else:
+        for line in lines:
+            say(line)
+
+
 def say(text: str) -> None:
     """A line on stdout."""
     sys.stdout.write(text + "\n")
@@ -127,7 +146,7 @@ def clean(text: str) -> str:
 
 @contextlib.contextmanager
 def recorder(
-    path: str | None, step_s: float, start_s: float = VIRTUAL_START_S
+    path: Path | None, step_s: float, start_s: float = VIRTUAL_START_S
 ) -> Iterator[Callable[[bytes, int], None] | None]:
     """Writes frames to a .tlog, with times that begin at `start_s`, seconds since 1970."""
     if path is None:
@@ -135,12 +154,9 @@ def recorder(
         return
     from rass_mav.mavlink.tlog import TlogWriter
 
-    try:
-        with Path(path).open("wb") as file:
-            writer = TlogWriter(file)
-            yield lambda frame, step: writer.record(frame, start_s + step * step_s)
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(RassError, path), path.open("wb") as file:
+        writer = TlogWriter(file)
+        yield lambda frame, step: writer.record(frame, start_s + step * step_s)
 
 
 @contextlib.contextmanager
@@ -154,3 +170,17 @@ def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[int], 
     # disable=None: no bar unless stderr is a terminal.
     with tqdm(total=total, unit=f" {unit}", disable=True if quiet else None, leave=False) as bar:
         yield bar.update
+
+
+@contextlib.contextmanager
+def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """The same for a swarm in real time, which says how many steps are over."""
+    done = 0
+    with progress(steps, "steps", quiet=quiet) as advance:
+
+        def reached(step: int) -> None:
+            nonlocal done
+            advance(step - done)
+            done = step
+
+        yield reached

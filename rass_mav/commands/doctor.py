@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .common import Subparsers, add_command, clean, print_json, say, start_logging
+from .common import Subparsers, add_command, answer, clean, start_logging
 
 
 def register(subparsers: Subparsers) -> None:
@@ -23,10 +23,7 @@ def _doctor(options: argparse.Namespace) -> int:
     # What goes wrong is what this command tells; logs would say it twice.
     start_logging(options.verbose, "critical")
     report = check_up(options.config)
-    if options.json:
-        print_json(report.plain())
-    else:
-        for finding in report.findings:
-            say(clean(finding.line()))
-        say(f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed")
+    lines = [clean(finding.line()) for finding in report.findings]
+    lines.append(f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed")
+    answer(options, report.plain(), lines)
     return 1 if report.count("fail") else 0

@@ -6,16 +6,16 @@ import argparse
 import os
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import HelpFormatter, Subparsers, add_command, add_set, print_json, progress, say, start_logging
+from .common import Subparsers, add_command, add_group, add_set, print_json, progress, say, start_logging
 
 if TYPE_CHECKING:
-    from rass_mav.experiment.runner import Outcome
-    from rass_mav.experiment.runs import Result, Run
+    from rass_mav.experiment.runs import Extent, Result, Run
 
 T = TypeVar("T")
 
@@ -25,20 +25,17 @@ _VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate", "copies-auto")
 
 def register(subparsers: Subparsers) -> None:
     """Add the command with its experiments."""
-    parser = subparsers.add_parser(
-        "experiment", help="run a named experiment: CSV, Markdown tables and PNG figures",
+    names = add_group(
+        subparsers, "experiment", "name", help="run a named experiment: CSV, Markdown tables and PNG figures",
         description="Run a named experiment. The runs that it finished are kept, and the same command goes on.",
-        epilog="example: rass-mav experiment paper --out results", formatter_class=HelpFormatter,
+        example="rass-mav experiment paper --out results",
     )  # fmt: skip
-    names = parser.add_subparsers(dest="experiment", metavar="NAME", required=True)
 
     paper = _add(
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
         "rass-mav experiment paper --out results --runs 2 --topology grid",
     )  # fmt: skip
-    paper.add_argument(
-        "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
-    )
+    _add_choices(paper, "--topology", _TOPOLOGIES, "four")
     paper.add_argument(
         "--world", choices=("paper", "reference", "both"), default="both",
         help="paper: the text's rules; reference: what the authors' code did (default: both)",
@@ -67,21 +64,14 @@ def register(subparsers: Subparsers) -> None:
         names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
         "rass-mav experiment local-maxima --out results",
     )  # fmt: skip
-    maxima.add_argument(
-        "--topology", nargs="+", choices=_TOPOLOGIES, default=list(_TOPOLOGIES), help="which (default: all four)"
-    )
+    _add_choices(maxima, "--topology", _TOPOLOGIES, "four")
 
     policies = _add(
         names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
         "rass-mav experiment policies --out results --runs 2 --topology grid",
     )  # fmt: skip
-    places = (*_TOPOLOGIES, "islands")
-    policies.add_argument(
-        "--topology", nargs="+", choices=places, default=list(places), help="which (default: all five)"
-    )
-    policies.add_argument(
-        "--variant", nargs="+", choices=_VARIANTS, default=list(_VARIANTS), help="which (default: all five)"
-    )
+    _add_choices(policies, "--topology", (*_TOPOLOGIES, "islands"), "five")
+    _add_choices(policies, "--variant", _VARIANTS, "five")
     policies.add_argument(
         "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",
         help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
@@ -100,12 +90,14 @@ def _add_out(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="where everything is written")
 
 
+def _add_choices(parser: argparse.ArgumentParser, option: str, choices: Sequence[str], how_many: str) -> None:
+    parser.add_argument(
+        option, nargs="+", choices=choices, default=list(choices), help=f"which (default: all {how_many})"
+    )
+
+
 def _add(
-    names: Subparsers,
-    name: str,
-    run: Callable[[argparse.Namespace], int],
-    help: str,
-    example: str,
+    names: Subparsers, name: str, run: Callable[[argparse.Namespace], int], help: str, example: str
 ) -> argparse.ArgumentParser:
     """An experiment made of runs of the mock swarm."""
     parser = add_command(names, name, run, help=help, example=example)
@@ -128,137 +120,110 @@ def _paper(options: argparse.Namespace) -> int:
     given = options.reference_data
     published = load_published(default_directory() if given is None else Path(given))
     worlds = paper.WORLDS if options.world == "both" else (options.world,)
-
-    def plan() -> list[Run]:
-        return paper.plan(
-            worlds, _distinct(options.topology), _compared(options, paper.POLICIES, paper.ALL_POLICIES),
-            runs=options.runs, steps=options.steps, assignments=options.assignments,
-        )  # fmt: skip
-
-    return _runs(options, plan, lambda results, out: paper.report(results, out, published), "table1.md")
+    policies = _compared(options, paper.POLICIES, paper.ALL_POLICIES)
+    planned = paper.plan(_extent(options), worlds, _distinct(options.topology), policies)
+    return _runs(options, planned, lambda results, out: paper.report(results, out, published), "table1.md")
 
 
 def _five_drones(options: argparse.Namespace) -> int:
     from rass_mav.experiment import five_drones
 
-    def plan() -> list[Run]:
-        return five_drones.plan(
-            _compared(options, five_drones.POLICIES),
-            runs=options.runs, steps=options.steps, assignments=options.assignments,
-        )  # fmt: skip
-
-    return _runs(options, plan, five_drones.report, "table.md")
+    planned = five_drones.plan(_extent(options), _compared(options, five_drones.POLICIES))
+    return _runs(options, planned, five_drones.report)
 
 
 def _moving_sources(options: argparse.Namespace) -> int:
     from rass_mav.experiment import moving_sources
 
-    def plan() -> list[Run]:
-        return moving_sources.plan(
-            _distinct(options.drift), options.topology, _compared(options, moving_sources.POLICIES),
-            runs=options.runs, steps=options.steps, assignments=options.assignments,
-        )  # fmt: skip
-
-    return _runs(options, plan, moving_sources.report, "table.md")
+    policies = _compared(options, moving_sources.POLICIES)
+    planned = moving_sources.plan(_extent(options), _distinct(options.drift), options.topology, policies)
+    return _runs(options, planned, moving_sources.report)
 
 
 def _local_maxima(options: argparse.Namespace) -> int:
     from rass_mav.experiment import local_maxima
 
-    def plan() -> list[Run]:
-        return local_maxima.plan(
-            _distinct(options.topology), _compared(options, local_maxima.POLICIES),
-            runs=options.runs, steps=options.steps, assignments=options.assignments,
-        )  # fmt: skip
-
-    return _runs(options, plan, local_maxima.report, "table.md")
+    policies = _compared(options, local_maxima.POLICIES)
+    planned = local_maxima.plan(_extent(options), _distinct(options.topology), policies)
+    return _runs(options, planned, local_maxima.report)
 
 
 def _policies(options: argparse.Namespace) -> int:
     from rass_mav.experiment import policies
 
-    def plan() -> list[Run]:
-        return policies.plan(
-            _distinct(options.topology), _compared(options, policies.POLICIES), _distinct(options.variant),
-            runs=options.runs, steps=options.steps, die_fraction=options.failures, assignments=options.assignments,
-        )  # fmt: skip
-
-    return _runs(options, plan, policies.report, "table.md")
+    planned = policies.plan(
+        _extent(options), _distinct(options.topology), _compared(options, policies.POLICIES),
+        _distinct(options.variant), die_fraction=options.failures,
+    )  # fmt: skip
+    return _runs(options, planned, policies.report)
 
 
 def _counting(options: argparse.Namespace) -> int:
     from rass_mav.experiment import counting
+
+    _begin(options)
+    if options.steps <= counting.VANISHES:
+        raise ConfigError(f"--steps: expected more than {counting.VANISHES}, when the base vanishes")
+    out = _directory(options.out)
+    _told(options, out, counting.report(out, options.steps), {})
+    return 0
+
+
+def _begin(options: argparse.Namespace) -> None:
     from rass_mav.experiment.figures import need_matplotlib
 
     start_logging(options.verbose, "error")
     need_matplotlib()
-    if options.steps <= counting.VANISHES:
-        raise ConfigError(f"--steps: expected more than {counting.VANISHES}, when the base vanishes")
-    out = _directory(options.out)
-    files = counting.report(out, options.steps)
-    if options.json:
-        print_json({"experiment": options.experiment, "out": str(out), "files": [path.name for path in files]})
-    else:
-        _show(out, files, "table.md")
-    return 0
+
+
+def _extent(options: argparse.Namespace) -> Extent:
+    """How much is to be run. Raises `ConfigError`."""
+    from rass_mav.experiment.runs import Extent
+
+    _begin(options)
+    for name in ("runs", "steps", "jobs"):
+        if getattr(options, name) < 1:
+            raise ConfigError(f"--{name}: expected 1 or more, got {getattr(options, name)}")
+    return Extent(options.runs, options.steps, options.assignments)
 
 
 def _runs(
     options: argparse.Namespace,
-    plan: Callable[[], list[Run]],
+    planned: Sequence[Run],
     report: Callable[[Sequence[Result], Path], list[Path]],
-    table: str,
+    table: str = "table.md",
 ) -> int:
-    """What the experiments that are made of runs have in common."""
-    from rass_mav.experiment.figures import need_matplotlib
+    """Do the runs and report on them. `table`: which of the files is shown."""
     from rass_mav.experiment.runner import run_all
 
-    start_logging(options.verbose, "error")
-    need_matplotlib()
-    for name in ("runs", "steps", "jobs"):
-        if getattr(options, name) < 1:
-            raise ConfigError(f"--{name}: expected 1 or more, got {getattr(options, name)}")
-    planned = plan()
     out = _directory(options.out)
     begin = time.perf_counter()
-    outcome: Outcome = run_all(
-        planned,
-        out / "runs",
-        jobs=options.jobs,
-        dask=options.dask,
-        progress=lambda total: progress(total, "runs", quiet=options.json),
-    )
+    show = partial(progress, unit="runs", quiet=options.json)
+    outcome = run_all(planned, out / "runs", jobs=options.jobs, dask=options.dask, progress=show)
     wall = time.perf_counter() - begin
-    files = report(outcome.results, out)
-    if options.json:
-        print_json(
-            {
-                "experiment": options.experiment,
-                "out": str(out),
-                "runs": len(outcome.results),
-                "done": outcome.done,
-                "reused": outcome.reused,
-                "files": [path.name for path in files],
-                "wall_s": round(wall, 3),
-            }
-        )
-        return 0
-    _show(out, files, table)
-    say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} had been done before")
+    counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
+    _told(options, out, report(outcome.results, out), counts, table)
+    if not options.json:
+        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} had been done before")
     return 0
 
 
-def _show(out: Path, files: Sequence[Path], table: str) -> None:
-    say((out / table).read_text(encoding="utf-8"))
-    say(f"in {out}: " + ", ".join(path.name for path in files))
+def _told(
+    options: argparse.Namespace, out: Path, files: Sequence[Path], counts: dict[str, Any], table: str = "table.md"
+) -> None:
+    """What was written, and in words also the `table`."""
+    names = [path.name for path in files]
+    if options.json:
+        print_json({"experiment": options.name, "out": str(out), **counts, "files": names})
+    else:
+        say((out / table).read_text(encoding="utf-8"))
+        say(f"in {out}: {', '.join(names)}")
 
 
 def _directory(path: str) -> Path:
     out = Path(path)
-    try:
+    with os_errors_as(RassError, f"--out {path}"):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RassError(f"--out {path}: {(error.strerror or str(error)).lower()}") from None
     return out
 
 

@@ -6,11 +6,12 @@ import argparse
 import base64
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, DatumError, RassError
+from rass_mav.errors import ConfigError, DatumError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_set, clean, print_json, say, start_logging
+from .common import Subparsers, add_command, add_set, answer, clean, print_json, say, start_logging
+from .report import datum_line, status_lines
 
 if TYPE_CHECKING:
     from rass_mav.app.client import ControlClient
@@ -57,7 +58,7 @@ def register(subparsers: Subparsers) -> None:
     what.add_argument("file", metavar="FILE", nargs="?", help="a file, with its name; - for stdin, without")
     what.add_argument("--line", metavar="TEXT", help="a line of text")
     get.add_argument("id", metavar="ID", help="as put and ls print it")
-    get.add_argument("-o", "--output", metavar="FILE", help="where to write it; otherwise stdout")
+    get.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it; otherwise stdout")
 
 
 def _config(options: argparse.Namespace) -> RunConfig:
@@ -126,13 +127,7 @@ def _client(options: argparse.Namespace) -> ControlClient:
 def _status(options: argparse.Namespace) -> int:
     with _client(options) as client:
         status = client.ask("status")["status"]
-    if options.json:
-        print_json(status)
-        return 0
-    from .report import status_lines
-
-    for line in status_lines(status):
-        say(line)
+    answer(options, status, status_lines(status))
     return 0
 
 
@@ -141,32 +136,22 @@ def _put(options: argparse.Namespace) -> int:
     from rass_mav.core.datum import MAX_PAYLOAD, Kind
 
     kind = Kind.BYTES
+    # Of a file one byte more than a datum holds: enough to see that it is too much.
     if options.line is not None:
         payload = options.line.encode(errors="surrogateescape")
     elif options.file == "-":
-        payload = _read(sys.stdin.buffer, MAX_PAYLOAD)
+        payload = sys.stdin.buffer.read(MAX_PAYLOAD + 1)
     else:
         kind = Kind.FILE
         path = Path(options.file)
-        try:
-            with path.open("rb") as file:
-                payload = pack_file(path.name, _read(file, MAX_PAYLOAD))
-        except OSError as error:
-            raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        with os_errors_as(ConfigError, path), path.open("rb") as file:
+            payload = pack_file(path.name, file.read(MAX_PAYLOAD + 1))
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise DatumError(f"a datum holds 1 to {MAX_PAYLOAD} bytes, got {'more' if payload else 'none'}")
     with _client(options) as client:
-        answer = client.ask("put", payload=payload, kind=int(kind))
-    if options.json:
-        print_json({"id": answer["id"], "bytes": len(payload)})
-    else:
-        say(answer["id"])
+        id = client.ask("put", payload=payload, kind=int(kind))["id"]
+    answer(options, {"id": id, "bytes": len(payload)}, [id])
     return 0
-
-
-def _read(file: BinaryIO, limit: int) -> bytes:
-    """At most one byte more than `limit`: enough to see that it is too much."""
-    return file.read(limit + 1)
 
 
 def _get(options: argparse.Namespace) -> int:
@@ -175,28 +160,24 @@ def _get(options: argparse.Namespace) -> int:
 
     parse_id(options.id)
     with _client(options) as client:
-        answer = client.ask("get", id=options.id)
-    content = base64.b64decode(answer.pop("payload"))
-    if answer["kind"] == Kind.FILE and "name" in answer:
+        found = client.ask("get", id=options.id)
+    content = base64.b64decode(found.pop("payload"))
+    if found["kind"] == Kind.FILE and "name" in found:
         content = unpack_file(content)[1]
-    answer["bytes"] = len(content)
+    found["bytes"] = len(content)
     if options.output is not None:
-        try:
-            Path(options.output).write_bytes(content)
-        except OSError as error:
-            raise RassError(f"{options.output}: {(error.strerror or str(error)).lower()}") from None
+        with os_errors_as(RassError, options.output):
+            options.output.write_bytes(content)
     elif options.json:
-        answer["content"] = base64.b64encode(content).decode()
+        found["content"] = base64.b64encode(content).decode()
     else:
         sys.stdout.buffer.write(content)
     if options.json:
-        print_json(answer)
+        print_json(found)
     return 0
 
 
 def _ls(options: argparse.Namespace) -> int:
-    from .report import datum_line
-
     every: list[dict[str, Any]] = []
     with _client(options) as client:
         for page in client.ask_all("ls"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rass_mav.errors import ConfigError, LinkError
 
-from .common import HelpFormatter, Subparsers, add_command, clean, print_json, say, start_logging
+from .common import Subparsers, add_command, add_group, answer, clean, print_json, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.app.config import RunConfig
@@ -22,14 +22,11 @@ T = TypeVar("T")
 
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
-    params = subparsers.add_parser(
-        "params",
-        help="parameter files for the autopilot: check, write",
+    actions = add_group(
+        subparsers, "params", "action", help="parameter files for the autopilot: check, write",
         description="Parameter files for the autopilot, such as those in firmware_params/.",
-        epilog="example: rass-mav params check firmware_params/ardupilot-4.7.parm --live drone.yaml",
-        formatter_class=HelpFormatter,
-    )
-    actions = params.add_subparsers(dest="action", metavar="ACTION", required=True)
+        example="rass-mav params check firmware_params/ardupilot-4.7.parm --live drone.yaml",
+    )  # fmt: skip
     check = add_command(
         actions, "check", _check,
         help="check a file; with --live, say how the vehicle differs from it (exit code 1 if it does)",
@@ -53,17 +50,11 @@ def _check(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     file = read_file(options.file)
     if options.live is None:
-        if options.json:
-            print_json({"file": options.file, "format": file.format, "parameters": len(file.entries)})
-        else:
-            say(f"{options.file}: ok, {len(file.entries)} parameters")
+        plain = {"file": options.file, "format": file.format, "parameters": len(file.entries)}
+        answer(options, plain, [f"{options.file}: ok, {len(file.entries)} parameters"])
         return 0
     found = _compared(options)
-    if options.json:
-        print_json(_plain(options.file, found, found.rows))
-    else:
-        for line in _lines(found):
-            say(line)
+    answer(options, _plain(options.file, found, found.rows), _lines(found))
     return 0 if all(row.state == "same" for row in found.rows) else 1
 
 

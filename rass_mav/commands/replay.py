@@ -6,12 +6,14 @@ import argparse
 import re
 import time
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_set, clean, print_json, progress, recorder, say, start_logging
+from .common import Subparsers, add_command, add_set, answer, clean, progress, recorder, start_logging
+from .summary import summary_lines
 
 if TYPE_CHECKING:
     from rass_mav.replay.arrivals import Arrival
@@ -39,8 +41,8 @@ def register(subparsers: Subparsers) -> None:
         "--drain", type=_seconds, metavar="SECONDS", default=0.0,
         help="go on after the last record, in place and without new data, until all has arrived or for so long",
     )  # fmt: skip
-    parser.add_argument("-o", "--output", metavar="FILE.csv", help="write what arrived at the base, a line a datum")
-    parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.csv", help="write what arrived, a line a datum")
+    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
 
@@ -83,27 +85,18 @@ def _replay(options: argparse.Namespace) -> int:
         wall = _run(swarm, options)
     rows = arrivals(swarm)
     if options.output is not None:
-        try:
-            with Path(options.output).open("w", newline="", encoding="utf-8") as file:
-                write_csv(rows, file)
-        except OSError as error:
-            raise RassError(f"{options.output}: {(error.strerror or str(error)).lower()}") from None
+        with os_errors_as(RassError, options.output), options.output.open("w", newline="", encoding="utf-8") as file:
+            write_csv(rows, file)
     result = summary(swarm, rows)
     result["wall_s"] = round(wall, 3)
     result["robot_steps_per_s"] = round(len(swarm.agents) * swarm.t / wall) if wall else 0
-    if options.json:
-        print_json(result)
-        return 0
-    from .summary import summary_lines
-
-    for line in (*summary_lines(result), "", *_lines(result, rows)):
-        say(clean(line))
+    answer(options, result, map(clean, chain(summary_lines(result), [""], _lines(result, rows))))
     return 0
 
 
-def _spare(logs: Sequence[str], path: str | None, option: str) -> None:
+def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
     """A log is not to be written over."""
-    if path is not None and Path(path).resolve() in [Path(log).resolve() for log in logs]:
+    if path is not None and path.resolve() in [Path(log).resolve() for log in logs]:
         raise ConfigError(f"{option} {path}: this is one of the logs")
 
 

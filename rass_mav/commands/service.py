@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, ServiceError
+from rass_mav.errors import ConfigError, ServiceError, os_errors_as
 
-from .common import HelpFormatter, Subparsers, add_command, print_json, say, start_logging
+from .common import Subparsers, add_command, add_group, answer, print_json, say, start_logging
 
 if TYPE_CHECKING:
     from rass_mav.app.service import Plan
@@ -23,14 +23,11 @@ GROUP = "dialout"
 
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
-    service = subparsers.add_parser(
-        "service",
-        help="a node that systemd starts at boot: install, remove, status",
+    actions = add_group(
+        subparsers, "service", "action", help="a node that systemd starts at boot: install, remove, status",
         description="A node that systemd starts at boot and again when it fails.",
-        epilog="example: sudo rass-mav service install drone.yaml",
-        formatter_class=HelpFormatter,
-    )
-    actions = service.add_subparsers(dest="action", metavar="ACTION", required=True)
+        example="sudo rass-mav service install drone.yaml",
+    )  # fmt: skip
     install = add_command(
         actions, "install", _install, help="install the service, or bring it up to date, and start it",
         example="sudo rass-mav service install drone.yaml",
@@ -64,10 +61,8 @@ def _install(options: argparse.Namespace) -> int:
 
     start_logging(options.verbose)
     config = load_config(options.config)
-    try:
+    with os_errors_as(ConfigError, options.config):
         text = Path(options.config).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{options.config}: {(error.strerror or str(error)).lower()}") from None
     groups = options.group if options.group is not None else [GROUP]
     plan = plan_install(
         config, text, name=options.name, user=options.user, groups=groups, python=sys.executable, prefix=sys.prefix
@@ -155,10 +150,7 @@ def _status(options: argparse.Namespace) -> int:
         about["restarts"] = int(known.get("NRestarts") or 0)
         about["status"] = known.get("StatusText") or None
         well = about["active"] == "active"
-    if options.json:
-        print_json(about)
-    else:
-        say(_line(about))
+    answer(options, about, [_line(about)])
     return 0 if well else 1
 
 

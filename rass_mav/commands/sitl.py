@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from itertools import chain
 from pathlib import Path
 
 from rass_mav.errors import ConfigError
 
-from .common import Subparsers, add_command, add_set, print_json, progress, say, start_logging
+from .common import Subparsers, add_command, add_set, answer, progress_of_steps, start_logging
+from .summary import flight_lines, summary_lines
 
 
 def register(subparsers: Subparsers) -> None:
@@ -33,8 +35,8 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom (docs/policies.md)")
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
-    parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
-    parser.add_argument("--keep", metavar="DIR", help="keep configurations, stores, logs and the true tracks here")
+    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores, logs and tracks here")
     add_set(parser)
 
 
@@ -57,27 +59,9 @@ def _sitl(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{HOW_TO_GET}. Flying with mock flight controllers instead.\n")
         firmware = find_firmware(mock=True)
         assert firmware is not None
-    done = 0
-
-    def show(step: int) -> None:
-        nonlocal done
-        advance(step - done)
-        done = step
-
-    with progress(scenario.steps, "steps", quiet=options.json) as advance:
+    with progress_of_steps(scenario.steps, quiet=options.json) as show:
         summary = run(
-            scenario,
-            firmware,
-            through=options.through,
-            keep=None if options.keep is None else Path(options.keep),
-            record=None if options.record is None else Path(options.record),
-            progress=show,
+            scenario, firmware, through=options.through, keep=options.keep, record=options.record, progress=show
         )
-    if options.json:
-        print_json(summary)
-        return 0
-    from .summary import flight_lines, summary_lines
-
-    for line in [*summary_lines(summary), *flight_lines(summary["sitl"])]:
-        say(line)
+    answer(options, summary, chain(summary_lines(summary), flight_lines(summary["sitl"])))
     return 0

@@ -5,17 +5,16 @@ from __future__ import annotations
 import argparse
 import gc
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError
 
-from .common import Subparsers, add_command, add_set, print_json, progress, recorder, say, start_logging
+from .common import Subparsers, add_command, add_set, answer, progress, progress_of_steps, recorder, say, start_logging
+from .summary import summary_lines
 
 if TYPE_CHECKING:
     from rass_mav.swarm.scenario import Scenario
-    from rass_mav.swarm.world import World
 
 
 def register(subparsers: Subparsers) -> None:
@@ -41,8 +40,8 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--reorder", type=float, metavar="P", help="a frame is overtaken by others")
     parser.add_argument("--capacity", type=int, metavar="ITEMS", help="data that a drone can hold")
     parser.add_argument("--transport", metavar="NAME", help="loopback (virtual time) or udp (processes, real time)")
-    parser.add_argument("--record", metavar="FILE.tlog", help="write every frame put on the air")
-    parser.add_argument("--keep", metavar="DIR", help="udp: keep configurations, stores and logs in this directory")
+    parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="udp: keep configurations, stores and logs here")
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
 
@@ -65,17 +64,8 @@ def _swarm(options: argparse.Namespace) -> int:
             say(f"{name:22} {load_scenario(name).title}")
         return 0
     scenario = _scenario(options)
-    if scenario.transport == "udp":
-        summary = _in_real_time(scenario, options)
-    else:
-        summary = _in_virtual_time(scenario, options)
-    if options.json:
-        print_json(summary)
-    else:
-        from .summary import summary_lines
-
-        for line in summary_lines(summary):
-            say(line)
+    summary = (_in_real_time if scenario.transport == "udp" else _in_virtual_time)(scenario, options)
+    answer(options, summary, summary_lines(summary))
     return 0
 
 
@@ -84,20 +74,8 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
 
     if options.check:
         raise ConfigError("--check needs --transport loopback: nobody can look into all processes at one moment")
-    done = 0
-
-    def show(step: int) -> None:
-        nonlocal done
-        advance(step - done)
-        done = step
-
-    with progress(scenario.steps, "steps", quiet=options.json) as advance:
-        return run(
-            scenario,
-            keep=None if options.keep is None else Path(options.keep),
-            record=None if options.record is None else Path(options.record),
-            progress=show,
-        )
+    with progress_of_steps(scenario.steps, quiet=options.json) as show:
+        return run(scenario, keep=options.keep, record=options.record, progress=show)
 
 
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
@@ -109,13 +87,12 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
         # The swarm lives to the end: the garbage collector need not look through it again and again.
         gc.collect()
         gc.freeze()
-        after: Callable[[World], None] | None = check if options.check else None
         begin = time.perf_counter()
         with progress(scenario.steps, "steps", quiet=options.json) as advance:
             for _ in range(scenario.steps):
                 world.step()
-                if after is not None:
-                    after(world)
+                if options.check:
+                    check(world)
                 advance(1)
         wall = time.perf_counter() - begin
     summary = world.statistics.summary()

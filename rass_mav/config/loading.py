@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 
 import yaml
 
-from rass_mav.config.sections import Section
+from rass_mav.config.sections import Section, under
 from rass_mav.config.typed import build, plain, shown
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, os_errors_as
 
 S = TypeVar("S", bound=Section)
 
@@ -47,27 +47,18 @@ class _Loader(yaml.SafeLoader):
 
 # YAML 1.1, which PyYAML reads, takes 1e-3 for text because it has no dot.
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?[0-9][0-9_]*(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9][0-9_]*(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file; an empty file is an empty mapping. Raises `ConfigError`."""
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(ConfigError, path), Path(path).open("rb") as file:
+        data = file.read(MAX_FILE_BYTES + 1)
     if len(data) > MAX_FILE_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
-    try:
-        raw = _parse(data.decode())
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})") from None
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+    with under(str(path)):
+        raw = _parse(data)
     if raw is None:
         return {}
     if not isinstance(raw, dict):
@@ -75,9 +66,11 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     return raw
 
 
-def _parse(text: str) -> Any:
+def _parse(text: str | bytes) -> Any:
     try:
-        return yaml.load(text, _Loader)
+        return yaml.load(text if isinstance(text, str) else text.decode(), _Loader)
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"not UTF-8 text (byte {error.start})") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f"line {mark.line + 1}: " if mark is not None else ""
@@ -98,10 +91,8 @@ def set_key(raw: dict[str, Any], assignment: str) -> None:
     path = key.strip().split(".")
     if not equals or not all(path):
         raise ConfigError(f"--set: expected key.path=value, got {assignment!r}")
-    try:
+    with under(f"--set {key}"):
         value = _parse(text)
-    except ConfigError as error:
-        raise ConfigError(f"--set {key}: {error}") from None
     place: Any = raw
     for depth, name in enumerate(path):
         last = depth == len(path) - 1
@@ -123,10 +114,8 @@ def set_key(raw: dict[str, Any], assignment: str) -> None:
 
 def convert(raw: Any, type: type[S], source: str) -> S:
     """`raw` as a section. Raises `ConfigError` that begins with `source`, a file's name for instance."""
-    try:
+    with under(source):
         return build(raw, type)
-    except ConfigError as error:
-        raise ConfigError(f"{source}: {error}") from None
 
 
 def to_plain(section: Section) -> dict[str, Any]:

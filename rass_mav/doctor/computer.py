@@ -43,9 +43,7 @@ def needed_packages(config: RunConfig | None) -> list[str]:
 
 
 def packages(
-    names: Iterable[str],
-    version: Callable[[str], str] = metadata.version,
-    least: Mapping[str, str] | None = None,
+    names: Iterable[str], version: Callable[[str], str] = metadata.version, least: Mapping[str, str] | None = None
 ) -> Finding:
     """Are they installed, and new enough?
 

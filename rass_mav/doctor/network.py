@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
+import contextlib
 import ipaddress
 import socket
-import struct
 import threading
 from collections.abc import Sequence
 from functools import lru_cache
@@ -13,6 +12,7 @@ from typing import NamedTuple
 
 from rass_mav.errors import LinkError
 from rass_mav.link.address import parse_address, resolve
+from rass_mav.link.interface import EVERY_NETWORK, find_interface
 from rass_mav.link.settings import LinkSection
 from rass_mav.link.sockets import is_local
 
@@ -20,12 +20,6 @@ from .finding import Finding, failed, passed, warned
 
 #: How long a name may take to be looked up, seconds.
 LOOKUP_S = 2.0
-#: `ioctl` requests (netdevice(7)): address and broadcast address of an interface; they come as a sockaddr.
-_SIOCGIFADDR = 0x8915
-_SIOCGIFBRDADDR = 0x8919
-_IFREQ = struct.Struct("16s24x")
-_ADDRESS_AT = slice(20, 24)
-_EVERYBODY = "255.255.255.255"
 
 
 class Interface(NamedTuple):
@@ -39,16 +33,10 @@ class Interface(NamedTuple):
 def interfaces() -> list[Interface]:
     """Those of this computer that have an IPv4 address, the first one of each."""
     found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        for _, name in socket.if_nameindex():
-            request = _IFREQ.pack(name.encode())
-            try:
-                answers = [
-                    fcntl.ioctl(sock, number, request)[_ADDRESS_AT] for number in (_SIOCGIFADDR, _SIOCGIFBRDADDR)
-                ]
-            except OSError:
-                continue  # it has no IPv4 address
-            found.append(Interface(name, *map(socket.inet_ntoa, answers)))
+    for _, name in socket.if_nameindex():
+        with contextlib.suppress(LinkError):  # it has no IPv4 address
+            own = find_interface(name)
+            found.append(Interface(name, own.address, own.broadcast or "0.0.0.0"))
     return found
 
 
@@ -73,7 +61,7 @@ def link_address(index: int, link: LinkSection, known: Sequence[Interface]) -> F
         return passed(name, f"{link.listen} to {way}")
     broadcast = parse_address(link.broadcast)[0]
     outside = [i for i in known if not ipaddress.IPv4Address(i.address).is_loopback]
-    if broadcast == _EVERYBODY:
+    if broadcast == EVERY_NETWORK:
         if len(outside) > 1:
             return warned(
                 name, f"{broadcast} leaves on one of {len(outside)} networks only ({listed})",

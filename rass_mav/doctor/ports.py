@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rass_mav.app.config import RunConfig
+from rass_mav.errors import why
 from rass_mav.link.address import parse_serial, parse_vehicle_url
 
 from .finding import Finding, failed, passed, warned
@@ -50,7 +51,7 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
     except FileNotFoundError:
         return failed(name, f"not there ({port.key})", _how_to_get(port.device))
     except OSError as error:
-        return failed(name, f"{(error.strerror or str(error)).lower()} ({port.key})", "see docs/raspberry-pi.md")
+        return failed(name, f"{why(error)} ({port.key})", "see docs/raspberry-pi.md")
     if not stat.S_ISCHR(about.st_mode):
         return failed(name, f"no device ({port.key})", "name a serial device, see ls -l /dev/serial/by-id/")
     real = path.resolve().name

@@ -87,13 +87,11 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
         vehicle = _open_vehicle(config, troubles)
         if vehicle is not None:
             stack.callback(vehicle.close)
-        links: list[Link] = []
-        opened: list[int] = []
+        links: dict[int, Link] = {}
         for index in range(len(config.links)):
             link = _open_link(config, index, vehicle, troubles)
             if link is not None:
-                links.append(link)
-                opened.append(index)
+                links[index] = link
                 stack.callback(link.close)
         sensor = _open_sensor(config, clock, troubles)
         if sensor is not None:
@@ -104,7 +102,7 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
         listener = Listener(agent)
         if vehicle is not None:
             agent.services += [MessageRates(agent, message_ids(config.autopilot.messages)), listener]
-        driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, mute=True)
+        driver = Driver(agent, list(links.values()), vehicle, clock.now, executor, rng, sensor, mute=True)
         started = clock.now()
         task = asyncio.create_task(driver.run())
         samples: list[Status] = []
@@ -116,7 +114,7 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
             samples.append(status(driver, started))
         driver.stop()
         await task
-        return Evidence(False, samples, troubles, opened, listener.ear)
+        return Evidence(False, samples, troubles, list(links), listener.ear)
 
 
 def _settings(config: RunConfig) -> AgentSettings:

@@ -22,10 +22,7 @@ from rass_mav.swarm.topology import grid, line
 #: The step in which the base is not there any more.
 VANISHES = 60
 #: Node 0 is the base. The grid is the paper's; the line has its greatest distance.
-LAYOUTS = {
-    "grid": RangeGraph(grid(100, 20.0), 3.0).neighbours,
-    "line": RangeGraph(line(10, 2.0), 3.0).neighbours,
-}
+LAYOUTS = {"grid": RangeGraph(grid(100, 20.0), 3.0).neighbours, "line": RangeGraph(line(10, 2.0), 3.0).neighbours}
 COLUMNS = ("layout", "algorithm", "step", "nodes_with_route", "hops_mean", "hops_max", "cycles")
 
 

@@ -27,10 +27,14 @@ def mean_curve(
     label: str, color: str, marker: str, x: Sequence[float], rows: Sequence[Sequence[float]], *, line: str = "-"
 ) -> Curve:
     """The mean over runs (`rows`: one list for each, as long as `x`) with its 95 % confidence band."""
-    estimates = [estimate(column) for column in zip(*rows, strict=True)]
-    y = [NAN if e is None else e.mean for e in estimates]
-    half = [NAN if e is None or e.half_width is None else e.half_width for e in estimates]
+    y, half = means(zip(*rows, strict=True))
     return Curve(label, x, y, color, marker, half if len(rows) > 1 else None, line)
+
+
+def means(columns: Iterable[Sequence[float]]) -> tuple[list[float], list[float]]:
+    """The mean of each column and half of its 95 % confidence interval; NaN where there is none."""
+    estimates = [estimate(column) or Estimate(NAN, None, 0) for column in columns]
+    return [e.mean for e in estimates], [NAN if e.half_width is None else e.half_width for e in estimates]
 
 
 def over_time(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from rass_mav.experiment.curves import NAN
+from rass_mav.experiment.curves import means
 from rass_mav.experiment.figures import Curve, Panel, Style
 from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runs import Result
@@ -42,9 +42,7 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
     curves = []
     for style, results in groups:
         hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
-        found = [estimate(_delays_at(results, h)) for h in hops]
-        y = [NAN if e is None else e.mean for e in found]
-        half = [NAN if e is None or e.half_width is None else e.half_width for e in found]
+        y, half = means(_delays_at(results, h) for h in hops)
         if any(math.isfinite(value) for value in y):
             curves.append(Curve(style.label, hops, y, style.color, style.marker, half if len(results) > 1 else None))
     # Bands of distances at which hardly anything was made may be huge: the lines set the scale.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -202,12 +202,8 @@ def _draw_points(axes: Axes, panel: Scatter) -> None:
                 f"({point.x:.3g}, {point.y:.2f})", (x, y), (-7 if x == right else 7, 6), textcoords="offset points",
                 ha="right" if x == right else "left", fontsize=8, color=color,
             )  # fmt: skip
-    axes.set_title(panel.title, fontsize=11)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
-    axes.set_xlim(left, right)
-    axes.set_ylim(low, high)
-    axes.grid(alpha=0.3, linewidth=0.6)
+    _label(axes, panel)
+    axes.set(xlim=(left, right), ylim=(low, high))
 
 
 def _figure(size: tuple[float, float]) -> Figure:
@@ -235,9 +231,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
             low = [y - h for y, h in zip(curve.y, curve.half, strict=True)]
             high = [y + h for y, h in zip(curve.y, curve.half, strict=True)]
             axes.fill_between(curve.x, low, high, color=curve.color, alpha=0.18, linewidth=0)
-    axes.set_title(panel.title, fontsize=11)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
+    _label(axes, panel)
     if panel.y_range is not None:
         axes.set_ylim(*panel.y_range)
     elif all(not y < 0 for curve in panel.curves for y in curve.y if math.isfinite(y)):
@@ -248,6 +242,11 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.yaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))
     if panel.x_range is not None:
         axes.set_xlim(*panel.x_range)
+
+
+def _label(axes: Axes, panel: Panel | Scatter) -> None:
+    axes.set_title(panel.title, fontsize=11)
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
     axes.grid(alpha=0.3, linewidth=0.6)
 
 
@@ -267,8 +266,6 @@ def _legend(figure: Figure, axes: Axes, columns: int) -> None:
 def _write(figure: Figure, path: Path, note: str) -> Path:
     if note:
         figure.supxlabel(note, fontsize=7.5, color="#444444")
-    try:
+    with os_errors_as(RassError, path):
         figure.savefig(path, dpi=150, format="png")
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     return path

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from rass_mav.experiment.curves import by_policy, final_reliability, mean_curve, over_time, reliability
 from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
-from rass_mav.experiment.runs import Result, Run
-from rass_mav.experiment.statistics import estimate
-from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
-from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.statistics import counted, estimate
+from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
 
 SCENARIO = "five-drones"
 POLICIES = ("rass", "hop-count", "rass-literal")
@@ -20,17 +19,9 @@ TABLE_COLUMNS = ("policy", "origin", "runs", "steps", "reliability_mean", "relia
 SERIES_COLUMNS = ("policy", "origin", "step", "reliability_mean", "reliability_ci95")
 
 
-def plan(policies: Sequence[str], *, runs: int, steps: int, assignments: Sequence[str] = ()) -> list[Run]:
-    """The runs, seeds 0 .. runs - 1 of each policy. Raises `ConfigError`."""
-    return [
-        Run(
-            SCENARIO, "",
-            load_scenario(SCENARIO, {"policy.name": policy, "seed": seed, "steps": steps}, assignments),
-            ("origins",),
-        )
-        for policy in policies
-        for seed in range(runs)
-    ]  # fmt: skip
+def plan(extent: Extent, policies: Sequence[str]) -> list[Run]:
+    """The runs of each policy. Raises `ConfigError`."""
+    return extent.plan(SCENARIO, SCENARIO, policies, measures=("origins",))
 
 
 def of_origin(result: Result, node: int) -> list[float]:
@@ -50,7 +41,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         cells = []
         for name, rows, final in _origins(group):
             found = estimate(final)
-            cells.append("n/a" if found is None else found.text(3))
+            cells.append(cell(found, 3))
             table.append([policy, name, len(group), group[0].steps, *figures_of(found)])
             for step, values in zip(group[0].series.step, zip(*rows, strict=True), strict=True):
                 series.append([policy, name, step, *figures_of(estimate(values))])
@@ -64,7 +55,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         + markdown(["Algorithm", "all data", *names], lines)
         + _gaps(policies)
     )
-    note = f"mean of {runs} run{'s' if runs > 1 else ''}" + (", band: 95 % confidence interval" if runs > 1 else "")
+    note = f"mean of {counted(runs, 'band')}"
     whole = [over_time(group, reliability) for group in policies.values()]
     y_label = "reliability (1 - lost / created)"
     return [

@@ -12,10 +12,9 @@ from pathlib import Path
 from rass_mav.experiment.curves import by_policy
 from rass_mav.experiment.figures import Bars, draw_bars, policy_style
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
-from rass_mav.experiment.runs import Result, Run
-from rass_mav.experiment.statistics import Estimate, estimate
+from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.statistics import Estimate, counted, estimate
 from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
-from rass_mav.swarm.catalogue import load_scenario
 
 #: Those that follow a fitness.
 POLICIES = ("rass", "hop-count", "rass-literal")
@@ -34,20 +33,13 @@ TABLE_COLUMNS = (
 )  # fmt: skip
 
 
-def plan(
-    topologies: Sequence[str], policies: Sequence[str], *, runs: int, steps: int, assignments: Sequence[str] = ()
-) -> list[Run]:
+def plan(extent: Extent, topologies: Sequence[str], policies: Sequence[str]) -> list[Run]:
     """The runs in the world `paper`. Raises `ConfigError`."""
     return [
-        Run(
-            "local-maxima", "",
-            load_scenario(f"paper-{topology}", {"policy.name": policy, "seed": seed, "steps": steps}, assignments),
-            ("basins",),
-        )
+        run
         for topology in topologies
-        for policy in policies
-        for seed in range(runs)
-    ]  # fmt: skip
+        for run in extent.plan("local-maxima", f"paper-{topology}", policies, measures=("basins",))
+    ]
 
 
 def share(results: Sequence[Result], part: str, whole: str) -> Estimate | None:
@@ -65,9 +57,8 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     for topology, policies in groups.items():
         for policy, group in policies.items():
             shares = [share(group, part, whole) for _, _, part, whole in SHARES]
-            rows.append(
-                [topology, policy, len(group), group[0].steps, *(value for s in shares for value in figures_of(s))]
-            )
+            figures = (figure for found in shares for figure in figures_of(found))
+            rows.append([topology, policy, len(group), group[0].steps, *figures])
             cells.append([TOPOLOGY_TITLES.get(topology, topology), policy_style(policy).label, *map(_percent, shares)])
     runs = max(len(group) for policies in groups.values() for group in policies.values())
     text = (
@@ -77,8 +68,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         "fitter by Eq. 4. Without noise: a basin by the true risk, which the next reading does not end.\n\n"
         + markdown(["Topology", "Algorithm", *(heading for _, heading, *_ in SHARES)], cells)
     )
-    note = f"mean of {runs} run{'s' if runs > 1 else ''}; hatched: in nodes that are basins without noise"
-    note += "; error bars: 95 % confidence interval" if runs > 1 else ""
+    note = f"mean of {counted(runs, 'error bars')}; hatched: in nodes that are basins without noise"
     return [
         write_runs(out / "runs.csv", results),
         write_csv(out / "table.csv", TABLE_COLUMNS, rows),
@@ -109,7 +99,7 @@ def _draw(
                     style.label if not hatch else "",
                     style.color,
                     [0.0 if e is None else 100 * e.mean for e in found],
-                    [0.0 if e is None or e.half_width is None else 100 * e.half_width for e in found],
+                    [0.0 if e is None else 100 * (e.half_width or 0.0) for e in found],
                     hatch,
                 )
             )

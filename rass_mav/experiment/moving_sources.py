@@ -15,9 +15,9 @@ from rass_mav.experiment.curves import (
     summary_estimate,
 )
 from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
-from rass_mav.experiment.runs import Result, Run
-from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
-from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.statistics import counted
+from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
 
 POLICIES = ("rass", "hop-count", "rass-literal")
 TABLE_COLUMNS = (
@@ -26,32 +26,13 @@ TABLE_COLUMNS = (
 _Y_LABEL = "reliability (1 - lost / created)"
 
 
-def plan(
-    drifts: Sequence[float],
-    topology: str,
-    policies: Sequence[str],
-    *,
-    runs: int,
-    steps: int,
-    assignments: Sequence[str] = (),
-) -> list[Run]:
+def plan(extent: Extent, drifts: Sequence[float], topology: str, policies: Sequence[str]) -> list[Run]:
     """The runs in the world `paper`, each source moving `drift` metres a step. Raises `ConfigError`."""
-    return [
-        Run(
-            "moving-sources", _variant(drift),
-            load_scenario(
-                f"paper-{topology}",
-                {"policy.name": policy, "seed": seed, "steps": steps, "radiation.drift": drift}, assignments,
-            ),
-        )
-        for drift in sorted(drifts)
-        for policy in policies
-        for seed in range(runs)
-    ]  # fmt: skip
-
-
-def _variant(drift: float) -> str:
-    return f"drift-{drift:g}"
+    planned = []
+    for drift in sorted(drifts):
+        variant, keys = f"drift-{drift:g}", {"radiation.drift": drift}
+        planned += extent.plan("moving-sources", f"paper-{topology}", policies, variant=variant, keys=keys)
+    return planned
 
 
 def report(results: Sequence[Result], out: Path) -> list[Path]:
@@ -67,19 +48,12 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
             delay = summary_estimate(group, mean_delay)
             drift = drifts[variant]
             rows.append([drift, policy, len(group), group[0].steps, *figures_of(kept), *figures_of(delay)])
-            cells.append(
-                [
-                    f"{drift:g}",
-                    policy_style(policy).label,
-                    "n/a" if kept is None else kept.text(3),
-                    "n/a" if delay is None else delay.text(2),
-                ]
-            )
+            cells.append([f"{drift:g}", policy_style(policy).label, cell(kept, 3), cell(delay)])
             point = (drift, NAN, 0.0) if kept is None else (drift, kept.mean, kept.half_width or 0.0)
             lines.setdefault(policy, []).append(point)
     some = results[0]
     runs = len(next(iter(next(iter(groups.values())).values())))
-    note = f"mean of {runs} run{'s' if runs > 1 else ''}" + (", band: 95 % confidence interval" if runs > 1 else "")
+    note = f"mean of {counted(runs, 'band')}"
     text = (
         f"# Moving sources: {some.topology}, world paper\n\n"
         f"Mean of {runs} runs of {some.steps} steps ± half of the 95 % confidence interval (Student's t). Each source\n"

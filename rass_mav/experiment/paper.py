@@ -20,10 +20,10 @@ from rass_mav.experiment.curves import (
 )
 from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
 from rass_mav.experiment.published import TABLE_1, Published
-from rass_mav.experiment.runs import Result, Run
-from rass_mav.experiment.statistics import Estimate
-from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
-from rass_mav.swarm.catalogue import load_scenario, shipped
+from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.statistics import counted
+from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.swarm.catalogue import shipped
 
 WORLDS = ("paper", "reference")
 TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
@@ -47,16 +47,8 @@ DISTANCE_COLUMNS = ("world", "topology", "policy", *distances.COLUMNS)
 _TAIL = 0.02
 
 
-def plan(
-    worlds: Sequence[str],
-    topologies: Sequence[str],
-    policies: Sequence[str],
-    *,
-    runs: int,
-    steps: int,
-    assignments: Sequence[str] = (),
-) -> list[Run]:
-    """The runs, seeds 0 .. runs - 1 of each combination. Raises `ConfigError`, for a missing scenario too."""
+def plan(extent: Extent, worlds: Sequence[str], topologies: Sequence[str], policies: Sequence[str]) -> list[Run]:
+    """The runs of each combination. Raises `ConfigError`, for a missing scenario too."""
     known = shipped()
     planned = []
     for world in worlds:
@@ -64,12 +56,7 @@ def plan(
             name = f"{world}-{topology}"
             if name not in known:
                 raise ConfigError(f"world {world}: this version of rass-mav has no scenario {name}")
-            for policy in policies:
-                if policy == "rass-literal" and world != "paper":
-                    continue
-                for seed in range(runs):
-                    options = {"policy.name": policy, "seed": seed, "steps": steps}
-                    planned.append(Run(world, "", load_scenario(name, options, assignments)))
+            planned += extent.plan(world, name, [p for p in policies if p != "rass-literal" or world == "paper"])
     if not planned:
         raise ConfigError("nothing to run: rass-literal belongs to the world paper")
     return planned
@@ -87,20 +74,19 @@ def report(results: Sequence[Result], out: Path, published: Published) -> list[P
         where = f"{world}-{topology}"
         title = f"{TOPOLOGY_TITLES.get(topology, topology)}, world {world}"
         runs = max(len(group) for group in policies.values())
-        count = f"{runs} run{'s' if runs > 1 else ''}"
-        band = ", band: 95 % confidence interval" if runs > 1 else ""
+        count = counted(runs, "band")
         authors = any((topology, policy) in published.curves for policy in policies)
         dashed = "; dashed: the authors' runs" if authors else ""
-        note = f"solid: mean of {count}{band}{dashed}"
+        note = f"solid: mean of {count}{dashed}"
         files += [
             draw(out / f"reliability-{where}.png", [_reliability(title, topology, policies, published)], note=note),
             draw(out / f"delays-{where}.png", [_delays(title, topology, policies, published)],
                  legend_columns=2,
-                 note=f"solid: the data of {count} together{dashed}; the longest {_TAIL:.0%} are cut off"),
+                 note=f"solid: the data of {counted(runs)} together{dashed}; the longest {_TAIL:.0%} are cut off"),
             draw(out / f"stored-{where}.png", [_stored(title, topology, policies, published)], note=note),
             draw(
                 out / f"delay-by-distance-{where}.png", [_delay_by_distance(title, policies)],
-                note=f"each point: mean over the means of {count}{band}",
+                note=f"each point: mean over the means of {count}",
             ),
         ]  # fmt: skip
     return files
@@ -132,17 +118,11 @@ def _table_1(
             text.setdefault(world, []).append(
                 [
                     TOPOLOGY_TITLES.get(topology, topology), policy_style(policy).label,
-                    _cell(delay_paper), _cell(delay), _cell(memory_paper), _cell(memory),
-                    _cell(authors, 3), _cell(kept, 3),
+                    cell(delay_paper), cell(delay), cell(memory_paper), cell(memory),
+                    cell(authors, 3), cell(kept, 3),
                 ]
             )  # fmt: skip
     return write_csv(out / "table1.csv", TABLE_COLUMNS, rows), write_text(out / "table1.md", _table_text(text, groups))
-
-
-def _cell(value: Estimate | float | None, digits: int = 2) -> str:
-    if value is None:
-        return "n/a"
-    return value.text(digits) if isinstance(value, Estimate) else f"{value:.{digits}f}"
 
 
 def _table_text(rows: dict[str, list[list[str]]], groups: dict[tuple[str, str], dict[str, list[Result]]]) -> str:

@@ -17,11 +17,10 @@ from rass_mav.experiment import distances
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import LEVEL, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
-from rass_mav.experiment.runs import Result, Run
-from rass_mav.experiment.statistics import Estimate
-from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.statistics import Estimate, counted
+from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings, kinds
-from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.ledger import LOST
 
 POLICIES = tuple(kinds())
@@ -116,16 +115,14 @@ Compared = dict[tuple[str, str], dict[tuple[str, str], Comparison]]
 
 
 def plan(
+    extent: Extent,
     topologies: Sequence[str],
     policies: Sequence[str],
     variants: Sequence[str],
     *,
-    runs: int,
-    steps: int,
     die_fraction: float | None = None,
-    assignments: Sequence[str] = (),
 ) -> list[Run]:
-    """The runs, seeds 0 .. runs - 1 of each combination; with `die_fraction` (0..1) all of them once more, failing.
+    """The runs of each combination; with `die_fraction` (0..1) all of them once more, failing.
 
     Raises `ConfigError`.
     """
@@ -141,14 +138,15 @@ def plan(
                     variant = VARIANTS[name]
                     if policy not in variant.policies:
                         continue
-                    options = {**place.keys, **variant.keys, **failures, "policy.name": policy, "steps": steps}
-                    scenario = load_scenario(place.scenario, options, assignments)
+                    keys = {**place.keys, **variant.keys, **failures}
+                    planned += extent.plan(
+                        world, place.scenario, [policy], variant=name, keys=keys, measures=("ceiling",)
+                    )
+                    scenario = planned[-1].scenario
                     if (scenario.topology, scenario.policy.name) != (topology, policy):
                         raise ConfigError("--set: topology and policy.name are chosen by --topology and --policy here")
                     if scenario.radiation.rule != "probability":
                         raise ConfigError("radiation.rule: expected probability, the oracle knows no other")
-                    for seed in range(runs):
-                        planned.append(Run(world, name, replace(scenario, seed=seed), ("ceiling",)))
     if not planned:
         raise ConfigError("nothing to run: the policy stigmergy has the variant plain only")
     return planned
@@ -236,25 +234,17 @@ def _text(groups: Groups, compared: Compared) -> str:
 
 def _cells(policy: str, variant: str, c: Comparison) -> list[str]:
     return [
-        policy_style(policy).label, _look(policy, variant).title, _cell(c.reliability, 3),
-        "reference" if (policy, variant) == REFERENCE else _cell(c.gain, 3, sign="+"),
-        _cell(c.loss_ratio), _cell(c.ceiling_share),
-        _cell(_delay(policy, c)), _cell(c.transmissions), _cell(c.transmission_ratio),
-        _cell(c.memory), str(c.loops),
+        policy_style(policy).label, _look(policy, variant).title, cell(c.reliability, 3),
+        "reference" if (policy, variant) == REFERENCE else cell(c.gain, 3, sign="+"),
+        cell(c.loss_ratio), cell(c.ceiling_share),
+        cell(_delay(policy, c)), cell(c.transmissions), cell(c.transmission_ratio),
+        cell(c.memory), str(c.loops),
     ]  # fmt: skip
 
 
 def _delay(policy: str, c: Comparison) -> Estimate | None:
     # Stigmergy knows no base: its delays would be those of copies that happen to come there.
     return None if policy == "stigmergy" else c.delay
-
-
-def _cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> str:
-    if value is None:
-        return "n/a"
-    if not isinstance(value, Estimate):
-        return f"{value:.{digits}f}"
-    return (sign if value.mean >= 0 else "") + value.text(digits)
 
 
 def _title(world: str, topology: str, here: dict[tuple[str, str], list[Result]]) -> str:
@@ -267,8 +257,7 @@ def _title(world: str, topology: str, here: dict[tuple[str, str], list[Result]])
 
 
 def _count(results: Sequence[Result]) -> str:
-    runs = len({result.seed for result in results})
-    return f"{runs} run{'s' if runs > 1 else ''}" + (", with 95 % confidence intervals" if runs > 1 else "")
+    return counted(len({result.seed for result in results}), "error bars")
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, why
 
 #: Delay in steps (the paper prints it as "transfer speed (hops)"; None: not applicable) and memory used in percent.
 TABLE_1: dict[tuple[str, str], tuple[float | None, float]] = {
@@ -80,7 +80,7 @@ def _rows(path: Path, columns: tuple[str, ...]) -> Iterator[tuple[tuple[str, str
             for row in csv.DictReader(file):
                 yield (row["topology"], row["policy"]), [float(row[column]) for column in columns]
     except OSError as error:
-        raise ConfigError(f"--reference-data: {path}: {(error.strerror or str(error)).lower()}") from None
+        raise ConfigError(f"--reference-data: {path}: {why(error)}") from None
     except (KeyError, TypeError, ValueError) as error:
         expected = ", ".join(("topology", "policy", *columns))
         raise ConfigError(f"--reference-data: {path}: expected the columns {expected} ({error})") from None

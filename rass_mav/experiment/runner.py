@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from rass_mav.errors import ConfigError, RassError
+from rass_mav.errors import ConfigError, RassError, os_errors_as, why
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 
 #: Given how many runs there are to do, shows how many are done.
@@ -42,7 +42,7 @@ class Archive:
     def __init__(self, directory: Path) -> None:
         """Makes the directory. Raises `RassError` if it cannot."""
         self.directory = directory
-        with _disk(directory):
+        with os_errors_as(RassError, directory):
             directory.mkdir(parents=True, exist_ok=True)
 
     def find(self, run: Run) -> Result | None:
@@ -50,12 +50,10 @@ class Archive:
         path = self.directory / run.file_name
         try:
             result = msgspec.json.decode(path.read_bytes(), type=Result)
-        except FileNotFoundError:
-            return None
-        except msgspec.DecodeError:
+        except (FileNotFoundError, msgspec.DecodeError):
             return None
         except OSError as error:
-            raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+            raise RassError(f"{path}: {why(error)}") from None
         return result if result.key == run.key else None
 
     def keep(self, run: Run, result: Result) -> None:
@@ -63,7 +61,7 @@ class Archive:
         path = self.directory / run.file_name
         # The same call may run twice at a time: each writes a file of its own, and both rename the same content.
         draft = path.with_suffix(f".{os.getpid()}.part")
-        with _disk(path):
+        with os_errors_as(RassError, path):
             try:
                 draft.write_bytes(msgspec.json.encode(result) + b"\n")
                 draft.replace(path)
@@ -71,21 +69,8 @@ class Archive:
                 draft.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
-def _disk(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-
-
 def run_all(
-    runs: Sequence[Run],
-    directory: Path,
-    *,
-    jobs: int = 1,
-    dask: str | None = None,
-    progress: Progress | None = None,
+    runs: Sequence[Run], directory: Path, *, jobs: int = 1, dask: str | None = None, progress: Progress | None = None
 ) -> Outcome:
     """Do those of `runs` that are not in `directory` yet.
 

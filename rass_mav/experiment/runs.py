@@ -6,15 +6,17 @@ import functools
 import gc
 import hashlib
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
 from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
 from rass_mav.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
+from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 
@@ -72,6 +74,34 @@ class Run:
         return "_".join(part for part in parts if part) + ".json"
 
 
+class Extent(NamedTuple):
+    """How much an experiment does of each of its cases."""
+
+    runs: int
+    """Seeds 0 .. runs - 1."""
+    steps: int
+    assignments: Sequence[str] = ()
+    """`key.path=value`: they override all other keys."""
+
+    def plan(
+        self,
+        world: str,
+        scenario: str,
+        policies: Iterable[str],
+        *,
+        variant: str = "",
+        keys: Mapping[str, Any] | None = None,
+        measures: tuple[str, ...] = (),
+    ) -> list[Run]:
+        """The runs of a scenario under each policy. `keys`: what differs from the scenario. Raises `ConfigError`."""
+        planned = []
+        for policy in policies:
+            options = {"policy.name": policy, "steps": self.steps, **(keys or {})}
+            loaded = load_scenario(scenario, options, self.assignments)
+            planned += [Run(world, variant, replace(loaded, seed=seed), measures) for seed in range(self.runs)]
+        return planned
+
+
 class Result(msgspec.Struct):
     """What a run leaves: one small JSON file."""
 
@@ -114,16 +144,10 @@ def execute(run: Run) -> Result:
     finally:
         gc.unfreeze()
     return Result(
-        key=run.key,
-        world=run.world,
-        topology=run.scenario.topology,
-        policy=run.policy,
-        variant=run.variant,
-        seed=run.scenario.seed,
-        steps=run.scenario.steps,
+        run.key, run.world, run.scenario.topology, run.policy, run.variant, run.scenario.seed, run.scenario.steps,
         summary=world.statistics.summary(),
         series=series.series,
         delays=dict(sorted(Counter(world.ledger.delays()).items())),
         distances=distances.result(world),
         extra={name: measure.result() for name, measure in extra.items()},
-    )
+    )  # fmt: skip

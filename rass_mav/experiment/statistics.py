@@ -40,6 +40,13 @@ def estimate(values: Sequence[float], confidence: float = 0.95) -> Estimate | No
     return Estimate(mean, t_quantile(0.5 + confidence / 2, n - 1) * deviation / math.sqrt(n), n)
 
 
+def counted(runs: int, interval: str = "") -> str:
+    """So many runs, in words; `interval`: how a figure shows the confidence interval that several runs have."""
+    if runs == 1:
+        return "1 run"
+    return f"{runs} runs" + (f", {interval}: 95 % confidence interval" if interval else "")
+
+
 def t_between(t: float, degrees: int) -> float:
     """P(|T| <= t) of Student's t with `degrees` >= 1 degrees of freedom, t >= 0.
 

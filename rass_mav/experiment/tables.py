@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from rass_mav.errors import RassError
+from rass_mav.errors import RassError, os_errors_as
 from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import Estimate
 
@@ -17,22 +17,17 @@ RUN_COLUMNS = ("world", "topology", "policy", "variant", "seed", "steps")
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
     """A CSV file with a header; None is an empty field. Raises `RassError` if the disk does not take it."""
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows(rows)
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(RassError, path), path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)
     return path
 
 
 def write_text(path: Path, text: str) -> Path:
     """A text file. Raises `RassError` if the disk does not take it."""
-    try:
+    with os_errors_as(RassError, path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RassError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     return path
 
 
@@ -61,6 +56,15 @@ def write_runs(path: Path, results: Sequence[Result]) -> Path:
         for r, values in zip(results, flat, strict=True)
     ]
     return write_csv(path, [*RUN_COLUMNS, *columns], rows)
+
+
+def cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> str:
+    """A figure in a Markdown table; `sign`: what stands before a mean that is not negative."""
+    if value is None:
+        return "n/a"
+    if not isinstance(value, Estimate):
+        return f"{value:.{digits}f}"
+    return (sign if value.mean >= 0 else "") + value.text(digits)
 
 
 def figures_of(value: Estimate | None, digits: int = 4) -> list[float | None]:

@@ -6,7 +6,7 @@ import ipaddress
 import socket
 from typing import Literal, NamedTuple
 
-from rass_mav.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError, why
 
 from .base import Address
 
@@ -106,7 +106,6 @@ def resolve(address: Address, name: str) -> Address:
     try:
         found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise LinkError(f"{name}: {address[0]}: {reason.lower()}") from None
+        raise LinkError(f"{name}: {address[0]}: {why(error)}") from None
     host, port = found[0][4][:2]
     return str(host), int(port)

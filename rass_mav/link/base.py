@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 from .airtime import Budget
+
+T = TypeVar("T")
 
 #: Where a datagram came from: (IPv4 address, port), or a name and 0.
 Address: TypeAlias = tuple[str, int]
@@ -40,11 +42,41 @@ class LinkCounters(NamedTuple):
     """Own datagrams that came back."""
 
 
-class Link(ABC):
-    """Datagrams in and out. Used on one event loop; never raises for what the network does."""
+class Port(ABC):
+    """Something that bytes come in by and go out. Used on one event loop; never raises for what happens to it."""
 
+    name: str
+    """How status and log call it."""
     stream = False
-    """True: what `receive` returns are pieces of a stream, which may end in the middle of a frame."""
+    """True: what `receive` returns are pieces of a stream, which may end in the middle of a frame. False: each piece
+    holds whole frames."""
+
+    @abstractmethod
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened: what was half read before has no end any more."""
+        return 1
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return ""
+
+    @abstractmethod
+    def counters(self) -> LinkCounters:
+        """What has been done so far. Not for every datagram: may ask the system."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the sockets. What waits to be sent is lost, as frames may be."""
+
+
+class Link(Port):
+    """Datagrams from and to the neighbours."""
+
     budget: Budget | None = None
     """What may be sent; None: as much as one likes."""
     one_hop = True
@@ -57,11 +89,6 @@ class Link(ABC):
         self.name = name
         self._received = 0
         self._inbox: deque[Datagram] = deque()
-        self._wake: Callable[[], None] = _nobody
-
-    @abstractmethod
-    def start(self, wake: Callable[[], None]) -> None:
-        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
 
     @abstractmethod
     def receive(self) -> list[Datagram]:
@@ -79,24 +106,10 @@ class Link(ABC):
     def learn(self, node_id: int, source: Address) -> None:
         """A beacon of this node came from there. What the configuration says of it stays."""
 
-    @abstractmethod
-    def counters(self) -> LinkCounters:
-        """What has been done so far. Not for every datagram: may ask the system."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Release the sockets. What waits to be sent is lost, as frames may be."""
-
-    @property
-    def generation(self) -> int:
-        """How often the port was opened: what was half read before has no end any more."""
-        return 1
-
-    @property
-    def trouble(self) -> str:
-        """Why the port is not open; empty while it is."""
-        return ""
-
-
-def _nobody() -> None:
-    """Nobody is listening yet."""
+def remember(known: OrderedDict[int, T], node_id: int, value: T, most: int) -> None:
+    """Note something about the node that was heard last; beyond `most` the longest silent one is forgotten."""
+    known[node_id] = value
+    known.move_to_end(node_id)
+    if len(known) > most:
+        known.popitem(last=False)

@@ -7,7 +7,7 @@ import socket
 import struct
 from typing import NamedTuple
 
-from rass_mav.errors import LinkError
+from rass_mav.errors import LinkError, os_errors_as
 
 _SIOCGIFADDR = 0x8915
 _SIOCGIFBRDADDR = 0x8919
@@ -43,12 +43,9 @@ def is_name(text: str) -> bool:
 
 def find_interface(name: str) -> Interface:
     """The interface of this name, as it is now. Raises `LinkError`: there is none, or it has no IPv4 address yet."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-        try:
-            address = _ask(sock, _SIOCGIFADDR, name)
-            broadcast = _ask(sock, _SIOCGIFBRDADDR, name)
-        except OSError as error:
-            raise LinkError(f"{name}: {(error.strerror or str(error)).lower()}") from None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, os_errors_as(LinkError, name):
+        address = _ask(sock, _SIOCGIFADDR, name)
+        broadcast = _ask(sock, _SIOCGIFBRDADDR, name)
     return Interface(address, None if broadcast == _NONE else broadcast)
 
 

@@ -9,10 +9,10 @@ from rass_mav.config.sections import under
 from rass_mav.errors import ConfigError
 
 from .address import parse_serial
-from .base import Address, Datagram, Link, LinkCounters
+from .base import Address, Datagram, Link, LinkCounters, remember
 from .serialport import SerialOpener
 from .settings import LinkSection
-from .stream import Opener, StreamPort
+from .stream import Opener, OverStream, StreamPort
 from .vehicle import VehiclePort
 
 #: Node ids heard that a link remembers; beyond it the longest silent one is forgotten.
@@ -32,17 +32,11 @@ class SharedLink(Link):
 
     def learn(self, node_id: int, source: Address) -> None:
         """The node has been heard here."""
-        heard = self._heard
-        heard[node_id] = None
-        heard.move_to_end(node_id)
-        if len(heard) > MAX_HEARD:
-            heard.popitem(last=False)
+        remember(self._heard, node_id, None, MAX_HEARD)
 
 
-class SerialLink(SharedLink):
+class SerialLink(OverStream, SharedLink):
     """A telemetry radio (SiK, RFD) on a serial port. The port is opened on `start`, and again when it is lost."""
-
-    stream = True
 
     def __init__(self, opener: Opener) -> None:
         self.port = StreamPort(opener)
@@ -62,20 +56,6 @@ class SerialLink(SharedLink):
         assert section.device is not None
         return cls(SerialOpener(*parse_serial(section.device), flow_control=section.flow_control))
 
-    def start(self, wake: Callable[[], None]) -> None:
-        """Begin to open and read the port."""
-        self.port.start(wake)
-
-    @property
-    def generation(self) -> int:
-        """How often the port was opened."""
-        return self.port.generation
-
-    @property
-    def trouble(self) -> str:
-        """Why the port is not open; empty while it is."""
-        return self.port.trouble
-
     def receive(self) -> list[Datagram]:
         """What has arrived, in pieces that end anywhere."""
         return self.port.receive()
@@ -83,15 +63,6 @@ class SerialLink(SharedLink):
     def send(self, frame: bytes, target: int) -> None:
         """To everybody."""
         self.port.send(frame)
-
-    def counters(self) -> LinkCounters:
-        """What has been done so far. Received are pieces of the stream."""
-        port = self.port
-        return LinkCounters(port.sent, port.received, 0, port.dropped, 0)
-
-    def close(self) -> None:
-        """Close the port."""
-        self.port.close()
 
 
 class AutopilotLink(SharedLink):

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from rass_mav.errors import LinkError
+from rass_mav.errors import LinkError, why
 
 from .base import MAX_INBOX, MAX_OUTBOX, Address, Datagram
 
@@ -31,7 +31,7 @@ def bound_socket(name: str, address: Address) -> socket.socket:
         sock.bind(address)
     except OSError as error:
         sock.close()
-        raise LinkError(f"{name}: {(error.strerror or str(error)).lower()}") from None
+        raise LinkError(f"{name}: {why(error)}") from None
     return sock
 
 

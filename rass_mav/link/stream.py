@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from rass_mav.errors import LinkError
 
-from .base import MAX_INBOX, Address, Datagram
+from .base import MAX_INBOX, Address, Datagram, LinkCounters, Port
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ class StreamPort:
         """How often the port was opened."""
         self.generation = 0
         """Grows with each opening: what was half read before has no end any more."""
-        self._wake: Callable[[], None] = _nobody
+        self._wake: Callable[[], None] = lambda: None  # nobody is listening yet
         self._channel: Channel | None = None
         self._task: asyncio.Task[None] | None = None
         self._lost = asyncio.Event()
@@ -231,12 +231,38 @@ class StreamPort:
             channel.close()
 
 
+class OverStream(Port):
+    """What a port does that hands everything on to a `StreamPort`."""
+
+    stream = True
+    port: StreamPort
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """Begin to open and read the port."""
+        self.port.start(wake)
+
+    @property
+    def generation(self) -> int:
+        """How often the port was opened."""
+        return self.port.generation
+
+    @property
+    def trouble(self) -> str:
+        """Why the port is not open; empty while it is."""
+        return self.port.trouble
+
+    def counters(self) -> LinkCounters:
+        """What has been done so far. Received are pieces of the stream."""
+        port = self.port
+        return LinkCounters(port.sent, port.received, 0, port.dropped, 0)
+
+    def close(self) -> None:
+        """Close the port."""
+        self.port.close()
+
+
 def _fail_loudly(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and task.exception() is not None:
         task.get_loop().call_exception_handler(
             {"message": f"{task.get_name()} has failed", "exception": task.exception(), "task": task}
         )
-
-
-def _nobody() -> None:
-    """Nobody is listening yet."""

@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from rass_mav.config.sections import under
-from rass_mav.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
-from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters
+from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters, remember
 from .interface import EVERY_NETWORK, find_interface, is_address, is_name
 from .settings import LinkSection
 from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
@@ -143,13 +143,11 @@ class UdpLink(Link):
         except OSError as error:
             sock.close()
             where = f" on {interface}" if interface else ""
-            reason = (error.strerror or str(error)).lower()
-            raise LinkError(f"{self.name}: multicast {group[0]}:{group[1]}{where}: {reason}") from None
+            raise LinkError(f"{self.name}: multicast {group[0]}:{group[1]}{where}: {why(error)}") from None
         return sock
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop."""
-        self._wake = wake
         self._readers = [Reader(sock, self._inbox, wake, is_echo=self._is_own) for sock in self._sockets]
 
     def receive(self) -> list[Datagram]:
@@ -189,23 +187,14 @@ class UdpLink(Link):
 
     def learn(self, node_id: int, source: Address) -> None:
         """From now on, frames for this node go there."""
-        if node_id in self._configured:
-            return
-        learned = self._learned
-        learned[node_id] = source
-        learned.move_to_end(node_id)
-        if len(learned) > MAX_LEARNED:
-            learned.popitem(last=False)
+        if node_id not in self._configured:
+            remember(self._learned, node_id, source, MAX_LEARNED)
 
     def counters(self) -> LinkCounters:
         """What has been done so far; dropped in is what the kernel had no room for."""
-        return LinkCounters(
-            self._sender.sent,
-            self._received,
-            sum(kernel_drops(sock) for sock in self._sockets),
-            self._sender.dropped,
-            sum(reader.echoes for reader in self._readers),
-        )
+        overrun = sum(kernel_drops(sock) for sock in self._sockets)
+        echoes = sum(reader.echoes for reader in self._readers)
+        return LinkCounters(self._sender.sent, self._received, overrun, self._sender.dropped, echoes)
 
     def close(self) -> None:
         """Release the sockets."""

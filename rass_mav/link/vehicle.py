@@ -2,38 +2,19 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from rass_mav.errors import LinkError
+from rass_mav.errors import LinkError, why
 
 from .address import VehicleUrl, resolve
-from .base import MAX_INBOX, Address, Datagram, LinkCounters
+from .base import MAX_INBOX, Address, Datagram, LinkCounters, Port
 from .sockets import Reader, Sender, bound_socket, kernel_drops, udp_socket
 
 
-class VehiclePort(ABC):
-    """Bytes from and to the autopilot, whatever the port is. Never raises for what happens to it after it was made."""
-
-    name: str
-    """How status and log call it."""
-    stream = False
-    """True: what `receive` returns may end in the middle of a frame. False: each piece holds whole frames."""
-
-    @abstractmethod
-    def start(self, wake: Callable[[], None]) -> None:
-        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
-
-    @property
-    def generation(self) -> int:
-        """How often the port was opened: what was half read before has no end any more."""
-        return 1
-
-    @property
-    def trouble(self) -> str:
-        """Why the port is not open; empty while it is."""
-        return ""
+class VehiclePort(Port):
+    """Bytes from and to the autopilot, whatever the port is."""
 
     @abstractmethod
     def receive(self) -> list[bytes]:
@@ -42,14 +23,6 @@ class VehiclePort(ABC):
     @abstractmethod
     def send(self, frame: bytes) -> None:
         """Send a frame, whole or not at all."""
-
-    @abstractmethod
-    def counters(self) -> LinkCounters:
-        """What has been done so far."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release the port."""
 
 
 class VehicleLink(VehiclePort):
@@ -75,14 +48,14 @@ class VehicleLink(VehiclePort):
                 self._socket.connect(address)
             except OSError as error:
                 self._socket.close()
-                raise LinkError(f"{self.name}: {(error.strerror or str(error)).lower()}") from None
+                raise LinkError(f"{self.name}: {why(error)}") from None
         self.address: Address = self._socket.getsockname()
         """Own address."""
         self._sender = Sender(self._socket, self.name)
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop. `wake` is called when something has arrived."""
-        self._reader = Reader(self._socket, self._inbox, wake, is_echo=_never)
+        self._reader = Reader(self._socket, self._inbox, wake, is_echo=lambda source: False)
 
     @property
     def generation(self) -> int:
@@ -124,7 +97,3 @@ class VehicleLink(VehiclePort):
             self._reader.stop()
         self._sender.stop()
         self._socket.close()
-
-
-def _never(source: Address) -> bool:
-    return False

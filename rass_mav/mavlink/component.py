@@ -142,30 +142,16 @@ def onboard_computer_status(status: ComputerStatus, time_us: int) -> bytes:
     """
     cores = [_within(value, 100, _UNKNOWN_U8) for value in status.cores_percent[:8]]
     temperature = _UNKNOWN_I8 if status.temperature_c is None else max(-127, min(126, round(status.temperature_c)))
-    return payload_of(
-        common.MAVLink_onboard_computer_status_message(
-            time_us,
-            _within(status.uptime_s * 1000.0, _UNKNOWN_U32, 0),
-            0,
-            _filled(cores, 8, _UNKNOWN_U8),
-            [_UNKNOWN_U8] * 10,
-            [_UNKNOWN_U8] * 4,
-            [_UNKNOWN_U8] * 10,
-            _UNKNOWN_I8,
-            _filled([temperature], 8, _UNKNOWN_I8),
-            [_UNKNOWN_I16] * 4,
-            _mib(status.ram_used_mib),
-            _mib(status.ram_total_mib),
-            [_UNKNOWN_U32] * 4,
-            _filled([_mib(status.storage_used_mib)], 4, _UNKNOWN_U32),
-            _filled([_mib(status.storage_total_mib)], 4, _UNKNOWN_U32),
-            [_UNKNOWN_U32] * 6,
-            [_UNKNOWN_U32] * 6,
-            [_UNKNOWN_U32] * 6,
-            [_UNKNOWN_U32] * 6,
-            [_UNKNOWN_U32] * 6,
-        )
-    )
+    uptime_ms = _within(status.uptime_s * 1000.0, _UNKNOWN_U32, 0)
+    gpu = ([_UNKNOWN_U8] * 4, [_UNKNOWN_U8] * 10)
+    used, total = ([_mib(size)] + [_UNKNOWN_U32] * 3 for size in (status.storage_used_mib, status.storage_total_mib))
+    links = [[_UNKNOWN_U32] * 6] * 5
+    message = common.MAVLink_onboard_computer_status_message(
+        time_us, uptime_ms, 0, _filled(cores, 8, _UNKNOWN_U8), [_UNKNOWN_U8] * 10, *gpu, _UNKNOWN_I8,
+        _filled([temperature], 8, _UNKNOWN_I8), [_UNKNOWN_I16] * 4, _mib(status.ram_used_mib),
+        _mib(status.ram_total_mib), [_UNKNOWN_U32] * 4, used, total, *links,
+    )  # fmt: skip
+    return payload_of(message)
 
 
 def _within(value: float, most: int, unknown: int) -> int:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import common
 
-__all__ = ["FORMATS", "MavlinkMessage", "MessageFormat", "common", "crc_extra_of", "forget_texts", "payload_of"]
+__all__ = ["FORMATS", "MavlinkMessage", "MessageFormat", "common", "forget_texts", "payload_of"]
 
 #: A message object of pymavlink (`MAVLink_..._message`). pymavlink has no types of its own.
 MavlinkMessage: TypeAlias = Any
@@ -29,12 +29,6 @@ FORMATS: dict[int, MessageFormat] = {
 
 # Only lends its state to `pack` (no signing); it never sends, so it never changes.
 _PACKER = common.MAVLink(None)
-
-
-def crc_extra_of(message_id: int) -> int | None:
-    """CRC_EXTRA of a message, 0..255, or None if the dialect does not know the message."""
-    known = FORMATS.get(message_id)
-    return None if known is None else known.crc_extra[0]
 
 
 def forget_texts() -> None:

@@ -83,24 +83,11 @@ class FrameWriter:
             return self.frame(TUNNEL_ID, _TUNNEL_FIELDS.pack(payload_type, target_system, target_component, size))
         signer = self.signer
         sequence = self.sequence
-        frame = (
-            _TUNNEL_HEADER.pack(
-                MAGIC_V2,
-                len(kept) + 5,
-                0 if signer is None else FLAG_SIGNED,
-                0,
-                sequence,
-                self.system_id,
-                self.component_id,
-                TUNNEL_ID,
-                0,
-                payload_type,
-                target_system,
-                target_component,
-                size,
-            )
-            + kept
-        )
+        flags = 0 if signer is None else FLAG_SIGNED
+        frame = _TUNNEL_HEADER.pack(
+            MAGIC_V2, len(kept) + 5, flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
+            payload_type, target_system, target_component, size,
+        ) + kept  # fmt: skip
         frame += crc16(frame[1:] + TUNNEL_EXTRA).to_bytes(2, "little")
         self.sequence = (sequence + 1) & 0xFF
         return frame if signer is None else signer.sign(frame)
@@ -123,20 +110,11 @@ class FrameWriter:
         payload = payload.rstrip(b"\0") or payload[:1]
         signer = self.signer
         sequence = self.sequence
-        frame = (
-            _HEADER.pack(
-                MAGIC_V2,
-                len(payload),
-                0 if signer is None else FLAG_SIGNED,
-                0,
-                sequence,
-                self.system_id,
-                self.component_id,
-                message_id & 0xFFFF,
-                message_id >> 16,
-            )
-            + payload
-        )
+        flags = 0 if signer is None else FLAG_SIGNED
+        frame = _HEADER.pack(
+            MAGIC_V2, len(payload), flags, 0, sequence, self.system_id, self.component_id,
+            message_id & 0xFFFF, message_id >> 16,
+        ) + payload  # fmt: skip
         frame += crc16(frame[1:] + FORMATS[message_id].crc_extra).to_bytes(2, "little")
         self.sequence = (sequence + 1) & 0xFF
         return frame if signer is None else signer.sign(frame)

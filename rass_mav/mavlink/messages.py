@@ -6,29 +6,13 @@ and raise ValueError for values out of range, which are mistakes of the caller.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 from rass_mav.errors import MalformedError
 
-from .dialect import MavlinkMessage, common, crc_extra_of
+from .dialect import MavlinkMessage, common
 from .frames import Frame
-
-__all__ = [
-    "MavlinkMessage",
-    "autopilot_heartbeat",
-    "companion_heartbeat",
-    "crc_extra_of",
-    "global_position_int",
-    "global_position_int_payload",
-    "home_position",
-    "local_position_ned",
-    "named_value_float",
-    "named_value_float_payload",
-    "parse",
-    "radio_txbuf",
-    "set_message_interval",
-    "statustext",
-]
 
 HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
 LOCAL_POSITION_NED: int = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
@@ -106,14 +90,8 @@ def radio_txbuf(frame: Frame) -> int | None:
 
 def companion_heartbeat() -> MavlinkMessage:
     """HEARTBEAT of a companion computer: it is active and no autopilot."""
-    return common.MAVLink_heartbeat_message(
-        common.MAV_TYPE_ONBOARD_CONTROLLER,
-        common.MAV_AUTOPILOT_INVALID,
-        0,
-        0,
-        common.MAV_STATE_ACTIVE,
-        _DIALECT_VERSION,
-    )
+    kind, state = common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_STATE_ACTIVE
+    return common.MAVLink_heartbeat_message(kind, common.MAV_AUTOPILOT_INVALID, 0, 0, state, _DIALECT_VERSION)
 
 
 def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkMessage:
@@ -122,13 +100,9 @@ def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkM
     :param custom_mode: the flight mode as ArduCopter counts them, 0..2^32 - 1.
     """
     base_mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+    state = common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY
     return common.MAVLink_heartbeat_message(
-        common.MAV_TYPE_QUADROTOR,
-        common.MAV_AUTOPILOT_ARDUPILOTMEGA,
-        base_mode,
-        custom_mode,
-        common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY,
-        _DIALECT_VERSION,
+        common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_ARDUPILOTMEGA, base_mode, custom_mode, state, _DIALECT_VERSION
     )
 
 
@@ -136,56 +110,6 @@ def _degrees_e7(latitude: float, longitude: float) -> tuple[int, int]:
     if not (-90.0 <= latitude <= 90.0 and -180.0 <= longitude <= 180.0):
         raise ValueError(f"not a place on Earth: latitude {latitude}, longitude {longitude}")
     return round(latitude * 1e7), round(longitude * 1e7)
-
-
-def _global_position_fields(
-    latitude: float,
-    longitude: float,
-    altitude: float,
-    relative_altitude: float,
-    time_boot_ms: int,
-    velocity: tuple[float, float, float],
-    heading: float | None,
-) -> tuple[int, ...]:
-    lat, lon = _degrees_e7(latitude, longitude)
-    vx, vy, vz = velocity
-    return (
-        time_boot_ms & 0xFFFFFFFF,
-        lat,
-        lon,
-        round(altitude * 1000.0),
-        round(relative_altitude * 1000.0),
-        round(vx * 100.0),
-        round(vy * 100.0),
-        round(vz * 100.0),
-        _UNKNOWN_HEADING if heading is None else round(heading % 360.0 * 100.0) % 36000,
-    )
-
-
-def global_position_int(
-    latitude: float,
-    longitude: float,
-    altitude: float,
-    relative_altitude: float,
-    time_boot_ms: int,
-    *,
-    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    heading: float | None = None,
-) -> MavlinkMessage:
-    """GLOBAL_POSITION_INT.
-
-    :param latitude: degrees, -90..90.
-    :param longitude: degrees, -180..180.
-    :param altitude: metres above mean sea level.
-    :param relative_altitude: metres above home.
-    :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
-    :param velocity: metres per second to north, east and down, each within +-327.67.
-    :param heading: degrees clockwise from north; None: not known.
-    :raises ValueError: a latitude or longitude out of its range.
-    """
-    return common.MAVLink_global_position_int_message(
-        *_global_position_fields(latitude, longitude, altitude, relative_altitude, time_boot_ms, velocity, heading)
-    )
 
 
 def global_position_int_payload(
@@ -196,14 +120,23 @@ def global_position_int_payload(
     time_boot_ms: int,
     *,
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    heading: float | None = None,
 ) -> bytes:
-    """The payload (28 bytes) of `global_position_int` without a message object, for `FrameWriter.frame`.
+    """The payload (28 bytes) of GLOBAL_POSITION_INT, with an unknown heading, for `FrameWriter.frame`.
 
-    A mock flight controller sends one each step; this takes a third of the time.
+    A mock flight controller sends one each step; a message object would take three times as long.
+
+    :param latitude: degrees, -90..90.
+    :param longitude: degrees, -180..180.
+    :param altitude: metres above mean sea level.
+    :param relative_altitude: metres above home.
+    :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
+    :param velocity: metres per second to north, east and down, each within +-327.67.
+    :raises ValueError: a latitude or longitude out of its range.
     """
+    heights = (round(altitude * 1000.0), round(relative_altitude * 1000.0))
+    speeds = (round(part * 100.0) for part in velocity)
     payload: bytes = _pack_global_position(
-        *_global_position_fields(latitude, longitude, altitude, relative_altitude, time_boot_ms, velocity, heading)
+        time_boot_ms & 0xFFFFFFFF, *_degrees_e7(latitude, longitude), *heights, *speeds, _UNKNOWN_HEADING
     )
     return payload
 
@@ -216,19 +149,14 @@ def _name(name: str) -> bytes:
     return encoded
 
 
-def named_value_float(name: str, value: float, time_boot_ms: int) -> MavlinkMessage:
-    """NAMED_VALUE_FLOAT.
+def named_value_float_payload(name: str, value: float, time_boot_ms: int) -> bytes:
+    """The payload (18 bytes) of NAMED_VALUE_FLOAT, for `FrameWriter.frame`.
 
     :param name: 1 to 10 ASCII characters.
     :param value: rounded to 32 bits on the wire.
     :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
     :raises ValueError: a name that does not fit.
     """
-    return common.MAVLink_named_value_float_message(time_boot_ms & 0xFFFFFFFF, _name(name), value)
-
-
-def named_value_float_payload(name: str, value: float, time_boot_ms: int) -> bytes:
-    """The payload (18 bytes) of `named_value_float` without a message object, for `FrameWriter.frame`."""
     payload: bytes = _pack_named_value(time_boot_ms & 0xFFFFFFFF, value, _name(name))
     return payload
 
@@ -270,6 +198,14 @@ def statustext(severity: int, text: str, *, text_id: int = 1) -> list[MavlinkMes
     return [common.MAVLink_statustext_message(severity, piece, text_id, index) for index, piece in enumerate(pieces)]
 
 
+def command_long(
+    command: int, parameters: Sequence[float], *, target_system: int, target_component: int
+) -> MavlinkMessage:
+    """COMMAND_LONG, MAV_CMD `command`; those of its seven parameters that are not given are 0."""
+    given = (*parameters, *[0.0] * (7 - len(parameters)))
+    return common.MAVLink_command_long_message(target_system, target_component, command, 0, *given)
+
+
 def set_message_interval(
     message_id: int, interval_s: float, *, target_system: int, target_component: int
 ) -> MavlinkMessage:
@@ -278,16 +214,9 @@ def set_message_interval(
     :param message_id: the message wanted.
     :param interval_s: seconds between two; the wire has whole microseconds.
     """
-    return common.MAVLink_command_long_message(
-        target_system,
-        target_component,
+    return command_long(
         common.MAV_CMD_SET_MESSAGE_INTERVAL,
-        0,
-        message_id,
-        round(interval_s * 1e6),
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
+        (message_id, round(interval_s * 1e6)),
+        target_system=target_system,
+        target_component=target_component,
     )

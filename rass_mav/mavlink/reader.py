@@ -35,17 +35,9 @@ class FrameReader:
     """Reads the frames of one stream or of the datagrams of one link. Never raises, whatever the bytes."""
 
     __slots__ = (
-        "_buffer",
-        "_needed",
-        "_unknown_left",
-        "frames",
-        "garbage_bytes",
-        "malformed",
-        "pending",
-        "rejected",
-        "unknown",
+        "_buffer", "_needed", "_unknown_left", "frames", "garbage_bytes", "malformed", "pending", "rejected", "unknown",
         "verifier",
-    )
+    )  # fmt: skip
 
     def __init__(self, verifier: Verifier | None = None) -> None:
         """:param verifier: checks signatures; None: signatures are not looked at."""

@@ -43,8 +43,6 @@ class Position(NamedTuple):
     """Degrees, -180..180."""
     altitude: float
     """Metres above mean sea level."""
-    relative_altitude: float
-    """Metres above home."""
     at: float
     """When it was received, in seconds on the caller's timeline."""
 
@@ -91,7 +89,6 @@ class Telemetry:
         """The last position fix."""
         self.local: LocalPosition | None = None
         self.home: Position | None = None
-        """Home, with relative altitude 0."""
         self.reading: Reading | None = None
         self.heartbeat_at: float | None = None
         """When the last heartbeat was received."""
@@ -155,15 +152,13 @@ class Telemetry:
         return True
 
     def _on_global_position(self, payload: bytes, now: float) -> bool:
-        boot_ms, lat, lon, alt, relative_alt, _, _, _, _ = _global_position.unpack_from(
-            payload.ljust(_global_position.size, b"\0")
-        )
+        boot_ms, lat, lon, alt = _global_position.unpack_from(payload.ljust(_global_position.size, b"\0"))[:4]
         if boot_ms:
             self._on_boot_time(boot_ms)
         if not self._is_place(lat, lon):
             self.no_fix_at = now
             return False
-        self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, relative_alt / 1e3, now)
+        self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, now)
         return True
 
     def _on_local_position(self, payload: bytes, now: float) -> bool:
@@ -180,7 +175,7 @@ class Telemetry:
         lat, lon, alt = _home_position.unpack_from(payload.ljust(_home_position.size, b"\0"))[:3]
         if not self._is_place(lat, lon):
             return False
-        self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, 0.0, now)
+        self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, now)
         return True
 
     def _on_heartbeat(self, payload: bytes, now: float, latch: int = 0) -> bool:

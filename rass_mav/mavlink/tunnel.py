@@ -21,11 +21,7 @@ _TUNNEL_ID = b"\x81\x01\x00"
 # By the length of the whole frame, from the smallest with all fields: one struct that takes all of it apart, and
 # the first three bytes (magic, payload length, no incompatibility flag) that such a frame must have.
 _SHAPES = [
-    (
-        struct.Struct(f"<3sxxBB3sHBBB{length - _AHEAD}sH").unpack,
-        bytes((MAGIC_V2, length - _AROUND, 0)),
-        length - _AHEAD,
-    )
+    (struct.Struct(f"<3sxxBB3sHBBB{length - _AHEAD}sH").unpack, bytes((MAGIC_V2, length - _AROUND, 0)), length - _AHEAD)
     for length in range(_AHEAD, _LARGEST + 1)
 ]
 

@@ -16,7 +16,7 @@ from rass_mav.errors import MalformedError
 from .component import CMD_REQUEST_MESSAGE, PARAM_NAME_SIZE, REAL32, single
 from .dialect import common, payload_of
 from .frames import Frame
-from .messages import parse
+from .messages import command_long, parse
 
 ARDUPILOT: int = common.MAV_AUTOPILOT_ARDUPILOTMEGA
 PX4: int = common.MAV_AUTOPILOT_PX4
@@ -145,11 +145,8 @@ def param_set(
 
 def request_message(message_id: int, *, target_system: int, target_component: int) -> bytes:
     """Payload of COMMAND_LONG with MAV_CMD_REQUEST_MESSAGE: asks for a message once."""
-    return payload_of(
-        common.MAVLink_command_long_message(
-            target_system, target_component, CMD_REQUEST_MESSAGE, 0, message_id, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        )
-    )
+    target = {"target_system": target_system, "target_component": target_component}
+    return payload_of(command_long(CMD_REQUEST_MESSAGE, (message_id,), **target))
 
 
 def _name(field: str | bytes) -> str:

@@ -141,12 +141,7 @@ class Exchange(Talk):
     """A question for each of some parameters; the answer is the value that holds."""
 
     def __init__(
-        self,
-        autopilot: Autopilot,
-        questions: Mapping[str, Question],
-        patience: Patience,
-        *,
-        new_system_id: int = 0,
+        self, autopilot: Autopilot, questions: Mapping[str, Question], patience: Patience, *, new_system_id: int = 0
     ) -> None:
         """`questions`: by the parameter's name. `new_system_id`: the answer may come from there, and then the autopilot
         is known by it; 0: not asked to change it."""

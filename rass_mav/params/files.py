@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, os_errors_as
 from rass_mav.mavlink.component import single
 from rass_mav.mavlink.vehicle_parameters import TYPES, fits
 
@@ -47,11 +47,8 @@ class ParameterFile(NamedTuple):
 
 def read_file(path: str | Path) -> ParameterFile:
     """Read and check a file. Raises `ConfigError` that names the file, the line and what was expected there."""
-    try:
-        with Path(path).open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(ConfigError, path), Path(path).open("rb") as file:
+        data = file.read(MAX_FILE_BYTES + 1)
     if len(data) > MAX_FILE_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
     try:

@@ -24,13 +24,7 @@ class Session:
     """Speaks to the autopilot as the node does: same system id, same component. The node itself must not run."""
 
     def __init__(
-        self,
-        port: VehiclePort,
-        clock: Callable[[], float],
-        *,
-        system_id: int,
-        component_id: int,
-        patience: Patience,
+        self, port: VehiclePort, clock: Callable[[], float], *, system_id: int, component_id: int, patience: Patience
     ) -> None:
         """:param clock: seconds on any timeline that does not jump.
         :param system_id: what to speak as until the autopilot is known.

@@ -19,6 +19,14 @@ def policy_tag(name: str, *weights: float) -> int:
     return zlib.crc32(text.encode()) & 0xFFFF
 
 
+def all_to(target: Neighbour, view: View) -> list[Dispatch]:
+    """Everything to one neighbour, within the budget and its room."""
+    free = target.beacon.free
+    count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
+    id = target.id
+    return [Dispatch(datum_id, id) for datum_id in islice(view.data(id), count)]
+
+
 class FitnessPolicy:
     """phi = 1/(alpha h + beta r) if there is room, else 0 (Eq. 3); unfit when T phi < the fittest neighbour's (Eq. 4).
 
@@ -82,7 +90,4 @@ class FitnessPolicy:
         if not fittest:
             return []
         target = fittest[0] if len(fittest) == 1 else fittest[view.rng.randrange(len(fittest))]
-        free = target.beacon.free
-        count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
-        id = target.id
-        return [Dispatch(datum_id, id) for datum_id in islice(view.data(id), count)]
+        return all_to(target, view)

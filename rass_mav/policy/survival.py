@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from itertools import islice
 
-from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
+from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, Policy, View
 from rass_mav.core.routes.costs import COST_ONE, NO_COST, CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
-from .fitness import policy_tag
+from .fitness import all_to, policy_tag
 from .settings import Kind, PolicySettings
 
 #: No risk is certain death: readings are not that good, and its logarithm would be infinite.
@@ -53,12 +52,7 @@ class SurvivalPolicy:
     def plan(self, view: View) -> list[Dispatch]:
         """Everything to the next hop, within the budget and its room."""
         target = view.way or self._stranger(view)
-        if target is None:
-            return []
-        free = target.beacon.free
-        count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
-        id = target.id
-        return [Dispatch(datum_id, id) for datum_id in islice(view.data(id), count)]
+        return [] if target is None else all_to(target, view)
 
     def _stranger(self, view: View) -> Neighbour | None:
         """Without a way of its own kind: a neighbour of another policy that knows one, judged by its hops.

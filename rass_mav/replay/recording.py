@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rass_mav.errors import ConfigError, LogError
+from rass_mav.errors import ConfigError, LogError, os_errors_as
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, HOME_POSITION, NAMED_VALUE_FLOAT
 from rass_mav.mavlink.telemetry import Position, Telemetry
 from rass_mav.sensor.bgeigie import SENTENCE
@@ -151,21 +151,18 @@ def read_logs(paths: Sequence[str], *, reading_name: str = "RAD", meter: DoseMet
 def _read(path: str, reading_name: str, meter: DoseMeter) -> tuple[LogFile, list[_Scan]]:
     scans: dict[int, _Scan] = {}
     used = 0
-    try:
-        with Path(path).open("rb") as stream:
-            head = stream.read(_HEAD)
-            stream.seek(0)
-            reader = TlogReader(stream)
-            for record in reader:
-                used += 1
-                system_id = record.raw[5] if record.raw[0] == 0xFD else record.raw[3]
-                if system_id:
-                    scan = scans.get(system_id)
-                    if scan is None:
-                        scan = scans[system_id] = _Scan(system_id, reading_name)
-                    scan.take(record)
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(ConfigError, path), Path(path).open("rb") as stream:
+        head = stream.read(_HEAD)
+        stream.seek(0)
+        reader = TlogReader(stream)
+        for record in reader:
+            used += 1
+            system_id = record.raw[5] if record.raw[0] == 0xFD else record.raw[3]
+            if system_id:
+                scan = scans.get(system_id)
+                if scan is None:
+                    scan = scans[system_id] = _Scan(system_id, reading_name)
+                scan.take(record)
     if not used:
         if SENTENCE.search(head):
             return _read_bgeigie(path, reading_name, meter)

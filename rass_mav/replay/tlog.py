@@ -21,8 +21,8 @@ from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple
 
 from rass_mav.mavlink.crc import crc16
+from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import MAGIC_V2, Frame
-from rass_mav.mavlink.messages import crc_extra_of
 from rass_mav.mavlink.reader import MAX_FRAME, FrameReader
 
 #: A time further than this from the one before needs a second record that agrees, seconds.
@@ -161,7 +161,7 @@ class TlogReader:
             end, message_id = 10 + raw[1], int.from_bytes(raw[7:10], "little")
         else:
             end, message_id = 6 + raw[1], raw[5]
-        if crc_extra_of(message_id) is not None:
+        if message_id in FORMATS:
             return False
         checksum = int.from_bytes(raw[end : end + 2], "little")
         learned = self._extras.get(message_id)

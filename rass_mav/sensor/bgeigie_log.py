@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from rass_mav.errors import ConfigError, LogError, MalformedError
+from rass_mav.errors import ConfigError, LogError, MalformedError, os_errors_as
 
 from .bgeigie import Record, decode_record
 from .protocol import MAX_LINE
@@ -55,11 +55,8 @@ def read_bgeigie(file: BinaryIO) -> BgeigieLog:
 
 def load_bgeigie(path: str) -> BgeigieLog:
     """Read a log file. Raises `ConfigError` if it cannot be opened, `LogError` if there is no valid record in it."""
-    try:
-        with Path(path).open("rb") as file:
-            log = read_bgeigie(file)
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os_errors_as(ConfigError, path), Path(path).open("rb") as file:
+        log = read_bgeigie(file)
     if not log.records:
         why = f" ({log.rejected} rejected; {log.trouble})" if log.rejected else ""
         raise LogError(f"{path}: not one valid bGeigie record in it{why}")

@@ -79,7 +79,7 @@ class SerialSensor(Sensor):
         self._readings: deque[SensorReading] = deque(maxlen=MAX_WAITING)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._wake: Callable[[], None] = _nobody
+        self._wake: Callable[[], None] = lambda: None  # nobody is listening yet
         self._connected = False
         self._count = 0
         self._dropped = 0
@@ -214,7 +214,3 @@ def _reason(error: Exception) -> str:
         in_use = error.errno in (errno.EWOULDBLOCK, errno.EBUSY)
         return "in use by another program" if in_use else os.strerror(error.errno).lower()
     return str(error) if isinstance(error, LinkError) else " ".join(str(error).split()).lower()
-
-
-def _nobody() -> None:
-    """Nobody is listening yet."""

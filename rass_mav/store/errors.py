@@ -12,25 +12,15 @@ from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 # Caused by a wrong statement or value, so by us: these pass as they are.
 _OUR_BUGS = (
-    sqlite3.ProgrammingError,
-    sqlite3.IntegrityError,
-    sqlite3.InterfaceError,
-    sqlite3.NotSupportedError,
+    sqlite3.ProgrammingError, sqlite3.IntegrityError, sqlite3.InterfaceError, sqlite3.NotSupportedError,
     sqlite3.DataError,
-)
+)  # fmt: skip
 # Python 3.10 does not tell the numeric result code, so SQLite's constant messages have to do.
 _FULL = "database or disk is full"
 _OUTSIDE = (
-    "locked",
-    "locking protocol",
-    "disk I/O error",
-    "unable to open database",
-    "readonly database",
-    "access permission denied",
-    "large file support",
-    "interrupted",
-    "no such vfs",
-)
+    "locked", "locking protocol", "disk I/O error", "unable to open database", "readonly database",
+    "access permission denied", "large file support", "interrupted", "no such vfs",
+)  # fmt: skip
 
 
 class Unsound(Exception):

@@ -117,13 +117,8 @@ def connect(
         # A card mounted read-only, or another user's store at rest: SQLite could not make the index of a log there, and
         # without a log it needs none.
         options += "&immutable=1"
-    return sqlite3.connect(
-        f"{path.absolute().as_uri()}?{options}",
-        uri=True,
-        isolation_level=None,
-        check_same_thread=False,
-        timeout=busy_timeout,
-    )
+    name = f"{path.absolute().as_uri()}?{options}"
+    return sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=busy_timeout)
 
 
 def check_version(connection: sqlite3.Connection, path: Path) -> None:

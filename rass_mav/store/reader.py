@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
@@ -34,20 +33,11 @@ class SqliteReader:
                     raise Unsound("another program's database")
                 check_version(self._connection, self._path)
                 self._meta = schema.read_numbers(self._connection, "meta")
-                self._epoch, self._sequence = schema.read_own(self._meta)
+                self.epoch, self.next_sequence = schema.read_own(self._meta)
+                """32 bits, drawn when the store was created; and the sequence number of its next own datum."""
             except BaseException:
                 self._connection.close()
                 raise
-
-    @property
-    def epoch(self) -> int:
-        """32 bits, drawn when the store was created."""
-        return self._epoch
-
-    @property
-    def next_sequence(self) -> int:
-        """The sequence number that the store's next own datum will bear."""
-        return self._sequence
 
     def meta(self) -> dict[str, int]:
         """The numbers that the node keeps, without the store's own."""
@@ -84,7 +74,5 @@ class SqliteReader:
     def __enter__(self) -> SqliteReader:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()

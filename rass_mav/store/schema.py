@@ -64,6 +64,9 @@ _SELECT_INFOS = (
     "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size FROM datum "
     "WHERE arrival > ? ORDER BY arrival LIMIT 512"
 )
+# Of the columns that these two select.
+_DATUM_TYPES = (int, float, int, int, bytes)
+_INFO_TYPES = (int, int, int, int, int, float, int, int, int)
 
 
 def create_tables(connection: sqlite3.Connection, epoch: int) -> None:
@@ -127,16 +130,9 @@ def read_datum(connection: sqlite3.Connection, id: DatumId) -> Datum | None:
     rows = connection.execute(_SELECT_DATUM, id).fetchall()
     if not rows:
         return None
-    kind, created, hops, crc, payload = rows[0]
-    if (
-        type(kind) is not int
-        or type(created) is not float
-        or type(hops) is not int
-        or type(crc) is not int
-        or type(payload) is not bytes
-    ):
+    if tuple(map(type, rows[0])) != _DATUM_TYPES:
         raise Unsound(f"the row of datum {id} holds values of a wrong type")
-    return Datum(id, kind, created, hops, crc, payload)
+    return Datum(id, *rows[0])
 
 
 def read_infos(connection: sqlite3.Connection) -> Iterator[StoredInfo]:
@@ -148,19 +144,10 @@ def read_infos(connection: sqlite3.Connection) -> Iterator[StoredInfo]:
     after = -1
     while True:
         rows = connection.execute(_SELECT_INFOS, (after,)).fetchall()
-        for arrival, origin, epoch, sequence, kind, created, hops, crc, size in rows:
-            if (
-                type(origin) is not int
-                or type(epoch) is not int
-                or type(sequence) is not int
-                or type(kind) is not int
-                or type(created) is not float
-                or type(hops) is not int
-                or type(crc) is not int
-                or type(size) is not int
-            ):
-                raise Unsound(f"row {arrival} of table datum holds values of a wrong type")
-            yield StoredInfo(DatumId(origin, epoch, sequence), kind, created, hops, crc, size)
+        for row in rows:
+            if tuple(map(type, row)) != _INFO_TYPES:
+                raise Unsound(f"row {row[0]} of table datum holds values of a wrong type")
+            yield StoredInfo(DatumId(*row[1:4]), *row[4:])
         if not rows:
             return
         if rows[-1][0] <= after:

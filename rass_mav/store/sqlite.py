@@ -12,7 +12,6 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from types import TracebackType
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
@@ -64,18 +63,21 @@ class SqliteStore:
         self._writer = writer
         self._writing = threading.Lock()
         self._closed = False
-        self._report = report
+        self.report = report
+        """What opening the store found: whether it was created, and what was set aside for being damaged."""
         self._quota = quota_bytes
         self._changes = Changes()
         self._buffered = 0
         self._out: Batch | None = None
         self._failing = False
         self._meta = schema.read_numbers(reader, "meta")
-        self._epoch, self._sequence = schema.read_own(self._meta)
+        self.epoch, self._sequence = schema.read_own(self._meta)
+        """32 bits, drawn when the store was created; and the sequence number of the next own datum."""
         self._counters = schema.read_numbers(reader, "counter")
         # Id -> size of all that is stored, buffered changes included, in the order of arrival.
         self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(reader)}
-        self._used = sum(self._sizes.values()) + ROW_OVERHEAD * len(self._sizes)
+        self.used_bytes = sum(self._sizes.values()) + ROW_OVERHEAD * len(self._sizes)
+        """Bytes of payload plus `ROW_OVERHEAD` for each datum, buffered ones included: what the quota bounds."""
 
     @classmethod
     def open(
@@ -139,24 +141,9 @@ class SqliteStore:
     # -- what the store is ---------------------------------------------------------------------------------------------
 
     @property
-    def epoch(self) -> int:
-        """32 bits, drawn when the store was created."""
-        return self._epoch
-
-    @property
     def fresh(self) -> bool:
         """True if this opening created the store."""
-        return self._report.created
-
-    @property
-    def report(self) -> OpenReport:
-        """What opening the store found: whether it was created, and what was set aside for being damaged."""
-        return self._report
-
-    @property
-    def used_bytes(self) -> int:
-        """Bytes of payload plus `ROW_OVERHEAD` for each datum, buffered ones included: what the quota bounds."""
-        return self._used
+        return self.report.created
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
@@ -181,7 +168,7 @@ class SqliteStore:
     def room_for(self, size: int) -> bool:
         """Whether a new datum of `size` bytes of payload fits the quota, and what may wait for a commit."""
         cost = size + ROW_OVERHEAD
-        within_quota = self._quota is None or self._used + cost <= self._quota
+        within_quota = self._quota is None or self.used_bytes + cost <= self._quota
         return within_quota and self._buffered + cost <= MAX_BUFFERED_BYTES
 
     def put(self, datum: Datum) -> None:
@@ -191,14 +178,14 @@ class SqliteStore:
         """
         id, size = datum.id, len(datum.payload)
         old = self._sizes.get(id)
-        used = charge(self._used, 0 if old is None else old + ROW_OVERHEAD, size, self._quota)
+        used = charge(self.used_bytes, 0 if old is None else old + ROW_OVERHEAD, size, self._quota)
         if self._buffered + size + ROW_OVERHEAD > MAX_BUFFERED_BYTES:
             raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, no more fit in memory")
         self._release(id)
         self._changes.put(datum, older=old is not None)
         self._sizes.pop(id, None)
         self._sizes[id] = size
-        self._used = used
+        self.used_bytes = used
         self._buffered += size + ROW_OVERHEAD
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
@@ -216,7 +203,7 @@ class SqliteStore:
             return
         self._release(id)
         self._changes.remove(id)
-        self._used -= size + ROW_OVERHEAD
+        self.used_bytes -= size + ROW_OVERHEAD
         if fate in _RECORDED:
             self.lose(id, fate)
 
@@ -425,9 +412,7 @@ class SqliteStore:
     def __enter__(self) -> SqliteStore:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
 

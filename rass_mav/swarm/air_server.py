@@ -30,7 +30,7 @@ from typing import IO, Any, Generic, TypeVar
 import msgspec
 
 from rass_mav.core.messages import NO_ROUTE, Beacon, Chunk, Data, Put
-from rass_mav.errors import ConfigError, MalformedError, RassError
+from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
@@ -159,10 +159,8 @@ class Air(ABC, Generic[F]):
         self._files.close()
 
     def _opened(self, path: str, mode: str) -> IO[Any]:
-        try:
+        with os_errors_as(ConfigError, path):
             return self._files.enter_context(Path(path).open(mode))
-        except OSError as error:
-            raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
     def _hear_node(self, node: int, frame: bytes) -> None:
         """What a node says to its neighbours, a frame a datagram."""

@@ -11,7 +11,7 @@ from random import Random
 
 from rass_mav.errors import ConfigError
 
-from .mobility import Mobility, Static, Stepper
+from .mobility import Mobility, Static
 from .neighbours import Cells, Position
 
 #: The grid: robots in a row, metres between them, and the first robot's x and y.
@@ -42,7 +42,7 @@ WALK_TARGET_M = 0.5
 WALK_BOX_M = 10.0
 
 
-class Homing(Stepper):
+class Homing(Mobility):
     """Robots that stay where they are, but for the base (id 0): it drives to the corner of its quadrant."""
 
     def __init__(self, positions: list[Position]) -> None:
@@ -87,7 +87,7 @@ class AuthorsLennardJones(Homing):
         return True
 
 
-class Chase(Stepper):
+class Chase(Mobility):
     """Every robot, the base too, drives after a target of its own, which does a random walk in a box.
 
     It starts at its target, and in each step it drives `WALK_SHARE` of the way to it. So the grid dissolves slowly at

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.config.loading import convert, read_yaml, set_key
+from rass_mav.config.sections import under
 from rass_mav.errors import ConfigError
 from rass_mav.swarm.scenario import Scenario
 
@@ -37,20 +38,23 @@ def load_scenario(name: str, options: dict[str, Any] | None = None, assignments:
     Raises `ConfigError` that names the file and the key.
     """
     path = find(name)
-    scenario = convert(_overridden(path, options or {}, assignments), Scenario, path.name)
+    scenario = convert(overridden(path, options or {}, assignments), Scenario, path.name)
     variant = scenario.variants.get(scenario.policy.name)
     if variant is not None:
-        scenario = convert(_overridden(path, options or {}, assignments, variant), Scenario, path.name)
-    try:
-        settings = scenario.agent_settings(0)
-        settings.node_settings()
-        settings.policy.make()
-    except ConfigError as error:
-        raise ConfigError(f"{path.name}: {error}") from None
+        scenario = convert(overridden(path, options or {}, assignments, variant), Scenario, path.name)
+    check_nodes(scenario, path)
     return scenario
 
 
-def _overridden(
+def check_nodes(scenario: Scenario, path: Path) -> None:
+    """Raise `ConfigError` for settings that make no node. `path`: of the scenario."""
+    with under(path.name):
+        settings = scenario.agent_settings(0)
+        settings.node_settings()
+        settings.policy.make()
+
+
+def overridden(
     path: Path, options: dict[str, Any], assignments: Sequence[str], variant: dict[str, dict[str, Any]] | None = None
 ) -> dict[str, Any]:
     """The keys of a file, then of the variant, then `options` and `assignments`: each goes before those before it."""

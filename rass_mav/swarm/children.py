@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 
 from rass_mav.errors import SwarmError
 
@@ -34,20 +34,11 @@ class Child:
         with log.open("ab") as stderr:
             # A session of its own: Ctrl-C on a terminal reaches the parent only, which ends the others in order.
             self._process = subprocess.Popen(
-                [sys.executable, *arguments],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                bufsize=0,
-                start_new_session=True,
-            )
+                [sys.executable, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr,
+                bufsize=0, start_new_session=True,
+            )  # fmt: skip
         self._lines: list[bytes] = []
         self._rest = b""
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
 
     @property
     def file(self) -> int:
@@ -162,9 +153,7 @@ class Children:
     def __enter__(self) -> Children:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         for child in self._all:
             child.kill()
 

@@ -7,9 +7,9 @@ generator passed in, robots are handled in id order, so the same seed gives the 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from random import Random
-from typing import Protocol
 
 from rass_mav.errors import ConfigError
 
@@ -34,44 +34,34 @@ LJ_NOISE_M = 0.005
 _LJ_GAIN = 0.1
 
 
-class Mobility(Protocol):
+class Mobility(ABC):
     """Where the nodes are, now and a step later."""
-
-    @property
-    def positions(self) -> list[Position]:
-        """Current position of each node in metres, by id. A step that moves anything makes a new list."""
-        ...
-
-    def step(self, t: int) -> bool:
-        """Advance to the positions of step t = 0, 1, 2, ... in order, 0 being the start. Returns whether any moved."""
-        ...
-
-
-class Stepper:
-    """What the kinds of mobility share: the positions, and the check that no step is left out or taken twice."""
 
     def __init__(self, positions: list[Position]) -> None:
         self.positions = positions
+        """Current position of each node in metres, by id. A step that moves anything makes a new list."""
         self._next_step = 0
 
     def step(self, t: int) -> bool:
+        """Advance to the positions of step t = 0, 1, 2, ... in order, 0 being the start. Returns whether any moved."""
         if t != self._next_step:
             raise ValueError(f"step {self._next_step} is due, not step {t}")
         self._next_step += 1
         return t > 0 and self._advance(t)
 
+    @abstractmethod
     def _advance(self, t: int) -> bool:
-        raise NotImplementedError
+        """Move on to step t > 0. Returns whether any moved."""
 
 
-class Static(Stepper):
+class Static(Mobility):
     """Nodes that stay where they are."""
 
     def _advance(self, t: int) -> bool:
         return False
 
 
-class RandomWalk(Stepper):
+class RandomWalk(Mobility):
     """Every robot, the base too, moves 0.15 m a step, and before that takes a new uniform heading with chance 0.1.
 
     A robot about to pass a wall turns back first: the part of its heading that points at the wall changes sign. So its
@@ -102,7 +92,7 @@ class RandomWalk(Stepper):
         return True
 
 
-class LennardJones(Stepper):
+class LennardJones(Mobility):
     """Robots that keep their distance from those within range, like the particles of a fluid.
 
     Neighbour at distance r: the force on the robot, along the direction to the neighbour, is
@@ -155,7 +145,7 @@ class LennardJones(Stepper):
         return list(zip(forces_x, forces_y, strict=True))
 
 
-class Islands(Stepper):
+class Islands(Mobility):
     """A swarm that splits in two: at `split_step` all nodes with x > 0 jump by `gap_m` in +x, and stay there.
 
     With `rejoin_step` they jump back to their first places at that step. On the grid the swarm is cut in two if

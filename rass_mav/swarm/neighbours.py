@@ -74,11 +74,7 @@ class RangeGraph:
     """For each node the ids within range of it, ascending, itself left out."""
 
     def __init__(
-        self,
-        positions: Sequence[Position],
-        range_m: float,
-        cylinders: Sequence[Position] = (),
-        cylinder_m: float = 0.0,
+        self, positions: Sequence[Position], range_m: float, cylinders: Sequence[Position] = (), cylinder_m: float = 0.0
     ) -> None:
         """Build the graph. `range_m` in metres, > 0 (`ValueError` otherwise).
 

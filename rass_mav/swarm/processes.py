@@ -20,17 +20,11 @@ import msgspec
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
-from rass_mav.app.config import (
-    AutopilotSection,
-    ControlSection,
-    NodeSection,
-    RunConfig,
-    RunStoreSettings,
-)
+from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
 from rass_mav.app.payloads import parse_id
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
-from rass_mav.errors import ConfigError, ControlError, SwarmError
+from rass_mav.errors import ConfigError, ControlError, SwarmError, os_errors_as
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
@@ -184,7 +178,7 @@ class ProcessSwarm:
         self._directory = directory
         self._children = children
         self._clock = Clock()
-        self._nodes = [NodeProcess(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
+        self._nodes = [self._node(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
         self._drones = self._nodes[scenario.bases :]
         self._census = Census([node.store for node in self._nodes], scenario.bases, self._step_s)
         self._kill_rng = random.Random(f"{scenario.seed}:kills")
@@ -197,6 +191,9 @@ class ProcessSwarm:
         self._loops = 0
         self.kills = 0
         """Processes killed with SIGKILL and started again."""
+
+    def _node(self, node_id: int, directory: Path, socket: Path) -> NodeProcess:
+        return NodeProcess(node_id, directory, socket)
 
     # -- the phases ----------------------------------------------------------------------------------------------------
 
@@ -432,10 +429,8 @@ def conduct(
 
 
 def _prepare(directory: Path) -> None:
-    try:
+    with os_errors_as(ConfigError, directory):
         directory.mkdir(parents=True, exist_ok=True)
         used = any(directory.iterdir())
-    except OSError as error:
-        raise ConfigError(f"{directory}: {(error.strerror or str(error)).lower()}") from None
     if used:
         raise ConfigError(f"{directory}: expected a new or an empty directory")

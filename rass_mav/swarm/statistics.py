@@ -77,7 +77,7 @@ class Statistics:
         """What `swarm --json` prints, but for the wall times."""
         world = self._world
         settings = world.agents[0].settings
-        ledger = world.ledger
+        ledger, radio = world.ledger, world.radio
         lost = ledger.losses()
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
@@ -106,14 +106,9 @@ class Statistics:
             "memory_used_percent": round(100 * self._stored / room, 4) if room else 0.0,
             "copies_mean": round(self._copies / self._waiting, 4) if self._waiting else 0.0,
             "transmissions_per_datum": round(sent_data / created, 4) if created else 0.0,
-            "frames": {
-                "sent": world.radio.sent,
-                "received": received,
-                "dropped": world.radio.dropped,
-                "malformed": malformed,
-            },
-            "bytes_sent": world.radio.bytes_sent,
-            "air_sha256": world.radio.sha256,
+            "frames": {"sent": radio.sent, "received": received, "dropped": radio.dropped, "malformed": malformed},
+            "bytes_sent": radio.bytes_sent,
+            "air_sha256": radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
         if world.failures is not None:

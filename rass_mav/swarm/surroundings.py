@@ -71,16 +71,9 @@ class Surroundings:
 def _mobility(scenario: Scenario, rng: random.Random) -> Mobility:
     if scenario.mobility.layout == "authors":
         return make_authors_mobility(scenario.topology, scenario.nodes, rng)
+    about = scenario.mobility
     return make_mobility(
-        scenario.topology,
-        nodes=scenario.nodes,
-        range_m=scenario.radio.range_m,
-        arena_m=scenario.arena,
-        rng=rng,
-        bases=scenario.bases,
-        pitch_m=scenario.mobility.pitch_m,
-        split_step=scenario.mobility.split_step,
-        rejoin_step=scenario.mobility.rejoin_step,
-        gap_m=scenario.mobility.gap_m,
-        positions=scenario.mobility.positions,
-    )
+        scenario.topology, nodes=scenario.nodes, bases=scenario.bases, range_m=scenario.radio.range_m,
+        arena_m=scenario.arena, rng=rng, pitch_m=about.pitch_m, split_step=about.split_step,
+        rejoin_step=about.rejoin_step, gap_m=about.gap_m, positions=about.positions,
+    )  # fmt: skip

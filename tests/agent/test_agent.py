@@ -23,9 +23,7 @@ from rass_mav.mavlink.messages import (
     NAMED_VALUE_FLOAT,
     STATUSTEXT,
     autopilot_heartbeat,
-    global_position_int,
     local_position_ned,
-    named_value_float,
     parse,
 )
 from rass_mav.mavlink.reader import FrameReader
@@ -34,6 +32,7 @@ from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, decode_measurement
+from tests.telemetry import global_position_int, named_value_float
 
 ONE_HOP = Route(0, 9, 1, 1)
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")

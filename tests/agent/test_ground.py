@@ -19,9 +19,9 @@ from rass_mav.mavlink.messages import (
     NAMED_VALUE_FLOAT,
     STATUSTEXT,
     autopilot_heartbeat,
-    named_value_float,
 )
 from rass_mav.store.memory import MemoryStore
+from tests.telemetry import named_value_float
 
 from .conversation import GCS, SAID, Conversation, kinds
 

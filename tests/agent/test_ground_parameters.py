@@ -19,11 +19,11 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     autopilot_heartbeat,
-    named_value_float,
 )
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
 from tests.core.durable import DurableStore
+from tests.telemetry import named_value_float
 
 from .conversation import Conversation, kinds, values
 

@@ -14,9 +14,10 @@ from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, global_position_int, parse
+from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, parse
 from rass_mav.store.memory import MemoryStore
 from tests.agent.test_agent import to_vehicle
+from tests.telemetry import global_position_int
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
 GLOBAL, LOCAL = 33, 32

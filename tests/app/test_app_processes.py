@@ -19,8 +19,9 @@ from typing import Any
 import pytest
 
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import autopilot_heartbeat, global_position_int, named_value_float
+from rass_mav.mavlink.messages import autopilot_heartbeat
 from rass_mav.mavlink.reader import FrameReader
+from tests.telemetry import global_position_int, named_value_float
 
 from .app_nodes import DEADLINE_S, RunningNode, command, environment, free_ports, line_of
 
@@ -154,7 +155,7 @@ def test_a_measurement_carries_what_the_autopilot_says(tmp_path: Path, tidy: Tid
         def fly() -> bool:
             for message in (
                 autopilot_heartbeat(),
-                global_position_int(48.8584, 2.2945, 330.0, relative_altitude=300.0, time_boot_ms=1000),
+                global_position_int(48.8584, 2.2945, 330.0, relative_altitude=300.0, boot_ms=1000),
                 named_value_float("RAD", 25.0, 1000),
             ):
                 autopilot.sendto(writer.message(message), ("127.0.0.1", vehicle))

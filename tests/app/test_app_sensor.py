@@ -120,9 +120,9 @@ def test_readings_reach_the_agent_and_the_ground_is_told_when_they_stop(caplog: 
 
 @pytest.fixture
 def counter(tmp_path: Path) -> Iterator[SerialDevice]:
-    device = SerialDevice(tmp_path / "ttyCounter")
+    device = SerialDevice(tmp_path / "ttyCounter").plug()
     yield device
-    device.close()
+    device.unplug()
 
 
 def lonely(directory: Path, **sections: Any) -> RunningNode:
@@ -136,7 +136,7 @@ def test_a_process_reads_a_counter_that_is_unplugged_and_plugged_in_again(
 ) -> None:
     node = lonely(
         tmp_path,
-        sensor={"type": "mightyohm", "port": str(counter.port), "dead_time_us": 0},
+        sensor={"type": "mightyohm", "port": str(counter.path), "dead_time_us": 0},
         risk={"low": 0, "high": 10, "stale_s": 0.5},
         data={"interval_steps": 4},
     ).start()
@@ -150,10 +150,10 @@ def test_a_process_reads_a_counter_that_is_unplugged_and_plugged_in_again(
         node.until(lambda: reads(212))
         status = node.status()
         assert status["risk"] == pytest.approx(0.2)
-        assert status["sensor"]["name"] == f"{counter.port}:9600"
+        assert status["sensor"]["name"] == f"{counter.path}:9600"
         assert (status["sensor"]["connected"], status["sensor"]["trouble"]) == (True, "")
         human = command(tmp_path, "status", "n7.yaml").stdout.decode()
-        assert f"sensor {counter.port}:9600: open, " in human
+        assert f"sensor {counter.path}:9600: open, " in human
         node.until(lambda: reads(212) and any(m["reading"] == pytest.approx(2.0) for m in measurements(node)))
         counter.unplug()
         node.until(lambda: not node.status()["sensor"]["connected"])

@@ -28,11 +28,11 @@ from rass_mav.mavlink.messages import (
     NAMED_VALUE_FLOAT,
     TUNNEL,
     autopilot_heartbeat,
-    named_value_float,
 )
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
-from tests.link.ptys import Device
+from tests.ptys import SerialDevice
+from tests.telemetry import named_value_float
 
 from .app_drivers import TIMEOUT_S, Arrivals, run, settings
 
@@ -44,13 +44,13 @@ class Cable:
     """Two serial devices joined: what one says, the other hears. A test may spoil what passes."""
 
     def __init__(self, directory: Path, names: tuple[str, str]) -> None:
-        self.ends = tuple(Device(directory, name) for name in names)
+        self.ends = tuple(SerialDevice(directory / name) for name in names)
         self.carries = True
         self._rng = random.Random(4)
 
     def plug_in(self) -> None:
         for end in self.ends:
-            end.plug_in()
+            end.plug()
         loop = asyncio.get_running_loop()
         a, b = self.ends
         loop.add_reader(a.far, self._pass, a, b)
@@ -59,9 +59,9 @@ class Cable:
     def pull_out(self) -> None:
         for end in self.ends:
             asyncio.get_running_loop().remove_reader(end.far)
-            end.pull_out()
+            end.unplug()
 
-    def _pass(self, source: Device, sink: Device) -> None:
+    def _pass(self, source: SerialDevice, sink: SerialDevice) -> None:
         try:
             data = os.read(source.far, 4096)
             if self.carries:
@@ -113,7 +113,7 @@ def reads(node: Running) -> float | None:
     return None if reading is None else reading.value
 
 
-def serial(device: Device) -> Link:
+def serial(device: SerialDevice) -> Link:
     return LinkSection(type="serial", device=f"{device.path},57600", airtime=AIRTIME).open(None)
 
 
@@ -151,7 +151,7 @@ def test_data_arrive_over_a_serial_radio_that_is_pulled_out_in_the_middle(tmp_pa
 class Autopilot:
     """The far end of the vehicle's port. Answers nothing, but listens."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: SerialDevice) -> None:
         self.device = device
         self.writer = FrameWriter(7, 1)
         self.heard: list[Frame] = []
@@ -180,12 +180,12 @@ class Autopilot:
 @pytest.mark.parametrize("garbage", [b"", b"\xfd\x09\x00\x00", bytes(range(256)) * 8], ids=["none", "half", "baud"])
 def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(tmp_path: Path, garbage: bytes) -> None:
     async def scenario() -> None:
-        device = Device(tmp_path, "serial0")
+        device = SerialDevice(tmp_path / "serial0")
         vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
         node = Running(3, [], vehicle)
         loop = asyncio.get_running_loop()
         for value in (1.5, 2.5, 3.5):
-            autopilot = Autopilot(device.plug_in())
+            autopilot = Autopilot(device.plug())
             began = loop.time()
             await autopilot.until(HEARTBEAT)
             assert autopilot.heard[0].message_id == HEARTBEAT
@@ -202,7 +202,7 @@ def test_an_autopilot_that_comes_back_is_greeted_and_heard_within_five_seconds(t
             assert loop.time() - began < 5.0
             # In the middle of a frame.
             autopilot.say(autopilot.writer.message(named_value_float("RAD", 99.0, 1))[:15])
-            device.pull_out()
+            device.unplug()
             # The node goes on without it.
             goal = node.agent.steps + 3
 
@@ -246,10 +246,10 @@ def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(t
     airtime = AirtimeSection(bytes_s=1000.0, duty=0.2)
 
     async def scenario() -> None:
-        device = Device(tmp_path, "serial0")
+        device = SerialDevice(tmp_path / "serial0")
         vehicle = open_vehicle(parse_vehicle_url(f"{device.path},921600"))
         link = LinkSection(type="autopilot", airtime=airtime).open(vehicle)
-        autopilot = Autopilot(device.plug_in())
+        autopilot = Autopilot(device.plug())
         node = Running(3, [link], vehicle, ground=GroundSettings(values_s=0.1))
         began = asyncio.get_running_loop().time()
         for _ in range(3):
@@ -266,6 +266,6 @@ def test_what_the_autopilot_is_told_keeps_to_the_budget_of_the_radio_behind_it(t
         told = node.driver.channels[0].lane.report()["airtime"]["sent"]
         assert told["vehicle"] >= 3
         await node.end()
-        device.pull_out()
+        device.unplug()
 
     run(scenario)

@@ -20,7 +20,7 @@ from rass_mav.doctor.finding import Finding
 from rass_mav.errors import ServiceError
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.store.sqlite import SqliteStore
-from tests.link.ptys import Device
+from tests.ptys import SerialDevice
 
 NOW = 1_790_000_000.0
 
@@ -90,17 +90,17 @@ def test_clock(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def device(tmp_path: Path) -> Iterator[Device]:
-    device = Device(tmp_path, "serial0").plug_in()
+def device(tmp_path: Path) -> Iterator[SerialDevice]:
+    device = SerialDevice(tmp_path / "serial0").plug()
     yield device
-    device.pull_out()
+    device.unplug()
 
 
-def port(device: Device, baud: int = 57600) -> ports.SerialPort:
+def port(device: SerialDevice, baud: int = 57600) -> ports.SerialPort:
     return ports.SerialPort("autopilot.url", str(device.path), baud)
 
 
-def test_a_serial_port_that_is_there_and_one_that_is_not(device: Device, tmp_path: Path) -> None:
+def test_a_serial_port_that_is_there_and_one_that_is_not(device: SerialDevice, tmp_path: Path) -> None:
     assert sound(ports.serial_port(port(device), tmp_path)).level == "pass"
     gone = sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/ttyUSB7"), tmp_path))
     assert (gone.level, gone.text) == ("fail", "not there (autopilot.url)")
@@ -114,7 +114,7 @@ def test_a_serial_port_that_is_there_and_one_that_is_not(device: Device, tmp_pat
 
 
 @pytest.mark.parametrize("file", ["consoles", "cmdline"])
-def test_a_console_on_the_port(file: str, device: Device, tmp_path: Path) -> None:
+def test_a_console_on_the_port(file: str, device: SerialDevice, tmp_path: Path) -> None:
     (tmp_path / "proc").mkdir()
     real = device.path.resolve().name
     text = (
@@ -127,7 +127,7 @@ def test_a_console_on_the_port(file: str, device: Device, tmp_path: Path) -> Non
     assert ports.serial_port(port(device), tmp_path).level == "pass"
 
 
-def test_a_port_of_another_group(device: Device, tmp_path: Path) -> None:
+def test_a_port_of_another_group(device: SerialDevice, tmp_path: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("needs root, to be somebody else for a moment")
     nobody = pwd.getpwnam("nobody").pw_uid

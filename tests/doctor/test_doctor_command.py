@@ -20,8 +20,8 @@ import serial
 from rass_mav.cli import main
 from rass_mav.doctor import watch
 from tests.app.app_nodes import RunningNode, command, free_ports
-from tests.link.ptys import Device
 from tests.mock_vehicle import MockVehicle
+from tests.ptys import SerialDevice
 
 #: Ten seconds are promised; here a busy machine is added.
 PATIENCE_S = 15.0
@@ -198,7 +198,7 @@ def test_a_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkey
 
 def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    device, counter = Device(tmp_path, "ttyAMA0"), Device(tmp_path, "ttyUSB0")
+    device, counter = SerialDevice(tmp_path / "ttyAMA0"), SerialDevice(tmp_path / "ttyUSB0")
     node = RunningNode(
         tmp_path, 7, node={"role": "drone"},
         autopilot={"url": f"{device.path},57600"},
@@ -209,8 +209,8 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
     found = examined(Path(node.config), capsys, 1)
     assert levels(found, f"serial port {device.path}", f"serial port {counter.path}", "autopilot", "sensor",
                   "links[0]") == 5 * ["fail"]  # fmt: skip
-    device.plug_in()
-    counter.plug_in()
+    device.plug()
+    counter.plug()
     try:
         with MockVehicle().on_pty(device.far), Talking(counter.far, b"CPS, 1, CPM, 60, uSv/hr, 0.35, SLOW\r\n"):
             found = examined(Path(node.config), capsys, 0)
@@ -223,13 +223,13 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
         assert "is no MAVLink" in found["autopilot"]["text"]
         assert found["sensor"]["level"] == "fail"
     finally:
-        device.pull_out()
-        counter.pull_out()
+        device.unplug()
+        counter.unplug()
 
 
 def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    device = Device(tmp_path, "ttyAMA0").plug_in()
+    device = SerialDevice(tmp_path / "ttyAMA0").plug()
     node = RunningNode(
         tmp_path, 7, node={"role": "base"}, autopilot={"url": f"serial:{device.path}:57600"}, links=[]
     )  # fmt: skip
@@ -237,7 +237,7 @@ def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture,
         with serial.Serial(str(device.path), 57600, exclusive=True):
             found = examined(Path(node.config), capsys, 1)
     finally:
-        device.pull_out()
+        device.unplug()
     assert found["autopilot"]["text"].endswith(": another program has the port")
 
 

@@ -13,6 +13,7 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.errors import ConfigError
 from rass_mav.experiment import five_drones, local_maxima, moving_sources, paper
+from rass_mav.experiment.runs import Extent
 from rass_mav.experiment.tables import RUN_COLUMNS
 
 SMALL = ["--set", "nodes=16", "--set", "arena_m=8", "--runs", "2", "--steps", "30", "--jobs", "1"]
@@ -198,7 +199,7 @@ def test_bad_usage_is_one_line(
 def test_a_missing_scenario_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(paper, "shipped", lambda: ["paper-grid"])
     with pytest.raises(ConfigError, match="no scenario reference-grid"):
-        paper.plan(["reference"], ["grid"], ["rass"], runs=1, steps=1)
+        paper.plan(Extent(runs=1, steps=1), ["reference"], ["grid"], ["rass"])
 
 
 def test_authors_files_of_another_form_are_refused(authors: Path, capsys: pytest.CaptureFixture[str]) -> None:

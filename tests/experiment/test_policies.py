@@ -15,14 +15,14 @@ from rass_mav.experiment import policies
 from rass_mav.experiment.comparison import compare
 from rass_mav.experiment.measures import Series
 from rass_mav.experiment.policies import FAILING, VARIANTS, WORLD
-from rass_mav.experiment.runs import Result, Run
+from rass_mav.experiment.runs import Extent, Result, Run
 
 from .test_commands import SMALL, asked, check_files, table
 
 
-def plan(**options: Any) -> list[Run]:
-    given = {"topologies": ["grid"], "policies": policies.POLICIES, "variants": list(VARIANTS), "runs": 2, "steps": 9}
-    return policies.plan(**{**given, **options})
+def plan(*, runs: int = 2, **options: Any) -> list[Run]:
+    given = {"topologies": ["grid"], "policies": policies.POLICIES, "variants": list(VARIANTS)}
+    return policies.plan(Extent(runs, steps=9), **{**given, **options})
 
 
 # -- which runs --------------------------------------------------------------------------------------------------------

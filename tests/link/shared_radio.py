@@ -24,8 +24,8 @@ from rass_mav.core.messages import Urgency
 from rass_mav.core.observer import Observer
 from rass_mav.link.airtime import Budget
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.messages import global_position_int, named_value_float
 from rass_mav.store.memory import MemoryStore
+from tests.telemetry import global_position_int, named_value_float
 
 BYTES_S = 5760.0
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")

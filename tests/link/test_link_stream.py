@@ -16,8 +16,7 @@ from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.serialport import SerialOpener
 from rass_mav.link.stream import LONGEST_PAUSE_S, MAX_PENDING_BYTES, OPENING_S, StreamPort
 from rass_mav.link.vehicle_stream import VehicleStream, open_vehicle
-
-from .ptys import Device
+from tests.ptys import SerialDevice
 
 TIMEOUT_S = 10.0
 
@@ -68,7 +67,7 @@ def run(scenario: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(main())
 
 
-def vehicle(device: Device) -> VehicleStream:
+def vehicle(device: SerialDevice) -> VehicleStream:
     port = open_vehicle(parse_vehicle_url(f"serial:{device.path}:921600"))
     assert isinstance(port, VehicleStream)
     return port
@@ -76,7 +75,7 @@ def vehicle(device: Device) -> VehicleStream:
 
 def test_a_serial_port_carries_bytes_both_ways(tmp_path: Path) -> None:
     async def scenario() -> None:
-        device = Device(tmp_path).plug_in()
+        device = SerialDevice(tmp_path / "ttyUSB0").plug()
         watched = Watched(vehicle(device))
         await watched.opened(1)
         device.say(b"\x00\x03\x11\x13\r\n\x04binary\xff")  # none of it may mean anything to the line discipline
@@ -87,20 +86,20 @@ def test_a_serial_port_carries_bytes_both_ways(tmp_path: Path) -> None:
         assert watched.port.counters().sent == 1
         assert watched.port.trouble == ""
         watched.port.close()
-        device.pull_out()
+        device.unplug()
 
     run(scenario)
 
 
 def test_the_speed_is_set(tmp_path: Path) -> None:
     async def scenario() -> None:
-        device = Device(tmp_path).plug_in()
+        device = SerialDevice(tmp_path / "ttyUSB0").plug()
         port = open_vehicle(parse_vehicle_url(f"{device.path},57600"))
         assert isinstance(port, VehicleStream)
         await Watched(port).opened(1)
         assert termios.tcgetattr(device.far)[tty.OSPEED] == termios.B57600
         port.close()
-        device.pull_out()
+        device.unplug()
 
     run(scenario)
 
@@ -110,12 +109,12 @@ def test_a_device_that_is_pulled_out_comes_back_under_its_name(tmp_path: Path) -
 
     async def scenario() -> None:
         loop = asyncio.get_running_loop()
-        device = Device(tmp_path)
+        device = SerialDevice(tmp_path / "ttyUSB0")
         watched = Watched(vehicle(device))
         watched.port.send(b"nobody is there")
         assert watched.port.counters().dropped_out == 1
         for turn in range(1, 4):
-            device.plug_in()
+            device.plug()
             began = loop.time()
             await watched.opened(turn)
             half = b"%d half a fra" % turn
@@ -128,7 +127,7 @@ def test_a_device_that_is_pulled_out_comes_back_under_its_name(tmp_path: Path) -
             assert loop.time() - began < 5.0
             watched.port.send(b"here")
             assert await readable(device.far) == b"here"
-            device.pull_out()
+            device.unplug()
             await watched.until(lambda: bool(watched.port.trouble))
             watched.port.send(b"gone")
         assert watched.port.counters().sent == 3
@@ -140,7 +139,7 @@ def test_a_device_that_is_pulled_out_comes_back_under_its_name(tmp_path: Path) -
 
 def test_a_port_that_does_not_drain_drops_whole_frames_and_says_so(tmp_path: Path) -> None:
     async def scenario() -> None:
-        device = Device(tmp_path).plug_in()
+        device = SerialDevice(tmp_path / "ttyUSB0").plug()
         watched = Watched(vehicle(device))
         await watched.opened(1)
         frames = [bytes([65 + n % 26]) * 145 for n in range(2000)]
@@ -157,14 +156,14 @@ def test_a_port_that_does_not_drain_drops_whole_frames_and_says_so(tmp_path: Pat
         watched.port.send(b"x" * MAX_PENDING_BYTES)
         assert len(await readable(device.far)) > 0
         watched.port.close()
-        device.pull_out()
+        device.unplug()
 
     run(scenario)
 
 
 def test_closing_does_not_wait_for_a_jammed_port(tmp_path: Path) -> None:
     async def scenario() -> None:
-        device = Device(tmp_path).plug_in()
+        device = SerialDevice(tmp_path / "ttyUSB0").plug()
         watched = Watched(vehicle(device))
         await watched.opened(1)
         for _ in range(200):
@@ -172,14 +171,14 @@ def test_closing_does_not_wait_for_a_jammed_port(tmp_path: Path) -> None:
         began = asyncio.get_running_loop().time()
         watched.port.close()
         assert asyncio.get_running_loop().time() - began < 1.0
-        device.pull_out()
+        device.unplug()
 
     run(scenario)
 
 
 def test_two_programs_do_not_share_a_port(tmp_path: Path) -> None:
     async def scenario() -> None:
-        device = Device(tmp_path).plug_in()
+        device = SerialDevice(tmp_path / "ttyUSB0").plug()
         first = Watched(vehicle(device))
         await first.opened(1)
         second = Watched(vehicle(device))
@@ -187,7 +186,7 @@ def test_two_programs_do_not_share_a_port(tmp_path: Path) -> None:
         assert second.port.generation == 0
         second.port.close()
         first.port.close()
-        device.pull_out()
+        device.unplug()
 
     run(scenario)
 

@@ -8,30 +8,31 @@ from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink import messages
-from rass_mav.mavlink.dialect import payload_of
+from rass_mav.mavlink.dialect import MavlinkMessage, payload_of
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.telemetry import LocalPosition, Position, Reading, Telemetry
+from tests.telemetry import global_position_int, named_value_float
 
 
-def frame(message: messages.MavlinkMessage, system: int = 7, component: int = 1) -> Frame:
+def frame(message: MavlinkMessage, system: int = 7, component: int = 1) -> Frame:
     return Frame(message.get_msgId(), 0, system, component, payload_of(message), False)
 
 
-def reading(value: float = 3.5, *, name: str = "RAD", boot_ms: int = 1000) -> messages.MavlinkMessage:
-    return messages.named_value_float(name, value, boot_ms)
+def reading(value: float = 3.5, *, name: str = "RAD", boot_ms: int = 1000) -> MavlinkMessage:
+    return named_value_float(name, value, boot_ms)
 
 
 def test_state_follows_the_autopilot() -> None:
     telemetry = Telemetry(7)
     assert telemetry.handle(frame(messages.autopilot_heartbeat(armed=True)), 10.0)
-    assert telemetry.handle(frame(messages.global_position_int(-35.5, 149.25, 590.5, 6.5, 1234)), 11.0)
+    assert telemetry.handle(frame(global_position_int(-35.5, 149.25, 590.5, 6.5, 1234)), 11.0)
     assert telemetry.handle(frame(messages.local_position_ned(1.0, 2.0, -3.0, 1300)), 12.0)
     assert telemetry.handle(frame(messages.home_position(-35.25, 149.5, 584.0)), 13.0)
     assert telemetry.handle(frame(reading(3.5, boot_ms=1400)), 14.0)
     assert (telemetry.heartbeat_at, telemetry.armed) == (10.0, True)
-    assert telemetry.position == Position(-35.5, 149.25, 590.5, 6.5, 11.0)
+    assert telemetry.position == Position(-35.5, 149.25, 590.5, 11.0)
     assert telemetry.local == LocalPosition(1.0, 2.0, -3.0, 12.0)
-    assert telemetry.home == Position(-35.25, 149.5, 584.0, 0.0, 13.0)
+    assert telemetry.home == Position(-35.25, 149.5, 584.0, 13.0)
     assert telemetry.reading == Reading(3.5, 14.0)
     assert telemetry.boot_ms == 1400
     assert telemetry.handle(frame(messages.autopilot_heartbeat(armed=False)), 15.0)
@@ -41,17 +42,17 @@ def test_state_follows_the_autopilot() -> None:
 
 def test_before_a_fix_there_is_no_position() -> None:
     telemetry = Telemetry(7)
-    assert not telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 0.0, 0.0, 500)), 1.0)
+    assert not telemetry.handle(frame(global_position_int(0.0, 0.0, 0.0, 0.0, 500)), 1.0)
     assert not telemetry.handle(frame(messages.home_position(0.0, 0.0, 0.0)), 1.0)
     # The barometer may give an altitude before there is a fix.
-    assert not telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 12.5, 1.0, 500)), 1.0)
+    assert not telemetry.handle(frame(global_position_int(0.0, 0.0, 12.5, 1.0, 500)), 1.0)
     assert telemetry.position is None
     assert telemetry.home is None
     assert telemetry.boot_ms == 500
     # A fix that was there is not overwritten by one that is lost.
-    telemetry.handle(frame(messages.global_position_int(1.0, 2.0, 3.0, 4.0, 600)), 2.0)
-    telemetry.handle(frame(messages.global_position_int(0.0, 0.0, 0.0, 0.0, 700)), 3.0)
-    assert telemetry.position == Position(1.0, 2.0, 3.0, 4.0, 2.0)
+    telemetry.handle(frame(global_position_int(1.0, 2.0, 3.0, 4.0, 600)), 2.0)
+    telemetry.handle(frame(global_position_int(0.0, 0.0, 0.0, 0.0, 700)), 3.0)
+    assert telemetry.position == Position(1.0, 2.0, 3.0, 2.0)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -75,7 +76,7 @@ def test_negative_readings_are_valid() -> None:
 @pytest.mark.parametrize(("lat", "lon"), [(900_000_001, 0), (-900_000_001, 5), (5, 1_800_000_001), (0, -(2**31))])
 def test_places_that_are_not_on_earth_are_rejected(lat: int, lon: int) -> None:
     telemetry = Telemetry(7)
-    message = messages.global_position_int(1.0, 1.0, 1.0, 1.0, 1)
+    message = global_position_int(1.0, 1.0, 1.0, 1.0, 1)
     message.lat, message.lon = lat, lon
     assert not telemetry.handle(frame(message), 1.0)
     assert telemetry.position is None
@@ -88,7 +89,7 @@ def test_others_are_not_believed(system: int, component: int) -> None:
     before = vars(telemetry).copy()
     others = [
         messages.autopilot_heartbeat(),
-        messages.global_position_int(1.0, 2.0, 3.0, 4.0, 999),
+        global_position_int(1.0, 2.0, 3.0, 4.0, 999),
         messages.local_position_ned(1.0, 2.0, 3.0, 999),
         messages.home_position(1.0, 2.0, 3.0),
         reading(),
@@ -151,7 +152,7 @@ def test_a_reboot_is_seen_by_the_time_since_boot() -> None:
     for boot_ms in (20_000, 20_200, 15_200, 20_400):  # overtaken on the way by up to 5 s: no reboot
         telemetry.handle(frame(reading(boot_ms=boot_ms)), 1.0)
     assert telemetry.reboots == 0
-    telemetry.handle(frame(messages.global_position_int(1.0, 2.0, 3.0, 4.0, 900)), 2.0)
+    telemetry.handle(frame(global_position_int(1.0, 2.0, 3.0, 4.0, 900)), 2.0)
     assert (telemetry.reboots, telemetry.boot_ms) == (1, 900)
     telemetry.handle(frame(messages.local_position_ned(1.0, 2.0, 3.0, 1100)), 2.0)
     assert telemetry.reboots == 1
@@ -159,7 +160,7 @@ def test_a_reboot_is_seen_by_the_time_since_boot() -> None:
 
 def test_a_script_that_leaves_the_time_at_zero_is_no_reboot() -> None:
     telemetry = Telemetry(7)
-    telemetry.handle(frame(messages.global_position_int(1.0, 2.0, 3.0, 4.0, 60_000)), 1.0)
+    telemetry.handle(frame(global_position_int(1.0, 2.0, 3.0, 4.0, 60_000)), 1.0)
     assert telemetry.handle(frame(reading(boot_ms=0)), 2.0)
     assert (telemetry.reboots, telemetry.boot_ms) == (0, 60_000)
 

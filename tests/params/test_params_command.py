@@ -15,8 +15,8 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import RunningNode
-from tests.link.ptys import Device
 from tests.mock_vehicle import INT8, INT16, INT32, PX4, REAL32, MockVehicle
+from tests.ptys import SerialDevice
 
 FOLDER = Path(__file__).parents[2] / "firmware_params"
 FILE = """\
@@ -351,7 +351,7 @@ def test_another_autopilot_than_the_configured_one(tmp_path: Path, config: tuple
 
 
 def test_over_a_serial_port(tmp_path: Path, capsys: Capture) -> None:
-    device = Device(tmp_path).plug_in()
+    device = SerialDevice(tmp_path / "ttyUSB0").plug()
     file = tmp_path / "drone.yaml"
     file.write_text(f"node: {{id: 7, role: base}}\nautopilot: {{url: '{device.path},921600'}}\n")
     try:
@@ -359,6 +359,6 @@ def test_over_a_serial_port(tmp_path: Path, capsys: Capture) -> None:
             assert params(tmp_path, "write", FILE, "--live", str(file), "--yes") == 0
         assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
     finally:
-        device.pull_out()
+        device.unplug()
     assert params(tmp_path, "check", FILE, "--live", str(file)) == 1
     assert capsys.readouterr().err.endswith(f"serial:{device.path}:921600: no such file or directory\n")

@@ -30,9 +30,9 @@ def line(cpm: int) -> bytes:
 
 @pytest.fixture
 def device(tmp_path: Path) -> Iterator[SerialDevice]:
-    device = SerialDevice(tmp_path / "ttyCounter")
+    device = SerialDevice(tmp_path / "ttyCounter").plug()
     yield device
-    device.close()
+    device.unplug()
 
 
 class Watched:
@@ -40,7 +40,7 @@ class Watched:
 
     def __init__(self, device: SerialDevice, protocol: Protocol, patience: Patience | None = None) -> None:
         self.sensor = SerialSensor(
-            str(device.port), 9600, protocol, DoseMeter(METER, "cpm"), time.monotonic, patience or Patience()
+            str(device.path), 9600, protocol, DoseMeter(METER, "cpm"), time.monotonic, patience or Patience()
         )
         self._wake = asyncio.Event()
         self.sensor.start(self._wake.set)
@@ -193,7 +193,7 @@ def test_a_port_that_another_program_uses(device: SerialDevice) -> None:
         device.say(line(3))
         await watched.readings()
 
-    with serial.Serial(str(device.port), 9600, exclusive=True) as other:
+    with serial.Serial(str(device.path), 9600, exclusive=True) as other:
         scenario(device, MightyOhm(), act, Patience(0.01, 0.05))
 
 
@@ -231,7 +231,7 @@ def test_closing_ends_the_thread_and_frees_the_port(device: SerialDevice) -> Non
         device.say(line(1))
         await watched.readings()
         watched.sensor.close()
-        with serial.Serial(str(device.port), 9600, exclusive=True):
+        with serial.Serial(str(device.path), 9600, exclusive=True):
             assert not watched.sensor.state().connected
 
     scenario(device, MightyOhm(), act)

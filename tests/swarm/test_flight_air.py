@@ -18,7 +18,6 @@ from rass_mav.mavlink.messages import (
     TUNNEL,
     autopilot_heartbeat,
     companion_heartbeat,
-    global_position_int,
     parse,
 )
 from rass_mav.mavlink.mission import SIM_STATE, sim_state
@@ -28,6 +27,7 @@ from rass_mav.swarm.autopilot import ORIGIN, to_earth
 from rass_mav.swarm.scenario import MobilitySection, RadiationSection, RadioSection, system_id
 from rass_mav.swarm.sitl.air import FlightAir, FlightOrder
 from rass_mav.swarm.sitl.scenario import FlightScenario, to_arena
+from tests.telemetry import global_position_int
 
 PATIENCE_S = 5.0
 #: A base and two drones; nobody is in range of anybody.

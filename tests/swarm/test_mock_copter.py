@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rass_mav.errors import ConfigError
-from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import (
     COMMAND_ACK,
     GLOBAL_POSITION_INT,
     HEARTBEAT,
     TUNNEL,
-    MavlinkMessage,
     companion_heartbeat,
     parse,
     set_message_interval,

@@ -51,6 +51,7 @@ class FlownSwarm(ProcessSwarm):
     """
 
     _figures_kind = FlightFigures
+    _scenario: FlightScenario
 
     def __init__(
         self,
@@ -63,35 +64,31 @@ class FlownSwarm(ProcessSwarm):
         through: bool,
     ) -> None:
         """`directory`: where everything is written. `sockets`: where control sockets are."""
-        super().__init__(scenario, directory, sockets, children)
-        self._flown = scenario
         self._firmware = firmware
         self._through = through
+        super().__init__(scenario, directory, sockets, children)
         self._scripted = firmware.script is not None and len(scenario.sources) == 1
-        self._nodes = [FlightNode(n, directory, sockets / f"{n}.sock", through=through) for n in range(scenario.nodes)]
-        self._drones = self._nodes[scenario.bases :]
         self._items: dict[int, int] = {}
         """How many mission items each vehicle has."""
         self._item: dict[int, int] = {}
         """Which one it flies."""
         self._pilot_ready = False
 
+    def _node(self, node_id: int, directory: Path, socket: Path) -> NodeProcess:
+        return FlightNode(node_id, directory, socket, through=self._through)
+
     def _surround(self, record: str | None) -> None:
         """Start air and vehicles; returns when all can fly."""
         order = FlightOrder(
-            scenario=self._flown,
-            record=record,
-            through=self._through,
-            px4=self._firmware.name == "px4",
-            readings=not self._scripted,
-            track=str(self._track),
-        )
+            scenario=self._scenario, record=record, through=self._through, px4=self._firmware.name == "px4",
+            readings=not self._scripted, track=str(self._track),
+        )  # fmt: skip
         self._ports = ports = self._start_radio("rass_mav.swarm.sitl.air", order, FlightPorts)
         flights = []
         for drone in self._drones:
             n = drone.node_id
             self._start_vehicle(n, ports)
-            items = self._flown.mission(n, home_first=self._firmware.name != "px4")
+            items = self._scenario.mission(n, home_first=self._firmware.name != "px4")
             self._items[n] = len(items)
             self._item[n] = 0
             flights.append(Flight(n, system_id(n), ports.station[n], items))
@@ -101,7 +98,7 @@ class FlownSwarm(ProcessSwarm):
     def _start_vehicle(self, node_id: int, ports: FlightPorts) -> None:
         name = f"vehicle-{node_id}"
         directory = self._directory / name
-        arguments = prepare(self._firmware, self._flown, ports, node_id, directory, scripted=self._scripted)
+        arguments = prepare(self._firmware, self._scenario, ports, node_id, directory, scripted=self._scripted)
         self._children.start(f"vehicle {node_id}", arguments, self._directory / f"{name}.log")
 
     def _pilot_heard(self) -> None:
@@ -139,7 +136,7 @@ class FlownSwarm(ProcessSwarm):
             }
             for n in self._items
         ]
-        stores = [node.store for node in self._nodes[: self._flown.bases]]
+        stores = [node.store for node in self._nodes[: self._scenario.bases]]
         summary["sitl"] = {
             "firmware": self._firmware.name,
             "wiring": "through-autopilots" if self._through else "beside-autopilots",

@@ -14,6 +14,8 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from rass_mav.errors import why
+
 # prctl(2): the signal that the calling process gets when its parent dies; it survives exec.
 _SET_PARENT_DEATH_SIGNAL = 1
 
@@ -39,7 +41,7 @@ def become(parent: int, directory: str, variables: dict[str, str], command: list
         os.chdir(directory)
         os.execvpe(command[0], command, {**os.environ, **variables})
     except OSError as error:
-        sys.stderr.write(f"{command[0]}: {(error.strerror or str(error)).lower()}\n")
+        sys.stderr.write(f"{command[0]}: {why(error)}\n")
         sys.exit(127)
 
 

@@ -24,10 +24,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.errors import ConfigError, MalformedError, RassError
+from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
 from rass_mav.link.address import parse_address
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, udp_socket
 from rass_mav.mavlink.component import ACCEPTED, CMD_SET_MESSAGE_INTERVAL, UNSUPPORTED, command_ack
+from rass_mav.mavlink.dialect import MavlinkMessage, payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT, BROADCAST
 from rass_mav.mavlink.messages import (
@@ -37,9 +38,8 @@ from rass_mav.mavlink.messages import (
     HEARTBEAT,
     HOME_POSITION,
     LOCAL_POSITION_NED,
-    MavlinkMessage,
     autopilot_heartbeat,
-    global_position_int,
+    global_position_int_payload,
     home_position,
     local_position_ned,
     parse,
@@ -147,9 +147,9 @@ class MockCopter:
             for message_id, stream in port.streams.items():
                 if now >= stream[1]:
                     stream[1] = max(stream[1] + stream[0], now)
-                    message = self._message(message_id)
-                    if message is not None:
-                        port.say(message)
+                    payload = self._payload(message_id)
+                    if payload is not None:
+                        port.say_packed(message_id, payload)
 
     # -- what is heard -------------------------------------------------------------------------------------------------
 
@@ -228,25 +228,26 @@ class MockCopter:
 
     # -- what is said --------------------------------------------------------------------------------------------------
 
-    def _message(self, message_id: int) -> MavlinkMessage | None:
+    def _payload(self, message_id: int) -> bytes | None:
+        """Of a message that is due; None: there is nothing to say yet."""
         flight = self.flight
-        latitude, longitude, altitude = flight.place
-        if message_id == HEARTBEAT:
-            return autopilot_heartbeat(armed=flight.armed, custom_mode=flight.mode)
-        if message_id == SIM_STATE:
-            return sim_state(latitude, longitude, altitude, flight.velocity)
-        if message_id == MISSION_CURRENT:
-            return mission_current(flight.current, len(flight.items))
-        if message_id == HOME_POSITION:
-            return home_position(*flight.home) if self._fix else None
         boot_ms = int(self._now * 1000)
-        if message_id == LOCAL_POSITION_NED:
-            north_east_down = (flight.y, flight.x, -flight.height)
-            return local_position_ned(*north_east_down, boot_ms, velocity=flight.velocity) if self._fix else None
+        if message_id == HEARTBEAT:
+            return payload_of(autopilot_heartbeat(armed=flight.armed, custom_mode=flight.mode))
+        if message_id == SIM_STATE:
+            return payload_of(sim_state(*flight.place, flight.velocity))
+        if message_id == MISSION_CURRENT:
+            return payload_of(mission_current(flight.current, len(flight.items)))
+        if message_id == GLOBAL_POSITION_INT:
+            if not self._fix:
+                # What autopilots say before they know.
+                return global_position_int_payload(0.0, 0.0, 0.0, 0.0, boot_ms)
+            return global_position_int_payload(*flight.place, flight.height, boot_ms, velocity=flight.velocity)
         if not self._fix:
-            # What autopilots say before they know.
-            return global_position_int(0.0, 0.0, 0.0, 0.0, boot_ms)
-        return global_position_int(latitude, longitude, altitude, flight.height, boot_ms, velocity=flight.velocity)
+            return None
+        if message_id == HOME_POSITION:
+            return payload_of(home_position(*flight.home))
+        return payload_of(local_position_ned(flight.y, flight.x, -flight.height, boot_ms, velocity=flight.velocity))
 
 
 def run(copter: MockCopter) -> None:
@@ -270,10 +271,8 @@ def read_defaults(path: str | None) -> dict[str, float]:
     if path is None:
         return {}
     values = {}
-    try:
+    with os_errors_as(ConfigError, path):
         text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
         if words:

@@ -126,17 +126,10 @@ def _raw(number: int, item: MissionItem) -> Any:
     from mavsdk.plugins.mission_raw import MissionItem as RawItem
 
     return RawItem(
-        seq=number,
-        frame=item.frame,
-        command=item.command,
-        current=int(number == 0),
-        autocontinue=1,
-        param1=item.param1,
-        param2=item.param2,
-        x=round(item.latitude * 1e7),
-        y=round(item.longitude * 1e7),
-        z=item.altitude,
-    )
+        seq=number, frame=item.frame, command=item.command, current=int(number == 0), autocontinue=1,
+        param1=item.param1, param2=item.param2,
+        x=round(item.latitude * 1e7), y=round(item.longitude * 1e7), z=item.altitude,
+    )  # fmt: skip
 
 
 async def connect(sdk: Any, flights: list[Flight], tell: Callable[[PilotReport], None]) -> list[Pilot]:

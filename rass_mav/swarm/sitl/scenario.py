@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from rass_mav.config.bounds import Positive
-from rass_mav.config.loading import convert, read_yaml, set_key
+from rass_mav.config.loading import convert
 from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import (
@@ -22,7 +22,7 @@ from rass_mav.mavlink.mission import (
     MissionItem,
 )
 from rass_mav.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
-from rass_mav.swarm.catalogue import find
+from rass_mav.swarm.catalogue import check_nodes, find, overridden
 from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.scenario import Scenario
 
@@ -109,26 +109,12 @@ def load_flight(
     `vehicles`: so many of its drones, the first ones; None: all. Raises `ConfigError` that names the file and the key.
     """
     path = find(name)
-    raw = read_yaml(path)
-    for key, value in (options or {}).items():
-        place = raw
-        *sections, last = key.split(".")
-        for section in sections:
-            place = place.setdefault(section, {})
-        place[last] = value
-    for assignment in assignments:
-        set_key(raw, assignment)
-    scenario: FlightScenario = convert(raw, FlightScenario, path.name)
+    scenario = convert(overridden(path, options or {}, assignments), FlightScenario, path.name)
     if scenario.variants:
         raise ConfigError(f"{path.name}: variants: not for scenarios that are flown")
     if vehicles is not None:
         scenario = _fewer(scenario, vehicles, path.name)
-    try:
-        settings = scenario.agent_settings(0)
-        settings.node_settings()
-        settings.policy.make()
-    except ConfigError as error:
-        raise ConfigError(f"{path.name}: {error}") from None
+    check_nodes(scenario, path)
     return scenario
 
 

@@ -42,7 +42,7 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
     `error_m`: how far the position in a measurement is from where the vehicle was when it was made, mean and largest.
     """
     seen = set()
-    with_position = with_reading = 0
+    with_position = 0
     readings: list[float] = []
     errors: list[float] = []
     for path in stores:
@@ -54,7 +54,6 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
                 seen.add(info.id)
                 m = decode_measurement(datum.payload)
                 if m.reading is not None:
-                    with_reading += 1
                     readings.append(m.reading)
                 if m.latitude is None or m.longitude is None:
                     continue
@@ -65,7 +64,7 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
     return {
         "delivered": len(seen),
         "with_position": with_position,
-        "with_reading": with_reading,
+        "with_reading": len(readings),
         "largest_reading": round(max(readings), 3) if readings else None,
         "error_m": {
             "mean": round(sum(errors) / len(errors), 2) if errors else None,

@@ -1,0 +1,24 @@
+"""What an autopilot says of its vehicle, as message objects of pymavlink."""
+
+from __future__ import annotations
+
+from rass_mav.mavlink.dialect import MavlinkMessage
+from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.messages import (
+    GLOBAL_POSITION_INT,
+    NAMED_VALUE_FLOAT,
+    global_position_int_payload,
+    named_value_float_payload,
+    parse,
+)
+
+
+def global_position_int(
+    latitude: float, longitude: float, altitude: float, relative_altitude: float, boot_ms: int
+) -> MavlinkMessage:
+    payload = global_position_int_payload(latitude, longitude, altitude, relative_altitude, boot_ms)
+    return parse(Frame(GLOBAL_POSITION_INT, 0, 1, 1, payload, False))
+
+
+def named_value_float(name: str, value: float, boot_ms: int) -> MavlinkMessage:
+    return parse(Frame(NAMED_VALUE_FLOAT, 0, 1, 1, named_value_float_payload(name, value, boot_ms), False))
