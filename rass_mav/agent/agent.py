@@ -25,10 +25,9 @@ from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
+from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Reading, Telemetry
-from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
 
 log = logging.getLogger(__name__)
@@ -227,17 +226,9 @@ class Agent:
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
-        fields = tunnel_from_datagram(data)
-        peers = self.peers
-        if fields is not None:
-            _, _, system, component, payload_type, payload = fields
-            message = peers.message(system, component, payload_type, payload, now)
-            return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
-        # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
-        for frame in [*peers.reader.feed(data), *peers.reader.flush()]:
-            if frame.message_id == TUNNEL:
-                out += self.peer_frame(frame, now)
+        for message in self.peers.heard(data, now):
+            out += self._answers(message, now)
         return out
 
     def peer_frame(

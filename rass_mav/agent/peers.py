@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from functools import lru_cache
 
 from rass_mav.agent.outgoing import Outgoing, frames_of
-from rass_mav.core.messages import Message
+from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
+from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.tunnel import decode_tunnel
-from rass_mav.wire import decode
+from rass_mav.mavlink.tunnel import TunnelFields, decode_tunnel, tunnel_from_datagram
+from rass_mav.wire import decode, target_of
 from rass_mav.wire.codec import ForeignError
 
 log = logging.getLogger(__name__)
+
+
+# In a mock swarm all who hear a frame come one behind the other.
+@lru_cache(maxsize=16)
+def _opened(data: bytes) -> tuple[TunnelFields, int] | None:
+    """A datagram that is exactly one frame, and the node id that its message names; None: it is something else."""
+    fields = tunnel_from_datagram(data)
+    return None if fields is None else (TunnelFields(*fields[2:]), target_of(fields[5]))
 
 
 class Peers:
@@ -37,6 +47,17 @@ class Peers:
         self.foreign = 0
         """TUNNEL payloads of another version, type or purpose."""
 
+    def heard(self, data: bytes, now: float) -> Sequence[Message]:
+        """The messages for this node in a datagram of whole frames, one or several."""
+        opened = _opened(data)
+        if opened is not None:
+            message = self._message(opened, now)
+            return () if message is None else (message,)
+        # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
+        frames = [*self.reader.feed(data), *self.reader.flush()]
+        messages = [self.understood(frame, now) for frame in frames if frame.message_id == TUNNEL]
+        return [message for message in messages if message is not None]
+
     def understood(self, frame: Frame, now: float) -> Message | None:
         """The message in a frame with a TUNNEL message; None: it is not for this node, or cannot be understood."""
         try:
@@ -44,19 +65,22 @@ class Peers:
         except MalformedError as error:
             self._count(error)
             return None
-        return self.message(tunnel.target_system, tunnel.target_component, tunnel.payload_type, tunnel.payload, now)
+        return self._message((tunnel, target_of(tunnel.payload)), now)
 
-    def message(self, system: int, component: int, payload_type: int, payload: bytes, now: float) -> Message | None:
-        """The same with a frame taken apart."""
+    def _message(self, opened: tuple[TunnelFields, int], now: float) -> Message | None:
+        (system, component, payload_type, payload), target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
             return None
         self.received += 1
-        writer = self.writer
-        if (system or component) and not addressed_to(system, component, writer.system_id, writer.component_id):
+        if target != self._node_id and target != BROADCAST:
+            return None
+        if (system or component) and not addressed_to(
+            system, component, self.writer.system_id, self.writer.component_id
+        ):
             return None
         try:
-            return decode(payload, now, self._node_id)
+            return decode(payload, now)
         except MalformedError as error:
             self._count(error)
             return None

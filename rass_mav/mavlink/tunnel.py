@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
 from typing import NamedTuple
 
 from rass_mav.errors import MalformedError
@@ -53,13 +52,10 @@ def decode_tunnel(payload: bytes) -> TunnelFields:
     return TunnelFields(target_system, target_component, payload_type, data)
 
 
-@lru_cache(maxsize=16)
 def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
     """The short way from a datagram to what a node said, for a receiver that takes unsigned frames.
 
     Do not use it where signatures are demanded: it lets unsigned frames in. `FrameReader` is the way that always works.
-
-    In a mock swarm all hearers of a frame come one behind the other, so it is taken apart once.
 
     :returns: (system id, component id, target system, target component, payload type, payload of 0..128 bytes) if
         `data` is exactly one unsigned MAVLink 2 frame with a TUNNEL message and a good checksum. None for anything

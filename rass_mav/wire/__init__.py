@@ -1,5 +1,5 @@
 """TUNNEL payloads <-> core's messages. The format is stated in docs/protocol.md, with golden vectors."""
 
-from .codec import INLINE_BYTES, MAX_TUNNEL, decode, encode
+from .codec import INLINE_BYTES, MAX_TUNNEL, decode, encode, target_of
 
-__all__ = ["INLINE_BYTES", "MAX_TUNNEL", "decode", "encode"]
+__all__ = ["INLINE_BYTES", "MAX_TUNNEL", "decode", "encode", "target_of"]

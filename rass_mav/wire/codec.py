@@ -227,27 +227,26 @@ def _encode_words(m: Words, now: float) -> list[bytes]:
 # -- decoding ----------------------------------------------------------------------------------------------------------
 
 
-# Around decoders of what is said to everybody: in a mock swarm all who hear it decode it one after the other.
+# Around what is the same for all who hear a frame: in a mock swarm these come one behind the other.
 _remembered = lru_cache(maxsize=16)
 
 
-def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | None:
+def target_of(payload: bytes) -> int:
+    """The node id that a TUNNEL payload names; BROADCAST: it names none, or is no message of ours."""
+    return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
+
+
+def decode(payload: bytes, now: float) -> Message:
     """The message in a TUNNEL payload. Raises `MalformedError`, and nothing else, whatever the bytes.
 
-    `now`: seconds on the receiver's timeline, for ages. With `node_id`, a message that names another target is not
-    looked into, and None is returned.
+    `now`: seconds on the receiver's timeline, for ages.
     """
     try:
-        head = payload[0]
-        if head in _TARGETED and node_id is not None:
-            target = payload[3] | payload[4] << 8
-            if target != node_id and target != BROADCAST:
-                return None
-        decoder = _DECODERS.get(head)
+        decoder = _DECODERS.get(payload[0])
         if decoder is None:
-            if head >> 4 != VERSION:
-                raise ForeignError(f"version {head >> 4}, ours is {VERSION}")
-            raise ForeignError(f"message type {head & 15} is not known")
+            if payload[0] >> 4 != VERSION:
+                raise ForeignError(f"version {payload[0] >> 4}, ours is {VERSION}")
+            raise ForeignError(f"message type {payload[0] & 15} is not known")
         return decoder(payload, now)
     except (struct.error, IndexError) as error:
         raise MalformedError(f"truncated message: {error}") from None
@@ -255,12 +254,6 @@ def decode(payload: bytes, now: float, node_id: int | None = None) -> Message | 
 
 @_remembered
 def _decode_beacon(p: bytes, now: float) -> Beacon:
-    return _beacon(p)
-
-
-@lru_cache(maxsize=16)
-def _beacon(p: bytes) -> Beacon:
-    """Without ages, so the same for all who hear it: in a mock swarm these come one behind the other."""
     fields = _BEACON.unpack_from(p, 1)
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")

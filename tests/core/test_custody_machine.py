@@ -29,7 +29,7 @@ from rass_mav.errors import RassError, StoreError, StoreFullError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
-from rass_mav.wire import decode
+from rass_mav.wire import decode, target_of
 
 from .books import check_node
 from .build import make_node
@@ -143,7 +143,7 @@ class Swarm(RuleBasedStateMachine):
 
     def _hear(self, i: int, payload: bytes) -> None:
         if i in self.nodes:
-            message = decode(payload, self.now, i)
+            message = decode(payload, self.now) if target_of(payload) in (i, BROADCAST) else None
             if message is not None:
                 self._say(i, self.nodes[i].receive(message, self.now))
                 self._forward(i)

@@ -8,13 +8,13 @@ import random
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Message
+from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.news.notes import LossNotes
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.spares.mirrors import Mirrors
 from rass_mav.errors import StoreFullError
-from rass_mav.wire import decode, encode
+from rass_mav.wire import decode, encode, target_of
 
 from .books import records
 from .build import make_node
@@ -81,7 +81,7 @@ class Storm:
         del self.air[:-300]
 
     def hear(self, i: int, payload: bytes) -> None:
-        message = decode(payload, self.now, i)
+        message = decode(payload, self.now) if target_of(payload) in (i, BROADCAST) else None
         if message is not None:
             self.say(i, self.nodes[i].receive(message, self.now))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container
+from dataclasses import replace
 
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
@@ -240,7 +241,7 @@ class Sink(Keeper):
 
     def _take_up(self) -> Holdings:
         # What has arrived is the archive's.
-        return Holdings(self.store, self.settings, load=False)
+        return Holdings(self.store, replace(self.settings, capacity_items=None, capacity_bytes=None), load=False)
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether the store takes another datum of `size` bytes of payload."""
