@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.observer import Observer
+from rass_mav.core.store import Store
+from rass_mav.swarm.invariants import InvariantError
 
 #: The fates that the summary counts as lost, in its order.
 LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED)
@@ -91,14 +96,16 @@ class Ledger:
         if id in self.arrived:
             return
         self.waiting_copies -= 1
+        trusted = fate in (Fate.PASSED_ON, Fate.DELIVERED)
         if copies:
-            if fate is not Fate.PASSED_ON:
+            if not trusted:
                 self.spoilt[id] = fate
         else:
             self.waiting -= 1
-            # PASSED_ON without another copy: whoever took the datum over has lost it since, and that is why it is lost.
-            # If nobody has, it was sent without custody, and is in the air until it turns up.
-            self.lost[id] = self.spoilt.get(id, Fate.VANISHED) if fate is Fate.PASSED_ON else fate
+            # Another node was trusted to have it, and there is no copy: it has lost it since, and that is why it is
+            # lost. If nobody has, it was sent without custody, and is in the air until it turns up; or somebody
+            # promised what its disk did not know.
+            self.lost[id] = self.spoilt.get(id, Fate.VANISHED) if trusted else fate
 
     def decline(self, id: DatumId) -> None:
         """A datum sent without custody was not taken in. Unless there is another copy, it is lost."""
@@ -147,3 +154,91 @@ class _Book(Observer):
 
     def delivered(self, datum: Datum) -> None:
         self._ledger.deliver(datum)
+
+
+class _News(NamedTuple):
+    id: DatumId
+    datum: Datum | None
+    fate: Fate | None
+    """A datum that is there, or a fate that has met it."""
+    tell: Callable[[], None]
+
+
+class Diary(Observer):
+    """The book of a node with a disk. It is told of what the disk knows: news wait for the commit that covers them, and
+    a power cut forgets those that wait. A datum is created when its commit is done."""
+
+    def __init__(self, ledger: Ledger, *, base: bool) -> None:
+        self.stored: set[DatumId] = set()
+        """What is on disk, by all commits that are done, and has not been let go of."""
+        self._ledger = ledger
+        self._base = base
+        self._book = ledger.book(base=base)
+        self._waiting: list[_News] = []
+        self._begun: list[_News] = []
+
+    def overflow(self) -> None:
+        self._book.overflow()
+
+    def declined(self, id: DatumId) -> None:
+        self._book.declined(id)
+
+    def gained(self, datum: Datum) -> None:
+        self._waiting.append(_News(datum.id, datum, None, partial(self._book.gained, datum)))
+
+    def delivered(self, datum: Datum) -> None:
+        self._waiting.append(_News(datum.id, datum, None, partial(self._book.delivered, datum)))
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        self._waiting.append(_News(id, None, fate, partial(self._book.dropped, id, fate)))
+
+    @property
+    def leaving(self) -> set[DatumId]:
+        """What has been let go of, or replaced, since the last commit that is done."""
+        return {news.id for news in (*self._begun, *self._waiting) if news.fate is not None}
+
+    def begin(self) -> None:
+        """A commit of all that has changed up to now begins; or the last one, which failed, is tried again."""
+        self._begun += self._waiting
+        self._waiting = []
+
+    def done(self) -> None:
+        """The commit is done."""
+        begun, self._begun = self._begun, []
+        for news in begun:
+            if news.datum is not None:
+                self._keep(news.datum, news.tell)
+            elif news.id in self.stored:
+                self.stored.discard(news.id)
+                news.tell()
+
+    def _keep(self, datum: Datum, tell: Callable[[], None]) -> None:
+        self.stored.add(datum.id)
+        if datum.id not in self._ledger.born:
+            self._book.created(datum)
+        tell()
+
+    def wake(self, store: Store, *, damaged: bool) -> None:
+        """The power is back, and this is what was on disk: what no commit had acknowledged may be there, or not.
+
+        `damaged`: by flipped bits; else all that is `stored` must be there, or `InvariantError` is raised.
+        """
+        going = {news.id: news.fate for news in self._begun if news.fate is not None}
+        self._begun, self._waiting = [], []
+        found = set(store.ids())
+        for id in sorted(self.stored - found):
+            if not damaged and id not in going:
+                raise InvariantError(f"{id} was on disk, and is not there after a power cut")
+            self.stored.discard(id)
+            self._book.dropped(id, going.get(id) or Fate.DIED)
+        for id in sorted(found - self.stored):
+            datum = store.get(id)
+            if datum is not None and datum.intact:
+                self._keep(datum, partial(self._book.delivered if self._base else self._book.gained, datum))
+
+    def lose_all(self) -> None:
+        """The disk is gone."""
+        self._begun, self._waiting = [], []
+        for id in sorted(self.stored):
+            self._book.dropped(id, Fate.DIED)
+        self.stored.clear()

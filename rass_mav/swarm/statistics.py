@@ -106,4 +106,6 @@ class Statistics:
         }
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
+        if world.power is not None:
+            summary["power"] = world.power.figures()
         return summary
