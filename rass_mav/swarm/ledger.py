@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.observer import Observer
@@ -156,26 +153,19 @@ class _Book(Observer):
         self._ledger.deliver(datum)
 
 
-class _News(NamedTuple):
-    id: DatumId
-    datum: Datum | None
-    fate: Fate | None
-    """A datum that is there, or a fate that has met it."""
-    tell: Callable[[], None]
-
-
 class Diary(Observer):
     """The book of a node with a disk. It is told of what the disk knows: news wait for the commit that covers them, and
     a power cut forgets those that wait. A datum is created when its commit is done."""
 
     def __init__(self, ledger: Ledger, *, base: bool) -> None:
         self.stored: set[DatumId] = set()
-        """What is on disk, by all commits that are done, and has not been let go of."""
+        """What is on disk by all commits that are done, and has not been let go of."""
         self._ledger = ledger
-        self._base = base
         self._book = ledger.book(base=base)
-        self._waiting: list[_News] = []
-        self._begun: list[_News] = []
+        self._tell = self._book.delivered if base else self._book.gained
+        # A datum that is here, or the fate of one that is not any more.
+        self._waiting: list[tuple[DatumId, Datum | Fate]] = []
+        self._begun: list[tuple[DatumId, Datum | Fate]] = []
 
     def overflow(self) -> None:
         self._book.overflow()
@@ -184,18 +174,17 @@ class Diary(Observer):
         self._book.declined(id)
 
     def gained(self, datum: Datum) -> None:
-        self._waiting.append(_News(datum.id, datum, None, partial(self._book.gained, datum)))
+        self._waiting.append((datum.id, datum))
 
-    def delivered(self, datum: Datum) -> None:
-        self._waiting.append(_News(datum.id, datum, None, partial(self._book.delivered, datum)))
+    delivered = gained
 
     def dropped(self, id: DatumId, fate: Fate) -> None:
-        self._waiting.append(_News(id, None, fate, partial(self._book.dropped, id, fate)))
+        self._waiting.append((id, fate))
 
     @property
-    def leaving(self) -> set[DatumId]:
-        """What has been let go of, or replaced, since the last commit that is done."""
-        return {news.id for news in (*self._begun, *self._waiting) if news.fate is not None}
+    def leaving(self) -> dict[DatumId, Fate]:
+        """What has been let go of since the last commit that is done."""
+        return {id: news for id, news in self._begun + self._waiting if isinstance(news, Fate)}
 
     def begin(self) -> None:
         """A commit of all that has changed up to now begins; or the last one, which failed, is tried again."""
@@ -205,40 +194,43 @@ class Diary(Observer):
     def done(self) -> None:
         """The commit is done."""
         begun, self._begun = self._begun, []
-        for news in begun:
-            if news.datum is not None:
-                self._keep(news.datum, news.tell)
-            elif news.id in self.stored:
-                self.stored.discard(news.id)
-                news.tell()
-
-    def _keep(self, datum: Datum, tell: Callable[[], None]) -> None:
-        self.stored.add(datum.id)
-        if datum.id not in self._ledger.born:
-            self._book.created(datum)
-        tell()
+        for id, news in begun:
+            if not isinstance(news, Fate):
+                self._keep(news)
+            elif id in self.stored:
+                self._let_go(id, news)
 
     def wake(self, store: Store, *, damaged: bool) -> None:
         """The power is back, and this is what was on disk: what no commit had acknowledged may be there, or not.
 
         `damaged`: by flipped bits; else all that is `stored` must be there, or `InvariantError` is raised.
         """
-        going = {news.id: news.fate for news in self._begun if news.fate is not None}
-        self._begun, self._waiting = [], []
+        self._waiting = []
+        leaving, self._begun = self.leaving, []
         found = set(store.ids())
         for id in sorted(self.stored - found):
-            if not damaged and id not in going:
+            if not damaged and id not in leaving:
                 raise InvariantError(f"{id} was on disk, and is not there after a power cut")
-            self.stored.discard(id)
-            self._book.dropped(id, going.get(id) or Fate.DIED)
+            self._let_go(id, leaving.get(id, Fate.DIED))
         for id in sorted(found - self.stored):
             datum = store.get(id)
             if datum is not None and datum.intact:
-                self._keep(datum, partial(self._book.delivered if self._base else self._book.gained, datum))
+                self._keep(datum)
 
     def lose_all(self) -> None:
         """The disk is gone."""
-        self._begun, self._waiting = [], []
         for id in sorted(self.stored):
-            self._book.dropped(id, Fate.DIED)
-        self.stored.clear()
+            self._let_go(id, Fate.DIED)
+
+    def _keep(self, datum: Datum) -> None:
+        # Replaced: by a newer value, or by another datum when flipped bits have made a node forget its last number.
+        if datum.id in self.stored:
+            return
+        self.stored.add(datum.id)
+        if datum.id not in self._ledger.born:
+            self._book.created(datum)
+        self._tell(datum)
+
+    def _let_go(self, id: DatumId, fate: Fate) -> None:
+        self.stored.discard(id)
+        self._book.dropped(id, fate)

@@ -222,7 +222,7 @@ class VirtualSwarm(ABC):
         if self.power is None:
             assert error is not None
             raise error
-        self.power.fail(node_id, error)
+        self.power.fail(node_id)
         self.off[node_id] = self.t + self.power.off_steps
 
     def _come_back(self, node_id: int, t: int) -> None:

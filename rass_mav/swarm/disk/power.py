@@ -18,8 +18,8 @@ from rass_mav.swarm.scenario import DiskSection
 
 from .disk import Disk
 
-#: A cut in the middle of a commit comes after fewer changes of files than this; most commits make fewer.
-CHANGES = 30
+#: A cut in the middle of a commit comes after fewer changes of files than this; some commits make fewer.
+CHANGES = 8
 
 
 class Moment(enum.Enum):
@@ -31,10 +31,6 @@ class Moment(enum.Enum):
     DURING = "during_write"
     AFTER = "after_write"
     """The disk has the commit, but what waited for it has not left."""
-
-
-class PowerCutError(StoreError):
-    """The power went during a commit."""
 
 
 class Computer:
@@ -49,7 +45,6 @@ class Computer:
         """When the power goes next, if it is certain that it does."""
         self._settings = settings
         self._rng = rng
-        self._suspect = False
         self._flipped = False
         self._batch: object | None = None
         self._due = 0
@@ -64,25 +59,24 @@ class Computer:
             self.disk.directory / "node.db",
             draw_epoch=lambda: self._rng.getrandbits(32),
             quota_bytes=self._settings.store.quota_bytes,
-            suspect=self._suspect,
             vfs=self.disk.vfs,
         )
-        report = self.store.report
-        self.set_aside += report.set_aside is not None
-        if report.set_aside is not None and not self._flipped:
-            raise InvariantError(f"node {self._settings.node_id}: no bit flipped, but its store is damaged: {report}")
+        if (report := self.store.report).set_aside is not None:
+            self.set_aside += 1
+            if not self._flipped:
+                raise InvariantError(
+                    f"node {self._settings.node_id}: no bit flipped, but its store is damaged: {report}"
+                )
         self.diary.wake(self.store, damaged=self._flipped)
-        self._suspect = self._flipped = False
         return self.store
 
-    def shut_down(self, *, suspect: bool = False) -> None:
-        """The power goes, and comes back to a computer that is off. `suspect`: the store showed damage."""
+    def shut_down(self) -> None:
+        """The power goes, and comes back to a computer that is off."""
         self.disk.cut()
         self.store.abandon()
         self.disk.restart()
         self.moment = None
         self._retry_at = 0
-        self._suspect |= suspect
 
     def wipe(self) -> None:
         """What is on the disk of a computer that is off is gone."""
@@ -114,10 +108,8 @@ class Computer:
                 return ()
             try:
                 self._write(self._batch)
-            except StoreDamagedError:
-                raise
             except StoreError as error:
-                if self.moment is not None or self.disk.off:
+                if self.moment is not None or self.disk.off or isinstance(error, StoreDamagedError):
                     raise
                 self._retry_at = t + 1
                 gate.failed(error)
@@ -128,12 +120,12 @@ class Computer:
     def _write(self, batch: object) -> None:
         moment = self.moment
         if moment is Moment.BEFORE:
-            raise PowerCutError("before the write")
+            raise StoreError("the power went before the write")
         if moment is Moment.DURING:
             self.disk.cut(after=self.draws.randrange(CHANGES))
         self.store.write(batch)
         if moment is not None:
-            raise PowerCutError("after the write")
+            raise StoreError("the power went after the write")
 
 
 class Power:
@@ -168,8 +160,7 @@ class Power:
                 any(begin <= t < end for begin, end in windows) for windows in (settings.full, settings.read_only)
             )
             disk.error_rate = settings.error_rate
-            flips = int(settings.flip_rate + draws.random())
-            for _ in range(flips):
+            for _ in range(int(settings.flip_rate + draws.random())):
                 computer.flip_bit()
             if draws.random() < settings.cut_rate and node_id not in off and computer.moment is None:
                 computer.moment = draws.choice(list(Moment))
@@ -177,14 +168,14 @@ class Power:
                     quiet.append(node_id)
         return quiet
 
-    def fail(self, node_id: int, error: StoreError | None) -> None:
-        """A computer goes off: its power was cut, or its store raised this error."""
+    def fail(self, node_id: int) -> None:
+        """A computer goes off: its power was cut, or its disk has failed it."""
         computer = self.computers[node_id]
         if computer.moment is None:
             self.restarts += 1
         else:
             self.cuts[computer.moment] += 1
-        computer.shut_down(suspect=isinstance(error, StoreDamagedError))
+        computer.shut_down()
 
     def figures(self) -> dict[str, int]:
         """For the summary."""
