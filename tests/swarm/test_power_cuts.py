@@ -81,8 +81,8 @@ def test_no_datum_is_lost_that_was_on_disk_by_200_power_cuts() -> None:
     with disks(world) as power:
         world.run(900, after=check)
         summary = world.statistics.summary()
-        assert summary["power"]["cuts"] == sum(power.cuts.values()) >= 200
-        assert min(power.cuts.values()) > 20
+        assert summary["power"]["cuts"] >= 200
+        assert min(summary["power"][moment.value] for moment in Moment) > 20
         assert summary["power"]["restarts"] == summary["power"]["set_aside"] == summary["altered"] == 0
         assert lost(world) == {}
         assert summary["delivered"] > 0.97 * summary["created"] > 1000
@@ -93,7 +93,7 @@ def test_without_the_gate_the_same_run_finds_losses() -> None:
     world = UngatedWorld(scenario(steps=900))
     with disks(world) as power:
         world.run(900)
-        assert sum(power.cuts.values()) >= 200
+        assert power.figures()["cuts"] >= 200
         assert lost(world)["vanished"] > 3
 
 
@@ -120,7 +120,7 @@ def test_the_promises_hold_in_other_swarms_too(assignments: list[str]) -> None:
     world = World(scenario(*assignments, steps=150))
     with disks(world) as power:
         world.run(150, after=check)
-        assert sum(power.cuts.values()) > 15
+        assert power.figures()["cuts"] > 15
         assert len(world.ledger.arrived) > 20
         assert_survived(world, power)
 
@@ -177,7 +177,7 @@ def test_while_disks_cannot_be_written_no_custody_passes_and_afterwards_all_arri
     with disks(world) as power:
         world.run(41, after=check)
         created, arrived = world.ledger.created, len(world.ledger.arrived)
-        assert created > arrived > 30 or created == arrived > 30
+        assert created >= arrived > 30
         world.run(39, after=check)
         # Data are made and kept in memory. What they rest on is not on disk, so nobody else has heard of them.
         assert (world.ledger.created, len(world.ledger.arrived)) == (created, arrived)
@@ -186,7 +186,7 @@ def test_while_disks_cannot_be_written_no_custody_passes_and_afterwards_all_arri
         world.run(70, after=check)
         assert len(world.ledger.arrived) == world.ledger.created > created + 30
         assert lost(world) == {}
-        assert power.restarts == 0
+        assert power.figures()["restarts"] == 0
 
 
 def test_over_slow_disks_frames_wait_for_the_commit() -> None:

@@ -42,7 +42,7 @@ class Computer:
         self.diary = diary
         self.draws = random.Random(f"{seed}:disk:{settings.node_id}:cuts")
         self.moment: Moment | None = None
-        """When the power goes next, if it is certain that it does."""
+        """When the power goes next; None: that has not been drawn."""
         self._settings = settings
         self._rng = rng
         self._flipped = False
@@ -136,9 +136,8 @@ class Power:
         self.settings = settings
         self.off_steps = max(off_steps, 1)
         self.computers: list[Computer] = []
-        self.cuts = dict.fromkeys(Moment, 0)
-        self.restarts = 0
-        """Computers that started again because their disk failed while they read, or was damaged."""
+        # By moment; None: its disk failed while it read, or was damaged, so that it started again.
+        self._failed: dict[Moment | None, int] = dict.fromkeys([*Moment, None], 0)
         self._ledger = ledger
         self._seed = seed
         self.close = weakref.finalize(self, _close, self.computers)
@@ -171,18 +170,14 @@ class Power:
     def fail(self, node_id: int) -> None:
         """A computer goes off: its power was cut, or its disk has failed it."""
         computer = self.computers[node_id]
-        if computer.moment is None:
-            self.restarts += 1
-        else:
-            self.cuts[computer.moment] += 1
+        self._failed[computer.moment] += 1
         computer.shut_down()
 
     def figures(self) -> dict[str, int]:
         """For the summary."""
         return {
-            "cuts": sum(self.cuts.values()),
-            **{moment.value: count for moment, count in self.cuts.items()},
-            "restarts": self.restarts,
+            "cuts": sum(self._failed[moment] for moment in Moment),
+            **{"restarts" if moment is None else moment.value: count for moment, count in self._failed.items()},
             "set_aside": sum(computer.set_aside for computer in self.computers),
         }
 
