@@ -25,7 +25,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from rass_mav.agent.settings import DataSettings
-from rass_mav.store.memory import MemoryStore
+from rass_mav.core.store import Store
 from rass_mav.swarm.world import World
 
 
@@ -84,7 +84,7 @@ class Ceiling:
         """Step and node of each datum."""
         self._nodes = 0
         self._bases = 0
-        self._stores: list[MemoryStore] = []
+        self._stores: list[Store] = []
         """Those of the step before."""
 
     def after(self, world: World) -> None:

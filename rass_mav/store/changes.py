@@ -33,18 +33,18 @@ class Changes:
     """The next sequence number, if one has been claimed."""
 
     def __bool__(self) -> bool:
-        return self.urgent or bool(self.removes or self.founds or self.counters) or self.sequence is not None
+        return self.urgent or bool(self.removes or self.founds or self.counters)
 
     @property
     def urgent(self) -> bool:
         """Whether a commit is due.
 
-        Data, losses and meta numbers are about to be told to others, and nothing goes out that the disk does not know.
-        Removals and counters may wait: after a crash the node merely holds a spare copy, tells a loss twice, or counts
-        a little less. A claimed sequence number may wait too: nobody has seen it before the datum that bears it is
-        durable.
+        Data, losses, meta numbers and the sequence numbers of new data are about to be told to others, and nothing
+        goes out that the disk does not know. Removals and counters may wait: after a crash the node merely holds a
+        spare copy, tells a loss twice, or counts a little less.
         """
-        return bool(self.puts or self.losses or self.meta)
+        # A number may stand alone: its datum was sent without custody, and removed.
+        return bool(self.puts or self.losses or self.meta) or self.sequence is not None
 
     def put(self, datum: Datum, older: bool) -> None:
         """Store a datum. `older`: a datum with its id is stored already, in here or before."""

@@ -193,8 +193,8 @@ class SqliteStore:
         return [id for id in ids if (datum := self.get(id)) is None or not datum.intact]
 
     def durable(self, id: DatumId) -> bool:
-        """Whether a stored datum is on disk."""
-        return id not in self._changes.puts and id not in self._in_flight().puts
+        """Whether a datum is stored, and on disk."""
+        return id in self._sizes and id not in self._changes.puts and id not in self._in_flight().puts
 
     def remove(self, id: DatumId, fate: Fate) -> None:
         """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""
@@ -299,8 +299,8 @@ class SqliteStore:
     def take(self, *, force: bool = False) -> Batch | None:
         """What has to be written now, or None.
 
-        Removals, counters and claimed sequence numbers alone wait for a datum, a loss or a meta number, unless `force`
-        is set or `MAX_WAITING_REMOVALS` removals have come together. A batch whose write has failed is handed out
+        Removals and counters alone wait for something that is told to others (`Changes.urgent`), unless `force` is set
+        or `MAX_WAITING_REMOVALS` removals have come together. A batch whose write has failed is handed out
         again, together with the changes since. RuntimeError while the last batch is neither written nor given back.
         """
         self._in_flight()

@@ -6,6 +6,8 @@ from collections import Counter
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.observer import Observer
+from rass_mav.core.store import Store
+from rass_mav.swarm.errors import InvariantError
 
 #: The fates that the summary counts as lost, in its order.
 LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED)
@@ -91,14 +93,16 @@ class Ledger:
         if id in self.arrived:
             return
         self.waiting_copies -= 1
+        trusted = fate in (Fate.PASSED_ON, Fate.DELIVERED)
         if copies:
-            if fate is not Fate.PASSED_ON:
+            if not trusted:
                 self.spoilt[id] = fate
         else:
             self.waiting -= 1
-            # PASSED_ON without another copy: whoever took the datum over has lost it since, and that is why it is lost.
-            # If nobody has, it was sent without custody, and is in the air until it turns up.
-            self.lost[id] = self.spoilt.get(id, Fate.VANISHED) if fate is Fate.PASSED_ON else fate
+            # Another node was trusted to have it, and there is no copy: it has lost it since, and that is why it is
+            # lost. If nobody has, it was sent without custody, and is in the air until it turns up; or somebody
+            # promised what its disk did not know.
+            self.lost[id] = self.spoilt.get(id, Fate.VANISHED) if trusted else fate
 
     def decline(self, id: DatumId) -> None:
         """A datum sent without custody was not taken in. Unless there is another copy, it is lost."""
@@ -147,3 +151,86 @@ class _Book(Observer):
 
     def delivered(self, datum: Datum) -> None:
         self._ledger.deliver(datum)
+
+
+class Diary(Observer):
+    """The book of a node with a disk. It is told of what the disk knows: news wait for the commit that covers them, and
+    a power cut forgets those that wait. A datum is created when its commit is done."""
+
+    def __init__(self, ledger: Ledger, *, base: bool) -> None:
+        self.stored: set[DatumId] = set()
+        """What is on disk by all commits that are done, and has not been let go of."""
+        self._ledger = ledger
+        self._book = ledger.book(base=base)
+        self._tell = self._book.delivered if base else self._book.gained
+        # A datum that is here, or the fate of one that is not any more.
+        self._waiting: list[tuple[DatumId, Datum | Fate]] = []
+        self._begun: list[tuple[DatumId, Datum | Fate]] = []
+
+    def overflow(self) -> None:
+        self._book.overflow()
+
+    def declined(self, id: DatumId) -> None:
+        self._book.declined(id)
+
+    def gained(self, datum: Datum) -> None:
+        self._waiting.append((datum.id, datum))
+
+    delivered = gained
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        self._waiting.append((id, fate))
+
+    @property
+    def leaving(self) -> dict[DatumId, Fate]:
+        """What has been let go of since the last commit that is done."""
+        return {id: news for id, news in self._begun + self._waiting if isinstance(news, Fate)}
+
+    def begin(self) -> None:
+        """A commit of all that has changed up to now begins; or the last one, which failed, is tried again."""
+        self._begun += self._waiting
+        self._waiting = []
+
+    def done(self) -> None:
+        """The commit is done."""
+        begun, self._begun = self._begun, []
+        for id, news in begun:
+            if not isinstance(news, Fate):
+                self._keep(news)
+            elif id in self.stored:
+                self._let_go(id, news)
+
+    def wake(self, store: Store, *, damaged: bool) -> None:
+        """The power is back, and this is what was on disk: what no commit had acknowledged may be there, or not.
+
+        `damaged`: by flipped bits; else all that is `stored` must be there, or `InvariantError` is raised.
+        """
+        self._waiting = []
+        leaving, self._begun = self.leaving, []
+        found = set(store.ids())
+        for id in sorted(self.stored - found):
+            if not damaged and id not in leaving:
+                raise InvariantError(f"{id} was on disk, and is not there after a power cut")
+            self._let_go(id, leaving.get(id, Fate.DIED))
+        for id in sorted(found - self.stored):
+            datum = store.get(id)
+            if datum is not None and datum.intact:
+                self._keep(datum)
+
+    def lose_all(self) -> None:
+        """The disk is gone."""
+        for id in sorted(self.stored):
+            self._let_go(id, Fate.DIED)
+
+    def _keep(self, datum: Datum) -> None:
+        # Replaced: by a newer value, or by another datum when flipped bits have made a node forget its last number.
+        if datum.id in self.stored:
+            return
+        self.stored.add(datum.id)
+        if datum.id not in self._ledger.born:
+            self._book.created(datum)
+        self._tell(datum)
+
+    def _let_go(self, id: DatumId, fate: Fate) -> None:
+        self.stored.discard(id)
+        self._book.dropped(id, fate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from rass_mav.agent.settings import AgentSettings, DataSettings
 from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
@@ -112,6 +112,21 @@ class RadiationSection(Section):
             raise ValueError("radiation.cylinder_m: expected 0 unless the sources are given and stay where they are")
 
 
+Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
+"""[[from, to], ...]: from one step until another, one span after the other."""
+
+
+def _check_spans(key: str, spans: Steps) -> None:
+    last = 0
+    for begin, end in spans:
+        if not last <= begin < end:
+            raise ValueError(
+                f"{key}: expected [from, to] one after the other, each from below its to, "
+                f"got {[list(pair) for pair in spans]}"
+            )
+        last = end
+
+
 class StatisticsSection(Section):
     """How the summary counts."""
 
@@ -138,8 +153,8 @@ class FailureSection(Section):
     """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: for ever."""
     recharge_steps: Count | None = None
     """How long a drone that has landed is off, steps; null: for good."""
-    base_off: list[tuple[Annotated[int, Meta(ge=0)], Count]] = field(default_factory=list)
-    """[[from, to], ...]: all bases are off from one step until another, at which they are on again."""
+    base_off: Steps = field(default_factory=list)
+    """All bases are off from one step until another, at which they are on again."""
     base_wiped: bool = False
     """Whether bases come back with an empty store of a new epoch."""
 
@@ -153,20 +168,35 @@ class FailureSection(Section):
             raise ValueError("failures.recharge_steps: expected null unless failures.battery_steps is given")
         if self.base_wiped and not self.base_off:
             raise ValueError("failures.base_wiped: expected false unless failures.base_off is given")
-        last = 0
-        for begin, end in self.base_off:
-            if not last <= begin < end:
-                raise ValueError(
-                    "failures.base_off: expected [from, to] one after the other, each from below its to, "
-                    f"got {[list(pair) for pair in self.base_off]}"
-                )
-            last = end
+        _check_spans("failures.base_off", self.base_off)
 
     @property
     def of_robots(self) -> list[str]:
         """The keys that are set and make whole robots fail in virtual time."""
         keys = ("die_fraction", "die_rate", "reboot_rate", "wipe_rate", "battery_steps", "base_off")
         return [key for key in keys if getattr(self, key)]
+
+
+class DiskSection(Section):
+    """Every node has the real store on a simulated disk; see docs/simulated-disk.md."""
+
+    cut_rate: Fraction = 0.0
+    """Probability that the power of a node, base or drone, is cut in a step; it is off for `failures.reboot_steps`."""
+    commit_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
+    """How long a commit takes, steps."""
+    error_rate: Fraction = 0.0
+    """Probability that an operation of a disk fails."""
+    full: Steps = field(default_factory=list)
+    """When all disks are full: from one step until another."""
+    read_only: Steps = field(default_factory=list)
+    """When nothing can be written to any disk."""
+    flip_rate: NonNegative = 0.0
+    """How many bits of a node's database and log flip in a step, on average."""
+
+    def __post_init__(self) -> None:
+        """What no single key can say."""
+        _check_spans("disk.full", self.full)
+        _check_spans("disk.read_only", self.read_only)
 
 
 class Scenario(Section):
@@ -197,6 +227,8 @@ class Scenario(Section):
     radio: RadioSection = RadioSection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
+    disk: DiskSection | None = None
+    """null: stores are in memory."""
     statistics: StatisticsSection = StatisticsSection()
     variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
     """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They go before the
@@ -210,6 +242,12 @@ class Scenario(Section):
             given = len(self.mobility.positions or ())
             if given != self.nodes:
                 raise ValueError(f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}")
+        if self.disk is not None and self.transport != "loopback":
+            raise ValueError("disk: expected null unless the transport is loopback; processes have the machine's disk")
+        if self.disk is not None and self.radiation.corruption:
+            raise ValueError(
+                "radiation.corruption: expected false with a disk; disk.flip_rate flips bits where they lie on it"
+            )
 
     @property
     def arena(self) -> float:

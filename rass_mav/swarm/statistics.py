@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from rass_mav.agent.agent import Agent
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.radio import Radio
@@ -21,6 +22,7 @@ class Counted(Protocol):
     radio: Radio
     loops: int
     failures: Failures | None
+    power: Power | None
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -113,4 +115,6 @@ class Statistics:
         }
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
+        if world.power is not None:
+            summary["power"] = world.power.figures()
         return summary

@@ -15,13 +15,17 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import Fate
+from rass_mav.core.observer import Observer
+from rass_mav.core.store import Store
+from rass_mav.errors import StoreError
 from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.crash_store import CrashStore
+from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.radio import Radio, Record
-from rass_mav.swarm.scenario import RadioSection
+from rass_mav.swarm.scenario import DiskSection, RadioSection
 from rass_mav.swarm.statistics import Statistics
 
 S = TypeVar("S", bound="VirtualSwarm")
@@ -42,12 +46,16 @@ class VirtualSwarm(ABC):
         topology: str,
         full_items: int | None = None,
         failures: Failures | None = None,
+        disk: DiskSection | None = None,
+        off_steps: int = 1,
         record: Record | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: what the summary says of it.
         :param full_items: how many data in a drone's store the summary calls 100 %; None: the store's capacity.
         :param failures: which nodes go off, and when; whoever says what surrounds them carries it out. None: none do.
+        :param disk: what the nodes' disks are like; None: their stores are in memory.
+        :param off_steps: how long a node is off after a power cut.
         :param record: called with every frame put on the air, and its step.
         """
         self.seed = seed
@@ -63,17 +71,24 @@ class VirtualSwarm(ABC):
         self.failures = failures
         self.off: dict[int, int | None] = {}
         """Nodes that are off, and the step in which each has its turn again (None: never)."""
-        self.stores: list[MemoryStore] = []
+        self.power = None if disk is None else Power(disk, self.ledger, seed=seed, off_steps=off_steps)
+        """None: there are no disks."""
+        self.stores: list[Store] = []
         self.gates: list[CommitGate] = []
         self.agents: list[Agent] = []
-        """Of a node that is off: the one that will start on its store."""
+        """Of a node that is off: the one that will start on its store, or with disks the one that ran there."""
         for settings in agents:
             rng = random.Random(f"{seed}:node:{settings.node_id}")
-            store = self._make_store(settings, rng)
+            store: Store
+            observer: Observer
+            if self.power is None:
+                store, observer = self._make_store(settings, rng), self.ledger.book(base=settings.base)
+            else:
+                computer = self.power.add(settings, rng)
+                store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
-            book = self.ledger.book(base=settings.base)
-            self.agents.append(Agent(settings, store, rng, now=0.0, observer=book, newborn=True))
+            self.agents.append(Agent(settings, store, rng, now=0.0, observer=observer, newborn=True))
         self.step_s = self.agents[0].settings.step_s
         """Length of a step, seconds."""
         self.statistics = Statistics(self, full_items)
@@ -110,36 +125,48 @@ class VirtualSwarm(ABC):
         off = self.off
         if off:
             for node_id in [node_id for node_id, back in off.items() if back == t]:
-                del off[node_id]
+                self._come_back(node_id, t)
         self._surround(t, now)
+        if self.power is not None:
+            for node_id in self.power.begin_step(t, off):
+                self._fail(node_id, None)
         for node_id, agent in enumerate(self.agents):
             if node_id in off:
                 continue
-            self._say(node_id, agent.step(now), t)
+            try:
+                self._say(node_id, agent.step(now), t)
+            except StoreError as error:
+                self._fail(node_id, error)
         if self._at_once:
             self._deliver(t, now)
-        self.loops += count_loops([agent.node.routing.next_hop for agent in self.agents])
+        self.loops += count_loops(
+            [None if node_id in off else agent.node.routing.next_hop for node_id, agent in enumerate(self.agents)]
+        )
         self.statistics.count()
         self.t = t + 1
 
     def _deliver(self, t: int, now: float) -> None:
-        agents, gates = self.agents, self.gates
+        agents = self.agents
         arrivals = self.radio.arrivals(t, self.neighbours)
-        if off := self.off:
+        off = self.off
+        if off or self.power is not None:
             arrivals = (arrival for arrival in arrivals if arrival[1] not in off)
         for _, hearer, frame in arrivals:
-            answers = agents[hearer].peer_bytes(frame, now)
-            if answers or not gates[hearer].idle:
-                self._say(hearer, answers, t)
+            try:
+                answers = agents[hearer].peer_bytes(frame, now)
+                # Over stores in memory nothing waits.
+                if answers or self.power is not None:
+                    self._say(hearer, answers, t)
+            except StoreError as error:
+                self._fail(hearer, error)
 
     def _say(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
-        """A node has had its turn, or heard a frame. What it changed is written, and what it says leaves."""
+        """A node has had its turn, or heard a frame. What it says leaves when what it changed is on its disk."""
         gate = self.gates[node_id]
         self._send(node_id, gate.say(frames), t)
-        batch = gate.begin()
-        if batch is not None:
-            self.stores[node_id].write(batch)
-        self._send(node_id, gate.written(), t)
+        if self.power is not None:
+            computer, steps = self.power.computers[node_id], self.power.settings.commit_steps
+            self._send(node_id, computer.commit(gate, t, steps), t)
 
     def _send(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
         send = self.radio.send
@@ -163,31 +190,67 @@ class VirtualSwarm(ABC):
         t = self.t
         if self.failures is None or (back is not None and back < t):
             raise ValueError(f"node {node_id} cannot be off from step {t} to {back}")
+        gone = wiped or back is None
+        if self.power is not None:
+            self.power.computers[node_id].shut_down()
+            if gone:
+                self.power.computers[node_id].wipe()
+            self.off[node_id] = back
+            if back == t:
+                self._come_back(node_id, t)
+            return
         old, store = self.agents[node_id], self.stores[node_id]
+        assert isinstance(store, CrashStore)
         observer = old.node.observer
-        # A new generator: nothing that was said in the old life is said again by accident.
-        rng = random.Random(f"{self.seed}:node:{node_id}:off:{t}")
+        rng = self._rng_after(t, node_id)
         stored = dict.fromkeys(store.ids())
-        if wiped or back is None:
+        if gone:
             for id in stored:
                 observer.dropped(id, Fate.DIED)
-            store = self.stores[node_id] = self._make_store(old.settings, rng)
+            store = self._make_store(old.settings, rng)
         else:
             store.restart()
             for id in store.ids():
                 if id not in stored and (datum := store.get(id)) is not None:
                     # Its removal had not been written.
                     observer.gained(datum)
-        # What waited for a commit was only in memory.
-        self.gates[node_id] = self.make_gate(store)
-        self.statistics.retire(old)
-        start = t if back is None else back
-        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=observer)
-        # So its data are due in the same steps as if it had never been off.
-        agent.steps = start
-        self.agents[node_id] = agent
+        self._restart(node_id, store, rng, t if back is None else back)
         if back != t:
             self.off[node_id] = back
+
+    def _fail(self, node_id: int, error: StoreError | None) -> None:
+        """A node's power was cut, or its disk has failed it so that it starts again."""
+        if self.power is None:
+            assert error is not None
+            raise error
+        self.power.fail(node_id)
+        self.off[node_id] = self.t + self.power.off_steps
+
+    def _come_back(self, node_id: int, t: int) -> None:
+        """A node is on again. If its disk does not let the store be opened, it tries again in the next step."""
+        if self.power is not None:
+            computer = self.power.computers[node_id]
+            try:
+                self._restart(node_id, computer.open(), self._rng_after(t, node_id), t)
+            except StoreError:
+                computer.shut_down()
+                self.off[node_id] = t + 1
+                return
+        del self.off[node_id]
+
+    def _rng_after(self, t: int, node_id: int) -> random.Random:
+        # A new generator: nothing that was said in the old life is said again by accident.
+        return random.Random(f"{self.seed}:node:{node_id}:off:{t}")
+
+    def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
+        """An agent begins anew over its store, in step `start`."""
+        old = self.agents[node_id]
+        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
+        # So its data are due in the same steps as if it had never been off.
+        agent.steps = start
+        # What waited for a commit was only in memory.
+        self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
+        self.statistics.retire(old)
 
     def _strike(self, node_id: int, probability: float, rng: random.Random | None = None) -> None:
         """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit.
@@ -196,6 +259,7 @@ class VirtualSwarm(ABC):
         """
         rng = rng or self._strike_rng
         store = self.stores[node_id]
+        assert isinstance(store, MemoryStore)
         for id in list(store.ids()):
             if rng.random() < probability:
                 store.flip_bit(id, rng.randrange(8 * len(self.ledger.payloads[id])))

@@ -46,6 +46,8 @@ class World(VirtualSwarm):
             topology=scenario.topology,
             full_items=scenario.statistics.full_items,
             failures=failures,
+            disk=scenario.disk,
+            off_steps=scenario.failures.reboot_steps,
             record=record,
         )
 

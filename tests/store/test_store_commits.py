@@ -151,6 +151,20 @@ def test_a_number_whose_datum_never_became_durable_is_claimed_again(path: Path) 
         assert store.next_sequence() == 1
 
 
+def test_a_number_whose_datum_was_sent_without_custody_is_not_claimed_again(path: Path) -> None:
+    store = open_store(path)
+    first = datum(store.next_sequence())
+    store.put(first)
+    store.remove(first.id, Fate.PASSED_ON)
+    # The frame with the datum waits for this commit, for it is not on disk.
+    assert store.unwritten
+    assert not store.durable(first.id)
+    commit(store)
+    store.abandon()
+    with open_store(path) as store:
+        assert store.next_sequence() == 1
+
+
 def test_the_epoch_is_drawn_once(path: Path) -> None:
     draw = epochs(5)
     for _ in range(3):
