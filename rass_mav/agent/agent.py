@@ -12,7 +12,7 @@ from rass_mav.agent.ground import Ground
 from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.parameters import recall
-from rass_mav.agent.peers import Peers
+from rass_mav.agent.peers import Peers, open_datagram
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
@@ -38,6 +38,8 @@ RIVAL_REPORT_S = 30.0
 FULL_REPORT_S = 30.0
 #: A position older than this is not where the vehicle is, seconds.
 POSITION_STALE_S = 10.0
+# For `data.due`: how often the node id is taken from the step before the interval must divide it.
+_PHASES = {"step-id": 1, "step+id": -1, "together": 0}
 # Under this name the store keeps the system id of the autopilot.
 _SYSTEM_ID = "system_id"
 _CRITICAL = 2
@@ -226,8 +228,12 @@ class Agent:
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
+        opened = open_datagram(data)
+        if opened is not None:
+            message = self.peers.message(opened, now)
+            return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
-        for message in self.peers.heard(data, now):
+        for message in self.peers.taken_apart(data, now):
             out += self._answers(message, now)
         return out
 
@@ -274,15 +280,14 @@ class Agent:
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
-        return out + self._take_said()
+        return out + self._take_said() if self._said else out
 
     def _is_measured(self) -> bool:
         """Whether a measurement is due in this step."""
         data = self.settings.data
         if not data.interval_steps or self.node.base or (data.until_step is not None and self.steps >= data.until_step):
             return False
-        phase = {"step-id": 1, "step+id": -1, "together": 0}[data.due] * self.settings.node_id
-        return (self.steps - phase) % data.interval_steps == 0
+        return (self.steps - _PHASES[data.due] * self.settings.node_id) % data.interval_steps == 0
 
     def forward(self, now: float) -> Sequence[Outgoing]:
         """With `node.forward: immediate`: what came in or was put since the last turn moves on; else nothing."""

@@ -44,14 +44,16 @@ def frames_of(
     messages: Sequence[Message], writer: FrameWriter, payload_type: int, store: Store, now: float
 ) -> list[Outgoing]:
     """Messages in frames of `writer`, in the same order. `now`: seconds on the node's timeline, for ages."""
-    tunnel = writer.tunnel
+    tunnel, unwritten = writer.tunnel, store.unwritten
     out = []
     for message in messages:
         whose, urgency, rests = KINDS[type(message)]
         target = BROADCAST if whose is Target.EVERYBODY else message.target  # type: ignore[union-attr]
-        data = rests(message)
-        # Data that are on disk leave at once: so a node whose disk is full can still hand on what it has.
-        promises = data is None or not all(map(store.durable, data))
+        promises = False
+        if unwritten:
+            data = rests(message)
+            # Data that are on disk leave at once: so a node whose disk is full can still hand on what it has.
+            promises = data is None or not all(map(store.durable, data))
         for payload in encode(message, now):
             out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
     return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.messages import BROADCAST, Message
@@ -21,10 +22,14 @@ from rass_mav.wire.codec import ForeignError
 log = logging.getLogger(__name__)
 
 
+#: A TUNNEL message, and the node id that what it holds names.
+Opened: TypeAlias = tuple[TunnelFields, int]
+
+
 # In a mock swarm all who hear a frame come one behind the other.
 @lru_cache(maxsize=16)
-def _opened(data: bytes) -> tuple[TunnelFields, int] | None:
-    """A datagram that is exactly one frame, and the node id that its message names; None: it is something else."""
+def open_datagram(data: bytes) -> Opened | None:
+    """A datagram that is exactly one frame with a TUNNEL message. None: it is something else, or several."""
     fields = tunnel_from_datagram(data)
     return None if fields is None else (TunnelFields(*fields[2:]), target_of(fields[5]))
 
@@ -47,12 +52,8 @@ class Peers:
         self.foreign = 0
         """TUNNEL payloads of another version, type or purpose."""
 
-    def heard(self, data: bytes, now: float) -> Sequence[Message]:
-        """The messages for this node in a datagram of whole frames, one or several."""
-        opened = _opened(data)
-        if opened is not None:
-            message = self._message(opened, now)
-            return () if message is None else (message,)
+    def taken_apart(self, data: bytes, now: float) -> list[Message]:
+        """The messages for this node in a datagram of whole frames, whatever they are."""
         # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
         frames = [*self.reader.feed(data), *self.reader.flush()]
         messages = [self.understood(frame, now) for frame in frames if frame.message_id == TUNNEL]
@@ -65,9 +66,10 @@ class Peers:
         except MalformedError as error:
             self._count(error)
             return None
-        return self._message((tunnel, target_of(tunnel.payload)), now)
+        return self.message((tunnel, target_of(tunnel.payload)), now)
 
-    def _message(self, opened: tuple[TunnelFields, int], now: float) -> Message | None:
+    def message(self, opened: Opened, now: float) -> Message | None:
+        """The same with a frame that is opened."""
         (system, component, payload_type, payload), target = opened
         if payload_type != self._payload_type:
             self.foreign += 1

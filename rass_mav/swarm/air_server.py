@@ -172,14 +172,14 @@ class Air(ABC, Generic[F]):
         self._deliver()
 
     def _deliver(self) -> None:
-        for _, hearer, frame in self._radio.arrivals(self._step, self._graph.neighbours):
-            wire = self._ears[hearer]
-            if wire.peer is None:
-                continue
-            if wire.send(frame):
-                self.counted.received += 1
-            else:
-                self.counted.dropped += 1
+        for hearers, frame in self._radio.arrivals(self._step, self._graph.neighbours):
+            for wire in [self._ears[hearer] for hearer in hearers]:
+                if wire.peer is None:
+                    continue
+                if wire.send(frame):
+                    self.counted.received += 1
+                else:
+                    self.counted.dropped += 1
 
     def _hear_companion(self, node: int, data: bytes) -> None:
         """What a node says to its flight controller."""

@@ -17,8 +17,8 @@ Record = Callable[[bytes, int], None]
 # Frames are digested together when there are so many bytes of them: one call for each would cost more than its bytes.
 _DIGEST_BYTES = 1 << 14
 
-#: (sender, hearer, frame)
-Arrival = tuple[int, int, bytes]
+#: A frame, and before it who hears it, each as often as it does.
+Arrival = tuple[Sequence[int], bytes]
 
 
 class Radio:
@@ -74,8 +74,7 @@ class Radio:
         if self._plain:
             while air:
                 sender, frame, _ = air.popleft()
-                for hearer in neighbours[sender]:
-                    yield sender, hearer, frame
+                yield neighbours[sender], frame
             return
         rng = self._rng
         while air:
@@ -86,13 +85,15 @@ class Radio:
                     self._delay(step, sender, frame, neighbours[sender])
                     continue
                 hearers = neighbours[sender]
+            heard = []
             for hearer in hearers:
                 if self._loss and rng.random() < self._loss:
                     self.dropped += 1
                     continue
-                yield sender, hearer, frame
+                heard.append(hearer)
                 if self._duplicate and rng.random() < self._duplicate:
-                    yield sender, hearer, frame
+                    heard.append(hearer)
+            yield heard, frame
 
     def _delay(self, step: int, sender: int, frame: bytes, hearers: Sequence[int]) -> None:
         places = self._rng.randrange(1, _OVERTAKEN_BY + 1)

@@ -146,19 +146,19 @@ class VirtualSwarm(ABC):
         self.t = t + 1
 
     def _deliver(self, t: int, now: float) -> None:
-        agents = self.agents
-        arrivals = self.radio.arrivals(t, self.neighbours)
-        off = self.off
-        if off or self.power is not None:
-            arrivals = (arrival for arrival in arrivals if arrival[1] not in off)
-        for _, hearer, frame in arrivals:
-            try:
-                answers = agents[hearer].peer_bytes(frame, now)
-                # Over stores in memory nothing waits.
-                if answers or self.power is not None:
-                    self._say(hearer, answers, t)
-            except StoreError as error:
-                self._fail(hearer, error)
+        agents, off = self.agents, self.off
+        # Over stores in memory nothing waits.
+        waits = self.power is not None
+        for hearers, frame in self.radio.arrivals(t, self.neighbours):
+            for hearer in hearers:
+                if hearer in off:
+                    continue
+                try:
+                    answers = agents[hearer].peer_bytes(frame, now)
+                    if answers or waits:
+                        self._say(hearer, answers, t)
+                except StoreError as error:
+                    self._fail(hearer, error)
 
     def _say(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
         """A node has had its turn, or heard a frame. What it says leaves when what it changed is on its disk."""

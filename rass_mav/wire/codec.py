@@ -227,15 +227,13 @@ def _encode_words(m: Words, now: float) -> list[bytes]:
 # -- decoding ----------------------------------------------------------------------------------------------------------
 
 
-# Around what is the same for all who hear a frame: in a mock swarm these come one behind the other.
-_remembered = lru_cache(maxsize=16)
-
-
 def target_of(payload: bytes) -> int:
     """The node id that a TUNNEL payload names; BROADCAST: it names none, or is no message of ours."""
     return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
 
 
+# In a mock swarm all who hear a frame come one behind the other.
+@lru_cache(maxsize=16)
 def decode(payload: bytes, now: float) -> Message:
     """The message in a TUNNEL payload. Raises `MalformedError`, and nothing else, whatever the bytes.
 
@@ -252,7 +250,6 @@ def decode(payload: bytes, now: float) -> Message:
         raise MalformedError(f"truncated message: {error}") from None
 
 
-@_remembered
 def _decode_beacon(p: bytes, now: float) -> Beacon:
     fields = _BEACON.unpack_from(p, 1)
     if fields[0] == BROADCAST:
@@ -312,7 +309,6 @@ def _decode_committed(p: bytes, now: float) -> Committed:
     return Committed(sender, target, committed, refused)
 
 
-@_remembered
 def _decode_receipt(p: bytes, now: float) -> Receipt:
     _, base, epoch, counts = _RECEIPT.unpack_from(p)
     middle = _RECEIPT.size + (counts & 15) * _RECEIPT_ENTRY.size
@@ -339,7 +335,6 @@ def _decode_loss_note(p: bytes, now: float) -> LossNote:
     return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), row[4]) for row in rows]))
 
 
-@_remembered
 def _decode_put(p: bytes, now: float) -> Put:
     (_, sender, lamport, writer, origin, epoch, sequence, age, hops, kind, crc, size) = _PUT.unpack_from(p)
     data = p[_PUT.size : _PUT.size + size]
