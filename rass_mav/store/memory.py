@@ -17,19 +17,23 @@ RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 class MemoryStore:
     """A `Store` in a dict. What is put is there for good: there is nothing to commit, so `take` returns None.
 
-    The data outlive a restart of the node for as long as the object is kept: see `restart`.
+    The data outlive a restart of the node for as long as the object is kept.
     """
 
     __slots__ = (
-        "_counters", "_data", "_epoch", "_fresh", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used",
+        "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used", "epoch",
     )  # fmt: skip
+    accepting = True
+    """Always."""
+    unwritten = False
+    """Never."""
 
     def __init__(self, epoch: int, *, quota_bytes: int | None = None) -> None:
         """`epoch`: 32 bits. `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound."""
         if not 0 <= epoch < 1 << 32:
             raise ValueError(f"an epoch has 32 bits, got {epoch}")
-        self._epoch = epoch
-        self._fresh = True
+        self.epoch = epoch
+        """32 bits, given when the store was created."""
         self._sequence = 0
         # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum goes to the end.
         self._data: dict[DatumId, Datum] = {}
@@ -42,33 +46,9 @@ class MemoryStore:
         self._used = 0  # kept only under a quota: without one, nobody asks at every put
 
     @property
-    def epoch(self) -> int:
-        """32 bits, given when the store was created."""
-        return self._epoch
-
-    @property
-    def fresh(self) -> bool:
-        """True until the first `restart`."""
-        return self._fresh
-
-    @property
-    def accepting(self) -> bool:
-        """Always."""
-        return True
-
-    @property
-    def unwritten(self) -> bool:
-        """Never."""
-        return False
-
-    @property
     def used_bytes(self) -> int:
         """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
         return sum(len(datum.payload) + ROW_OVERHEAD for datum in self._data.values())
-
-    def restart(self) -> None:
-        """The node starts again and finds this store: everything stays, but the store is not `fresh` any more."""
-        self._fresh = False
 
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch."""

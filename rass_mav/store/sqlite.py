@@ -140,11 +140,6 @@ class SqliteStore:
 
     # -- what the store is ---------------------------------------------------------------------------------------------
 
-    @property
-    def fresh(self) -> bool:
-        """True if this opening created the store."""
-        return self.report.created
-
     # -- changes -------------------------------------------------------------------------------------------------------
 
     def next_sequence(self) -> int:

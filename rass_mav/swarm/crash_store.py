@@ -26,7 +26,6 @@ class CrashStore(MemoryStore):
 
     def restart(self) -> None:
         """The node starts again after a crash: what was not written is as before."""
-        super().restart()
         # They fit: all of this was stored at the time of the last commit.
         for datum in list(self._removed.values()):
             super().put(datum)

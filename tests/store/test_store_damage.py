@@ -59,10 +59,10 @@ def assert_set_aside(path: Path, reason: str, **options: object) -> Path:
         assert report.created
         assert report.set_aside is not None
         assert reason in report.reason
-        assert (store.fresh, store.epoch, list(store.ids())) == (True, NEW_EPOCH, [])
+        assert (store.report.created, store.epoch, list(store.ids())) == (True, NEW_EPOCH, [])
         store.put(datum(store.next_sequence()))
     with open_store(path) as store:
-        assert (store.fresh, store.epoch, len(list(store.ids()))) == (False, NEW_EPOCH, 1)
+        assert (store.report.created, store.epoch, len(list(store.ids()))) == (False, NEW_EPOCH, 1)
     return report.set_aside
 
 
@@ -182,7 +182,7 @@ def test_an_index_of_somebody_elses_does_no_harm(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("CREATE INDEX datum_created ON datum (created)")
     with open_store(path) as store:
-        assert not store.fresh
+        assert not store.report.created
         assert len(list(store.ids())) == COUNT
 
 
@@ -212,7 +212,7 @@ def test_damage_that_shows_late_is_told_and_the_store_opened_anew(path: Path) ->
     break_overflow_chain(path, 8)
     damaged = path.read_bytes()
     store = open_store(path, check_limit=0)
-    assert not store.fresh
+    assert not store.report.created
     assert store.get(datum(7).id) == datum(7)
     with pytest.raises(StoreDamagedError, match=r"node\.db: .* malformed \(while reading a datum\)"):
         store.get(datum(8).id)
@@ -250,7 +250,7 @@ def test_a_loss_that_cannot_be_understood(path: Path) -> None:
 
 def test_a_suspect_that_is_sound_keeps_its_data(path: Path) -> None:
     with open_store(path, suspect=True, check_limit=0) as store:
-        assert (store.fresh, store.report) == (False, (False, None, ""))
+        assert store.report == (False, None, "")
         assert [store.get(id) for id in store.ids()] == [datum(number, sizes(number)) for number in range(COUNT)]
 
 
@@ -285,9 +285,9 @@ def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips
         with store:
             if store.report.set_aside is not None:
                 assert store.report.set_aside.read_bytes() == content
-                assert (store.fresh, store.epoch, list(store.ids())) == (True, NEW_EPOCH, [])
+                assert (store.report.created, store.epoch, list(store.ids())) == (True, NEW_EPOCH, [])
                 return
-            assert not store.fresh
+            assert not store.report.created
             assert store.epoch == EPOCH
             assert store.next_sequence() == COUNT
             assert store.counters() == {"delivered": 5}
@@ -324,7 +324,7 @@ def test_a_damaged_log_after_a_power_cut_gives_an_earlier_commit_whole(place: fl
         (Path(directory) / "copy.db-wal").write_bytes(log)
         with open_store(copy) as store:
             made = store.next_sequence()
-            assert not store.fresh
+            assert not store.report.created
             assert made % 3 == 0
             assert store.counters().get("made", 0) == made
             assert [store.get(id) for id in store.ids()] == [datum(number) for number in range(made)]

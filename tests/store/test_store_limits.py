@@ -72,7 +72,7 @@ def test_a_store_that_filled_its_disk_opens_again(path: Path) -> None:
     with pytest.raises(StoreFullError), open_store(path, file_limit=200_000) as store:
         durable = fill(store)
     with open_store(path, file_limit=200_000) as store:
-        assert not store.fresh
+        assert not store.report.created
         assert [id.sequence for id in store.ids()] == list(range(durable))
 
 
@@ -124,7 +124,7 @@ def test_the_lock_ends_with_the_process_that_holds_it(path: Path) -> None:
     child.kill()
     child.communicate()
     with open_store(path) as store:
-        assert not store.fresh
+        assert not store.report.created
 
 
 def test_the_lock_is_given_back_when_opening_fails(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_the_lock_is_given_back_when_opening_fails(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="32 bits"):
         open_store(path, draw_epoch=lambda: 1 << 32)
     with open_store(path) as store:
-        assert store.fresh
+        assert store.report.created
 
 
 def test_a_store_cut_off_while_it_was_made_is_made_again(path: Path) -> None:

@@ -163,7 +163,7 @@ class Stores(RuleBasedStateMachine):
         for _ in range(self.model.sequence):
             self.memory.next_sequence()
         self.sqlite = open_store(self.path, busy_timeout=0.0)
-        assert not self.sqlite.fresh
+        assert not self.sqlite.report.created
 
     @rule()
     def restart(self) -> None:
@@ -171,7 +171,7 @@ class Stores(RuleBasedStateMachine):
         self.out = None
         self.committed = copy.deepcopy(self.model)
         self.sqlite = open_store(self.path, busy_timeout=0.0)
-        assert (self.sqlite.fresh, self.sqlite.epoch) == (False, EPOCH)
+        assert (self.sqlite.report.created, self.sqlite.epoch) == (False, EPOCH)
 
     @invariant()
     def the_stores_agree(self) -> None:

@@ -38,14 +38,6 @@ def test_a_bit_that_the_payload_does_not_have(bit: int) -> None:
         store.flip_bit(datum(2).id, 0)
 
 
-def test_a_restarted_node_finds_its_data() -> None:
-    store = MemoryStore(1)
-    store.put(datum(1))
-    store.restart()
-    assert not store.fresh
-    assert store.get(datum(1).id) == datum(1)
-
-
 def test_used_bytes_follow_what_is_stored() -> None:
     store = MemoryStore(1, quota_bytes=1000)
     store.put(datum(1, 10))

@@ -81,7 +81,6 @@ def test_it_forgets_what_the_store_on_disk_forgets(first: list[tuple[Any, ...]],
                 assert state(memory) == state(found)
             finally:
                 found.close()
-        assert not memory.fresh
 
 
 def test_a_removal_waits_for_the_next_datum() -> None:

@@ -60,15 +60,11 @@ class Neighbours(dict[int, Neighbour]):
     def hear(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
         """Take in a beacon. False: a duplicate, a late one, or there is no room for a new neighbour (the fittest stay,
         and the next hop)."""
-        turn_s, lifetime_s = self._step_s, self._lifetime_s
-        if beacon.turn:
-            turn_s = max(turn_s, beacon.turn / 10)
-            lifetime_s *= turn_s / self._step_s
         known = self.get(beacon.sender)
         if known is None:
             if len(self) >= self._most and not self._make_room(beacon, next_hop):
                 return False
-            self[beacon.sender] = Neighbour(beacon, now, turn_s, lifetime_s)
+            self[beacon.sender] = Neighbour(beacon, now, *self._patience(beacon.turn))
             self._nobody_goes_until = -inf
             return True
         last = known.beacon
@@ -78,12 +74,16 @@ class Neighbours(dict[int, Neighbour]):
         missed = (ahead - 1) & 0xFFFF
         known.missed = 0.8 * known.missed + (missed if missed < _MOST_MISSED else _MOST_MISSED)
         known.beacon = beacon
-        if turn_s != known.turn_s or now < known.heard:
-            known.turn_s = turn_s
-            known.lifetime_s = lifetime_s
+        if beacon.turn != last.turn or now < known.heard:
+            known.turn_s, known.lifetime_s = self._patience(beacon.turn)
             self._nobody_goes_until = -inf
         known.heard = now
         return True
+
+    def _patience(self, turn: int) -> tuple[float, float]:
+        """How far apart somebody's beacons are who says `turn`, and how long it may be silent, seconds."""
+        turn_s = max(self._step_s, turn / 10)
+        return turn_s, self._lifetime_s * (turn_s / self._step_s)
 
     def _make_room(self, beacon: Beacon, next_hop: int | None) -> bool:
         """Drop the neighbour of the lowest potential for one of a higher, unless it is the next hop."""
