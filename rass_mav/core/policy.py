@@ -50,33 +50,23 @@ class View:
 class Policy(Protocol):
     """One way of deciding. Stateless: all it needs is in the view, so one instance can serve many nodes."""
 
-    @property
-    def name(self) -> str:
-        """Its name in configurations."""
-
-    @property
-    def tag(self) -> int:
-        """16 bits for name and weights: potentials can be compared only between equal tags."""
-
-    @property
-    def replicates(self) -> bool:
-        """Whether data are broadcast and kept by all, as `rass_mav.core.replica` does; then nothing is planned."""
+    name: str
+    """Its name in configurations."""
+    tag: int
+    """16 bits for name and weights: potentials can be compared only between equal tags."""
+    replicates: bool
+    """Whether data are broadcast and kept by all, as `rass_mav.core.replica` does; then nothing is planned."""
 
     @property
     def costs(self) -> CostRules | None:
         """If the potential is a cost that adds up along the way, so that lower is better: how. Else None."""
 
-    @property
-    def risk_gain(self) -> float:
-        """Gain of the moving average over readings unless one is set, in (0, 1]."""
-
-    @property
-    def seq_period(self) -> int:
-        """A base raises its announcement number every so many steps unless `routing.seq_period` is set."""
-
-    @property
-    def own_share(self) -> float:
-        """Part of a drone's store that is kept for its own measurements unless one is set, 0..1."""
+    risk_gain: float
+    """Gain of the moving average over readings unless one is set, in (0, 1]."""
+    seq_period: int
+    """A base raises its announcement number every so many steps unless `routing.seq_period` is set."""
+    own_share: float
+    """Part of a drone's store that is kept for its own measurements unless one is set, 0..1."""
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1.

@@ -23,12 +23,15 @@ MAX_ACCEPTED = 1024
 class HandoverNumbers:
     """The hand-over numbers of one node."""
 
-    __slots__ = ("_accepted", "_next")
+    __slots__ = ("_accepted", "_next", "_of")
 
     def __init__(self, first: int) -> None:
         """`first`: 32 bits drawn at random, for an answer to a hand-over of an earlier life must name none of this."""
         self._next = first
         self._accepted: dict[tuple[int, int], DatumId] = {}
+        """By giver and number, the oldest first."""
+        self._of: dict[DatumId, set[tuple[int, int]]] = {}
+        """The same by datum."""
 
     def draw(self) -> int:
         """A number that this node has not used in this life (32 bits, not 0)."""
@@ -37,10 +40,20 @@ class HandoverNumbers:
 
     def accept(self, giver: int, number: int, id: DatumId) -> None:
         """Remember that this hand-over was accepted."""
-        accepted = self._accepted
-        accepted[giver, number] = id
-        if len(accepted) > MAX_ACCEPTED:
-            del accepted[next(iter(accepted))]
+        key = (giver, number)
+        # A restarted giver may draw a number again.
+        self._drop(key)
+        self._accepted[key] = id
+        self._of.setdefault(id, set()).add(key)
+        if len(self._accepted) > MAX_ACCEPTED:
+            self._drop(next(iter(self._accepted)))
+
+    def _drop(self, key: tuple[int, int]) -> None:
+        id = self._accepted.pop(key, None)
+        if id is not None:
+            self._of[id].remove(key)
+            if not self._of[id]:
+                del self._of[id]
 
     def has_accepted(self, giver: int, number: int, id: DatumId) -> bool:
         """Whether this very hand-over was accepted before."""
@@ -48,5 +61,5 @@ class HandoverNumbers:
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it is not true any more that it was taken."""
-        for key in [key for key, value in self._accepted.items() if value == id]:
+        for key in self._of.pop(id, ()):
             del self._accepted[key]

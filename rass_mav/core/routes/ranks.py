@@ -27,13 +27,10 @@ class Rank(Protocol):
     neighbours announce, and what feasibility compares.
     """
 
-    @property
-    def no_way(self) -> int:
-        """The metric of a node that has no way: greater than that of any way."""
-
-    @property
-    def change_over(self) -> int:
-        """A node changes over to another base whose metric is this much lower."""
+    no_way: int
+    """The metric of a node that has no way: greater than that of any way."""
+    change_over: int
+    """A node changes over to another base whose metric is this much lower."""
 
     @property
     def tag(self) -> int | None:
