@@ -48,7 +48,7 @@ PURE = {
 }  # fmt: skip
 
 #: Attributes of a class that does something. Data (`is_data`) have as many fields as they need.
-MOST_ATTRIBUTES = 33
+MOST_ATTRIBUTES = 20
 #: Whoever derives from these is data, and so is a frozen dataclass. A section is a part of a configuration file.
 DATA_BASES = {"NamedTuple", "Struct", "TypedDict", "Section"}
 
