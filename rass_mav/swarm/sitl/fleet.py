@@ -176,6 +176,8 @@ def run(
         raise ConfigError("--through-autopilots: expected ArduCopter or the mock; PX4's simulator has no serial ports")
     for key in scenario.failures.of_robots:
         raise ConfigError(f"failures.{key}: not for vehicles that fly; they know failures.kill_every_s only")
+    if scenario.disk is not None:
+        raise ConfigError("disk: not for vehicles that fly; their stores are on this machine's disk")
 
     def make(directory: Path, sockets: Path, children: Children) -> FlownSwarm:
         return FlownSwarm(scenario, directory, sockets, children, firmware, through=through)
