@@ -17,11 +17,11 @@ from rass_mav.app.config import RunConfig, load_config
 from rass_mav.cli import main
 from rass_mav.errors import ConfigError
 from rass_mav.link.kinds import KINDS as LINKS
-from rass_mav.link.kinds import Kind as LinkKind
+from rass_mav.link.kinds import LinkKind
 from rass_mav.policy.settings import kinds as policies
 from rass_mav.sensor.base import SensorReading
 from rass_mav.sensor.kinds import KINDS as SENSORS
-from rass_mav.sensor.kinds import Kind as SensorKind
+from rass_mav.sensor.kinds import SensorKind
 
 PACKAGE = Path(__file__).parents[1] / "rass_mav"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -126,9 +126,9 @@ def config(tmp_path: Path, text: str) -> RunConfig:
 DRONE = "node: {id: 1}\nlinks: [{multicast: '239.0.0.1:14600'}]\n"
 POLICY = """
 from rass_mav.policy.fitness import FitnessPolicy
-from rass_mav.policy.settings import Kind
+from rass_mav.policy.settings import PolicyKind
 
-POLICIES = (Kind("cautious", 77, lambda settings: FitnessPolicy(settings.name, alpha=1.0, beta=50.0)),)
+POLICIES = (PolicyKind("cautious", 77, lambda settings: FitnessPolicy(settings.name, alpha=1.0, beta=50.0)),)
 """
 
 

@@ -48,8 +48,6 @@ class MessageRates:
         """`intervals`: seconds between two messages, by message id."""
         self._agent = agent
         self._intervals = dict(intervals)
-        self.requests = 0
-        """Requests sent, repeated ones included."""
         self.refused: set[int] = set()
         """Messages that the autopilot will not send."""
         self._open: list[int] = []
@@ -127,7 +125,6 @@ class MessageRates:
         if self._due is not None:
             self._retry_s = min(2 * self._retry_s, LONGEST_RETRY_S)
         self._due = now + self._retry_s
-        self.requests += 1
         telemetry = self._agent.telemetry
         message_id = self._open[0]
         request = set_message_interval(

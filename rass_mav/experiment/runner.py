@@ -36,7 +36,7 @@ class Outcome:
     """How many had been done before."""
 
 
-class Archive:
+class FinishedRuns:
     """Finished runs on disk, one JSON file each. A file is whole or not there, whenever the process is killed."""
 
     def __init__(self, directory: Path) -> None:
@@ -78,7 +78,7 @@ def run_all(
     interruption the same call goes on where it was; at most `jobs` unfinished runs are done again.
     Raises `RassError` if a run or a worker fails; what is finished stays.
     """
-    archive = Archive(directory)
+    archive = FinishedRuns(directory)
     code = code_fingerprint()
     runs = [replace(run, code=code) for run in runs]
     found = {run.file_name: archive.find(run) for run in runs}

@@ -56,7 +56,7 @@ class Budget(NamedTuple):
     """After a frame of somebody else: wait for a random part of this before sending, seconds. 0: do not wait."""
 
 
-class Pace(NamedTuple):
+class LinkPace(NamedTuple):
     """What a link can bear."""
 
     turn_s: float
@@ -138,12 +138,12 @@ class Pacer:
         """This node's part for what it says to the autopilot and the ground, bytes/s."""
         return self.rate * (1.0 - self.budget.beacons) * VEHICLE_PART / (self.neighbours + 1)
 
-    def pace(self) -> Pace:
+    def pace(self) -> LinkPace:
         """What the link can bear, with the neighbours that there are now."""
         wanted = (self.neighbours + 1) * BEACON_BYTES / (self.rate * self.budget.beacons)
         # Whole steps: that is when beacons are made.
         turn_s = self.step_s * max(1, math.ceil(min(wanted, MAX_TURN_S) / self.step_s - 1e-9))
-        return Pace(turn_s, max(1, int(self.data_rate * turn_s / FRAME_BYTES)))
+        return LinkPace(turn_s, max(1, int(self.data_rate * turn_s / FRAME_BYTES)))
 
     # -- the queue -----------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Kind(NamedTuple):
+class LinkKind(NamedTuple):
     """A type of link."""
 
     link: str
@@ -23,8 +23,8 @@ class Kind(NamedTuple):
     """It goes through the autopilot's port."""
 
 
-KINDS: dict[str, Kind] = {
-    "udp": Kind("rass_mav.link.udp:UdpLink", ("peers", "broadcast", "multicast", "interface"), shared=False),
-    "serial": Kind("rass_mav.link.radio:SerialLink", ("device",)),
-    "autopilot": Kind("rass_mav.link.radio:AutopilotLink", forwarded=True, through=True),
+KINDS: dict[str, LinkKind] = {
+    "udp": LinkKind("rass_mav.link.udp:UdpLink", ("peers", "broadcast", "multicast", "interface"), shared=False),
+    "serial": LinkKind("rass_mav.link.radio:SerialLink", ("device",)),
+    "autopilot": LinkKind("rass_mav.link.radio:AutopilotLink", forwarded=True, through=True),
 }

@@ -11,7 +11,7 @@ from rass_mav.errors import ConfigError
 
 from .airtime import FRAME_BYTES, Budget
 from .base import Link
-from .kinds import KINDS, Kind
+from .kinds import KINDS, LinkKind
 from .vehicle import VehiclePort
 
 #: Listening before speaking on a shared radio: the airtime of so many full frames.
@@ -81,7 +81,7 @@ class LinkSection(Section):
     """Multicast frames pass so many routers less one."""
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> LinkKind:
         """Its row in the registry."""
         return KINDS[self.type]
 

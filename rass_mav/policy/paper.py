@@ -9,7 +9,7 @@ from rass_mav.errors import ConfigError
 
 from .fitness import UNREACHABLE_HOPS, FitnessPolicy
 from .reference import ReferencePolicy
-from .settings import Kind, PolicySettings
+from .settings import PolicyKind, PolicySettings
 
 
 def _risk_aware(alpha: float, beta: float, settings: PolicySettings) -> Policy:
@@ -33,9 +33,9 @@ def _weighed(alpha: float, beta: float, settings: PolicySettings) -> Policy:
 
 POLICIES = (
     # The paper's reasoning and results, and the authors' code.
-    Kind("rass", 0, partial(_risk_aware, 1.0, 10.0)),
+    PolicyKind("rass", 0, partial(_risk_aware, 1.0, 10.0)),
     # The weights as the paper's text prints them.
-    Kind("rass-literal", 1, partial(_risk_aware, 10.0, 1.0)),
+    PolicyKind("rass-literal", 1, partial(_risk_aware, 10.0, 1.0)),
     # The paper's first benchmark. Its potential is 1/hops by definition: no weights can be set.
-    Kind("hop-count", 2, partial(_weighed, 1.0, 0.0)),
+    PolicyKind("hop-count", 2, partial(_weighed, 1.0, 0.0)),
 )

@@ -14,7 +14,7 @@ from rass_mav.config.sections import Meta, Section
 from rass_mav.core.policy import Policy
 
 
-class Kind(NamedTuple):
+class PolicyKind(NamedTuple):
     """A policy that a configuration can name. Its module states it in `POLICIES`."""
 
     name: str
@@ -26,10 +26,10 @@ class Kind(NamedTuple):
 
 
 @cache
-def kinds() -> dict[str, Kind]:
+def kinds() -> dict[str, PolicyKind]:
     """All policies, by name."""
     modules = (import_module(f"{package.__name__}.{found.name}") for found in iter_modules(package.__path__))
-    stated: list[Kind] = [kind for module in modules for kind in getattr(module, "POLICIES", ())]
+    stated: list[PolicyKind] = [kind for module in modules for kind in getattr(module, "POLICIES", ())]
     return {kind.name: kind for kind in sorted(stated, key=lambda kind: kind.number)}
 
 

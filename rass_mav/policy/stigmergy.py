@@ -5,7 +5,7 @@ from __future__ import annotations
 from rass_mav.core.policy import Dispatch, View
 
 from .fitness import policy_tag
-from .settings import Kind
+from .settings import PolicyKind
 
 
 class Stigmergy:
@@ -29,4 +29,4 @@ class Stigmergy:
 
 
 # The paper's second benchmark.
-POLICIES = (Kind(Stigmergy.name, 3, lambda settings: Stigmergy()),)
+POLICIES = (PolicyKind(Stigmergy.name, 3, lambda settings: Stigmergy()),)

@@ -10,7 +10,7 @@ from rass_mav.core.routes.costs import COST_ONE, NO_COST, CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import all_to, policy_tag
-from .settings import Kind, PolicySettings
+from .settings import PolicyKind, PolicySettings
 
 #: No risk is certain death: readings are not that good, and its logarithm would be infinite.
 MAX_RISK = 0.999
@@ -71,4 +71,4 @@ def _make(settings: PolicySettings) -> Policy:
     return SurvivalPolicy() if settings.hop_cost is None else SurvivalPolicy(hop_cost=settings.hop_cost)
 
 
-POLICIES = (Kind(SurvivalPolicy.name, 4, _make),)
+POLICIES = (PolicyKind(SurvivalPolicy.name, 4, _make),)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 _OF_COUNTS = ("unit", "tube", "cpm_per_usvh", "dead_time_us")
 
 
-class Kind(NamedTuple):
+class SensorKind(NamedTuple):
     """A kind of sensor."""
 
     opener: str | None
@@ -28,17 +28,17 @@ class Kind(NamedTuple):
     """It corrects its rate for dead time itself, so that we do not by default."""
 
 
-def counter(protocol: str, baud: int, tube: str, *, corrects: bool = False) -> Kind:
+def counter(protocol: str, baud: int, tube: str, *, corrects: bool = False) -> SensorKind:
     """The row of a counter on a serial port, as it comes from the factory."""
     opener, keys = "rass_mav.sensor.serial_sensor:open_counter", ("port", "baud", *_OF_COUNTS)
-    return Kind(opener, keys, "the counter's serial port", tube, protocol, baud, corrects)
+    return SensorKind(opener, keys, "the counter's serial port", tube, protocol, baud, corrects)
 
 
-KINDS: dict[str, Kind] = {
-    "autopilot": Kind(None),
+KINDS: dict[str, SensorKind] = {
+    "autopilot": SensorKind(None),
     "mightyohm": counter("rass_mav.sensor.mightyohm:MightyOhm", 9600, "sbm-20"),
     "gmc": counter("rass_mav.sensor.gmc:Gmc", 115200, "m4011"),
     "radpro": counter("rass_mav.sensor.radpro:RadPro", 115200, "m4011", corrects=True),
     "bgeigie": counter("rass_mav.sensor.bgeigie:Bgeigie", 57600, "safecast"),
-    "log": Kind("rass_mav.sensor.playback:open_log", ("path", "speed", *_OF_COUNTS), "a bGeigie log", "safecast"),
+    "log": SensorKind("rass_mav.sensor.playback:open_log", ("path", "speed", *_OF_COUNTS), "a bGeigie log", "safecast"),
 }

@@ -13,7 +13,7 @@ from rass_mav.errors import ConfigError
 
 from .base import Sensor
 from .dose import TUBES, DoseMeter, Tube, Unit
-from .kinds import KINDS, Kind
+from .kinds import KINDS, SensorKind
 
 TubeName = Annotated[str, Meta(one_of=TUBES.keys)]
 
@@ -59,7 +59,7 @@ class SensorSettings(Section):
     """Its dead time, microseconds; null: the tube's, unless the counter corrects for it; 0: no correction."""
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> SensorKind:
         """Its row in the registry."""
         return KINDS[self.type]
 

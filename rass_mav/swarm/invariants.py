@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.news.arrivals import WINDOW_BITS, has_arrived
 from rass_mav.core.news.notes import MAX_NOTES
+from rass_mav.core.news.receipts import Receipts
 from rass_mav.swarm.errors import InvariantError
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def check(world: VirtualSwarm) -> None:
             raise InvariantError(f"step {world.t - 1}: node {node_id} holds {len(holdings)} > {capacity}")
         if len(node.routing.neighbours) > agent.settings.routing.max_neighbours:
             raise InvariantError(f"step {world.t - 1}: node {node_id}: its neighbour table is too long")
+        if isinstance(node.receipts, Receipts) and (wrong := node.receipts.disagreement()):
+            raise InvariantError(f"step {world.t - 1}: node {node_id}: {wrong}")
         if node.figures().get("loss_notes", 0) > MAX_NOTES:
             raise InvariantError(f"step {world.t - 1}: node {node_id}: it keeps too many loss notes")
     # One node a step: this takes long.

@@ -17,7 +17,7 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.errors import ConfigError
 from rass_mav.swarm.catalogue import load_scenario
-from rass_mav.swarm.disk.power import Moment, Power
+from rass_mav.swarm.disk.power import CutMoment, Power
 from rass_mav.swarm.errors import InvariantError
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
@@ -83,7 +83,7 @@ def test_no_datum_is_lost_that_was_on_disk_by_200_power_cuts() -> None:
         world.run(900, after=check)
         summary = world.statistics.summary()
         assert summary["power"]["cuts"] >= 200
-        assert min(summary["power"][moment.value] for moment in Moment) > 20
+        assert min(summary["power"][moment.value] for moment in CutMoment) > 20
         assert summary["power"]["restarts"] == summary["power"]["set_aside"] == summary["altered"] == 0
         assert lost(world) == {}
         assert summary["delivered"] > 0.97 * summary["created"] > 1000
@@ -126,8 +126,8 @@ def test_the_promises_hold_in_other_swarms_too(assignments: list[str]) -> None:
         assert_survived(world, power)
 
 
-@pytest.mark.parametrize("moment", Moment)
-def test_a_datum_is_created_when_its_commit_is_done(moment: Moment) -> None:
+@pytest.mark.parametrize("moment", CutMoment)
+def test_a_datum_is_created_when_its_commit_is_done(moment: CutMoment) -> None:
     world = World(scenario(BY_HAND, "data.interval_steps=0", "radio.loss=1"))
     with disks(world) as power:
         world.run(20, after=check)
@@ -135,7 +135,7 @@ def test_a_datum_is_created_when_its_commit_is_done(moment: Moment) -> None:
         id = world.agents[4].node.put(b"a measurement", world.t * world.step_s)
         assert world.ledger.created == 0
         computer.moment = moment
-        if moment is Moment.QUIET:
+        if moment is CutMoment.QUIET:
             # As the swarm does it before the node's turn.
             world._fail(4, None)
         world.run(1, after=check)
@@ -145,7 +145,7 @@ def test_a_datum_is_created_when_its_commit_is_done(moment: Moment) -> None:
         world.run(3, after=check)
         assert not world.off
         # The other moments are certain.
-        written = bool(world.ledger.created) if moment is Moment.DURING else moment is Moment.AFTER
+        written = bool(world.ledger.created) if moment is CutMoment.DURING else moment is CutMoment.AFTER
         assert list(world.ledger.copies) == list(world.agents[4].node.holdings) == ([id] if written else [])
         assert world.ledger.created == written
         # A number that the disk does not know is given again.

@@ -22,7 +22,7 @@ from .disk import Disk
 CHANGES = 8
 
 
-class Moment(enum.Enum):
+class CutMoment(enum.Enum):
     """When the power goes. All but `QUIET` wait for the node's next commit."""
 
     QUIET = "quiet"
@@ -41,7 +41,7 @@ class Computer:
         self.disk = Disk(random.Random(f"{seed}:disk:{settings.node_id}"))
         self.diary = diary
         self.draws = random.Random(f"{seed}:disk:{settings.node_id}:cuts")
-        self.moment: Moment | None = None
+        self.moment: CutMoment | None = None
         """When the power goes next; None: that has not been drawn."""
         self._settings = settings
         self._rng = rng
@@ -119,9 +119,9 @@ class Computer:
 
     def _write(self, batch: object) -> None:
         moment = self.moment
-        if moment is Moment.BEFORE:
+        if moment is CutMoment.BEFORE:
             raise StoreError("the power went before the write")
-        if moment is Moment.DURING:
+        if moment is CutMoment.DURING:
             self.disk.cut(after=self.draws.randrange(CHANGES))
         self.store.write(batch)
         if moment is not None:
@@ -137,7 +137,7 @@ class Power:
         self.off_steps = max(off_steps, 1)
         self.computers: list[Computer] = []
         # By moment; None: its disk failed while it read, or was damaged, so that it started again.
-        self._failed: dict[Moment | None, int] = dict.fromkeys([*Moment, None], 0)
+        self._failed: dict[CutMoment | None, int] = dict.fromkeys([*CutMoment, None], 0)
         self._ledger = ledger
         self._seed = seed
         self.close = weakref.finalize(self, _close, self.computers)
@@ -162,8 +162,8 @@ class Power:
             for _ in range(int(settings.flip_rate + draws.random())):
                 computer.flip_bit()
             if draws.random() < settings.cut_rate and node_id not in off and computer.moment is None:
-                computer.moment = draws.choice(list(Moment))
-                if computer.moment is Moment.QUIET:
+                computer.moment = draws.choice(list(CutMoment))
+                if computer.moment is CutMoment.QUIET:
                     quiet.append(node_id)
         return quiet
 
@@ -176,7 +176,7 @@ class Power:
     def figures(self) -> dict[str, int]:
         """For the summary."""
         return {
-            "cuts": sum(self._failed[moment] for moment in Moment),
+            "cuts": sum(self._failed[moment] for moment in CutMoment),
             **{"restarts" if moment is None else moment.value: count for moment, count in self._failed.items()},
             "set_aside": sum(computer.set_aside for computer in self.computers),
         }
