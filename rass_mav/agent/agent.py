@@ -267,7 +267,8 @@ class Agent:
 
         Returns what leaves.
         """
-        self._beat(now)
+        if now >= self._beats.next_at:
+            self._beat(now)
         for service in self.services:
             service.step(now)
         out: list[Outgoing] = []

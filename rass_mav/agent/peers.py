@@ -15,15 +15,15 @@ from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.tunnel import TunnelFields, decode_tunnel, tunnel_from_datagram
+from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, target_of
 from rass_mav.wire.codec import ForeignError
 
 log = logging.getLogger(__name__)
 
 
-#: A TUNNEL message, and the node id that what it holds names.
-Opened: TypeAlias = tuple[TunnelFields, int]
+#: Of a TUNNEL message: target system and component, payload type, payload; and the node id that the payload names.
+Opened: TypeAlias = tuple[int, int, int, bytes, int]
 
 
 # In a mock swarm all who hear a frame come one behind the other.
@@ -31,7 +31,7 @@ Opened: TypeAlias = tuple[TunnelFields, int]
 def open_datagram(data: bytes) -> Opened | None:
     """A datagram that is exactly one frame with a TUNNEL message. None: it is something else, or several."""
     fields = tunnel_from_datagram(data)
-    return None if fields is None else (TunnelFields(*fields[2:]), target_of(fields[5]))
+    return None if fields is None else (*fields[2:], target_of(fields[5]))
 
 
 class Peers:
@@ -66,11 +66,11 @@ class Peers:
         except MalformedError as error:
             self._count(error)
             return None
-        return self.message((tunnel, target_of(tunnel.payload)), now)
+        return self.message((*tunnel, target_of(tunnel.payload)), now)
 
     def message(self, opened: Opened, now: float) -> Message | None:
         """The same with a frame that is opened."""
-        (system, component, payload_type, payload), target = opened
+        system, component, payload_type, payload, target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
             return None

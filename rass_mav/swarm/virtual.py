@@ -151,7 +151,7 @@ class VirtualSwarm(ABC):
         waits = self.power is not None
         for hearers, frame in self.radio.arrivals(t, self.neighbours):
             for hearer in hearers:
-                if hearer in off:
+                if off and hearer in off:
                     continue
                 try:
                     answers = agents[hearer].peer_bytes(frame, now)
