@@ -71,7 +71,7 @@ class Node(Participant):
         if has_turn and (receipt := self.receipts.turn(self.routing.neighbours.values())) is not None:
             out.append(receipt)
         keeper.spares.step(now)
-        # Whether it is fit (Eq. 4) the policy says: while it is, or has no neighbours, nothing is to leave.
+        # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
             self.percolation.evict(self.potential, now, out)
         keeper.spares.flush(out)
