@@ -188,7 +188,10 @@ def test_a_node_that_is_killed_in_flight_comes_back(quick: str) -> None:
         (["QUICK", "--binary", "none/arducopter"], "--binary none/arducopter: no such program"),
         (["QUICK", "--firmware", "px4"], "--firmware px4: no arducopter or px4 on PATH"),
         (["QUICK", "--mock", "--set", "failures.die_fraction=0.5"], "failures.die_fraction: not for vehicles that fly"),
-        (["QUICK", "--mock", "--set", "disk.cut_rate=0.5"], "disk: not for vehicles that fly"),
+        (
+            ["QUICK", "--mock", "--set", "disk={}", "--set", "radiation.corruption=false"],
+            "disk: not for vehicles that fly",
+        ),
     ],
 )
 def test_what_cannot_be_flown_is_one_line(quick: str, tmp_path: Path, arguments: list[str], expected: str) -> None:
