@@ -1,8 +1,8 @@
 """What a node holds: one record a datum, in memory; the bytes lie in the store.
 
 A record says all that the node knows of its copy: whether the datum is in its custody or a spare, who its partner is,
-to whom it is being handed over, and what is offered. The indexes follow from the records. Only `Holdings` changes
-either, so they cannot contradict each other.
+to whom it is being handed over, and what is offered. The indexes follow from that, and only `Holdings` changes it, so
+they cannot contradict the records. Others set times: when a hand-over was sent, when a spare may be offered next.
 
 Custody comes first. Spares lie in the room that custody leaves, and count as free: whoever takes a datum into custody
 first lets go of spares, `crowded` and `yielding` tell when and which.
