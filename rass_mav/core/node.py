@@ -142,11 +142,11 @@ class Node(Participant):
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
-        kind = type(message)
-        answers = HANDLERS[kind](self, message, now)
-        if kind is not messages.Beacon:
+        if type(message) is messages.Beacon:
             # Most of what is heard are beacons, and they change no copies that anything would be said of.
-            self.keeper.spares.flush(answers)
+            return self._on_beacon(message, now)
+        answers = HANDLERS[type(message)](self, message, now)
+        self.keeper.spares.flush(answers)
         return answers
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
