@@ -39,7 +39,7 @@ _WORDS = {
     Word.HERE: "a good copy is here",
 }
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
-_HEX = {"epoch": 8, "base_epoch": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
+_HEX = {"epoch": 8, "base_life": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
 
 
 class UnreadableError(Exception):
@@ -260,7 +260,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "flags": lambda _, value: _flags(value),
     "Beacon.hops": lambda _, value: "no route" if value == NO_ROUTE else "to that base",
     "Beacon.base": _no_route,
-    "Beacon.base_epoch": _no_route,
+    "Beacon.base_life": _no_route,
     "Beacon.route_number": _no_route,
     "risk": lambda _, value: f"{value / 65535:.3f}",
     "free": lambda _, value: "no bound" if value == UNBOUNDED_FREE else "items",

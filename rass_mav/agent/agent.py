@@ -13,6 +13,7 @@ from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.parameters import recall
 from rass_mav.agent.peers import Peers, open_datagram
+from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
@@ -32,10 +33,6 @@ from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_mea
 
 log = logging.getLogger(__name__)
 
-#: A rival under the same node id is told to the ground at most this often, seconds.
-RIVAL_REPORT_S = 30.0
-#: Refused measurements likewise.
-FULL_REPORT_S = 30.0
 #: A position older than this is not where the vehicle is, seconds.
 POSITION_STALE_S = 10.0
 # For `data.due`: how often the node id is taken from the step before the interval must divide it.
@@ -74,9 +71,7 @@ class Agent:
     __slots__ = (
         "_beats",
         "_immediate",
-        "_next_full_report",
-        "_next_rival_report",
-        "_refused",
+        "_reports",
         "_rng",
         "_said",
         "_text_id",
@@ -134,9 +129,7 @@ class Agent:
         self._immediate = settings.forward == "immediate"
         self._beats = Heartbeats(now)
         self._text_id = 0
-        self._next_rival_report = now
-        self._refused = 0
-        self._next_full_report = now
+        self._reports = Reports(now)
         self._turns = Turns(settings.step_s, now)
         self.services: list[VehicleService] = []
         """Who else listens to the autopilot's port."""
@@ -275,8 +268,7 @@ class Agent:
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out = self.peers.frames(node.step(now), self.store, now)
-        if self.node.rivals and now >= self._next_rival_report:
-            self._report_rivals(now)
+        self._reports.look(node, now, self.tell_ground)
         if self._is_measured():
             self.measure(now)
             out += self.forward(now)
@@ -363,10 +355,7 @@ class Agent:
         try:
             return node.put(payload, now, Kind.MEASUREMENT)
         except StoreFullError:
-            self._refused += 1
-            if now >= self._next_full_report:
-                self._next_full_report = now + FULL_REPORT_S
-                self.tell_ground(_WARNING, f"RASS: store full, {self._refused} measurements refused so far")
+            self._reports.full(now, self.tell_ground)
             return None
 
     def tell_ground(self, severity: int, text: str) -> None:
@@ -378,12 +367,3 @@ class Agent:
         self._text_id = self._text_id % 0xFFFF + 1
         for message in statustext(severity, text, text_id=self._text_id):
             self.tell_vehicle(self.vehicle_writer.message(message))
-
-    def _report_rivals(self, now: float) -> None:
-        recent = [epoch for epoch, at in self.node.rivals.items() if now - at <= RIVAL_REPORT_S]
-        self._next_rival_report = now + RIVAL_REPORT_S
-        if recent:
-            self.tell_ground(
-                _CRITICAL,
-                f"RASS: another node with node id {self.node.id} on the air (epoch {recent[0]:08x}), change one",
-            )

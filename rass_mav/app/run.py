@@ -125,7 +125,12 @@ class Runtime:
             log.info("node %d (%s) runs, store %s", settings.node_id, config.node.role, config.store_path)
             self._notifier.ready(f"node {settings.node_id} ({config.node.role})")
             if self._ready is not None:
-                about = {"node_id": settings.node_id, "role": config.node.role, "epoch": f"{store.epoch:08x}"}
+                about = {
+                    "node_id": settings.node_id,
+                    "role": config.node.role,
+                    "life": f"{store.life:08x}",
+                    "epoch": f"{store.epoch:08x}",
+                }
                 self._ready({**about, "socket": str(config.socket_path)})
             try:
                 try:

@@ -33,6 +33,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "role": "base" if node.base else "drone",
         "version": __version__,
         "pid": os.getpid(),
+        "life": f"{node.store.life:08x}",
         "epoch": f"{node.store.epoch:08x}",
         "uptime_s": round(now - started, 3),
         "steps": agent.steps,
@@ -40,7 +41,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "policy": settings.policy.name,
         "hop_count": None if routing.hops == NO_ROUTE else routing.hops,
         "next_hop": routing.next_hop,
-        "base": None if route is None else {"node_id": route.base, "epoch": f"{route.base_epoch:08x}"},
+        "base": None if route is None else {"node_id": route.base, "life": f"{route.base_life:08x}"},
         "risk": node.risk.risk(now),
         "risk_known": node.risk.known(now),
         **_potential(node.potential, node.base, node.policy.costs is not None),
@@ -96,7 +97,10 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),
         "foreign": agent.peers.foreign,
         "vehicle_malformed": agent.vehicle_reader.malformed,
-        "rivals": [{"epoch": f"{epoch:08x}", "age_s": round(now - at, 3)} for epoch, at in sorted(node.rivals.items())],
+        "alarms": {alarm.name.lower(): count for alarm, count in node.alarms.counts.items()},
+        "rivals": [
+            {"life": f"{life:08x}", "age_s": round(now - at, 3)} for life, at in sorted(node.alarms.rivals.items())
+        ],
     }
 
 

@@ -47,7 +47,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     if s["commits"]["failed"]:
         yield f"WARNING: {s['commits']['failed']} commits failed"
     for rival in s["rivals"]:
-        yield f"WARNING: another node with this id, epoch {rival['epoch']}, heard {rival['age_s']:.0f} s ago"
+        yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 
 
 def _standing(s: dict[str, Any]) -> str:

@@ -70,17 +70,21 @@ class Datum(NamedTuple):
     crc: int
     """CRC-32 of id, kind and payload, computed once at the origin and carried to the base."""
     payload: bytes
+    at_least: bool = False
+    """It is at least as old as `created` says: some holder was switched off for it does not know how long."""
 
     @property
     def intact(self) -> bool:
         """Whether the checksum made at the origin still fits."""
-        (origin, epoch, sequence), kind, _, _, crc, payload = self
+        (origin, epoch, sequence), kind, _, _, crc, payload, _ = self
         return crc32(payload, crc32(_pack_head(origin, epoch, sequence, kind))) == crc
 
     def arrived(self) -> Datum:
         """The same datum one hand-over further."""
         hops = self.hops
-        return Datum(self.id, self.kind, self.created, hops + 1 if hops < 255 else 255, self.crc, self.payload)
+        return Datum(
+            self.id, self.kind, self.created, hops + 1 if hops < 255 else 255, self.crc, self.payload, self.at_least
+        )  # fmt: skip
 
 
 def datum_crc(id: DatumId, kind: int, payload: bytes) -> int:

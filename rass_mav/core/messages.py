@@ -83,8 +83,8 @@ class Route(NamedTuple):
 
     base: int
     """Node id of the base."""
-    base_epoch: int
-    """Epoch of the base's store (32 bits): a wiped base is another base."""
+    base_life: int
+    """The base's (32 bits): a wiped base is another base."""
     number: int
     """The base's announcement number, 16 bits, compared by RFC 1982."""
     hops: int
@@ -96,14 +96,14 @@ class Beacon(NamedTuple):
     """The one-hop broadcast, one a step."""
 
     sender: int
-    epoch: int
-    """Epoch of the sender's store: tells two nodes with the same id apart, and a wiped node from its former self."""
+    life: int
+    """The sender's: tells two nodes with the same id apart, and a wiped node from its former self."""
     number: int
     """Beacon number, 16 bits, RFC 1982: an older or equal one is a duplicate."""
     flags: int
     """Bit 0: the sender is a base. Bit 1: `wanted_*` holds a request."""
     base: int
-    base_epoch: int
+    base_life: int
     route_number: int
     hops: int
     """The chosen route; `hops` NO_ROUTE: none, the other three are 0."""
@@ -251,7 +251,7 @@ class Receipt(NamedTuple):
 
     base: int
     """The base whose word it is; of several bases' words together, the one heard last."""
-    base_epoch: int
+    base_life: int
     entries: tuple[ReceiptEntry, ...]
     spans: tuple[ReceiptSpan, ...] = ()
 

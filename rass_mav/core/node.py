@@ -46,7 +46,7 @@ class Node(Participant):
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
             return NoReceipts()
-        source = (self.id, self.store.epoch) if self.base else (0, 0)
+        source = (self.id, self.store.life) if self.base else (0, 0)
         # Neighbours' turns should not come together, so ids are scattered (by Knuth's multiplicative hashing).
         phase = self.id * 2654435761 % (1 << 32) >> 16
         return Receipts(source, archive=self.archive, period=self.settings.receipt_steps, phase=phase)

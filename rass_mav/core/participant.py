@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from abc import ABC, abstractmethod
 
+from rass_mav.core.alarms import Alarms
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Message
@@ -22,16 +23,30 @@ from rass_mav.errors import DatumError, StoreFullError
 
 #: How many announcement numbers a base claims on disk at a time.
 ANNOUNCEMENTS_CLAIMED = 256
-#: How many other nodes under its own id a node remembers.
-MAX_RIVALS = 16
 
 
 class Participant(ABC):
     """One RASS participant. `Node` hands custody on, `Replica` copies everything to everybody."""
 
     __slots__ = (
-        "_beacon_number", "_claimed", "_first_number", "_slow_until", "_steps", "base", "echoes", "holdings", "id",
-        "observer", "pace", "policy", "potential", "receipts", "risk", "rivals", "rng", "routing", "settings",
+        "_beacon_number",
+        "_claimed",
+        "_first_number",
+        "_slow_until",
+        "_steps",
+        "alarms",
+        "base",
+        "holdings",
+        "id",
+        "observer",
+        "pace",
+        "policy",
+        "potential",
+        "receipts",
+        "risk",
+        "rng",
+        "routing",
+        "settings",
         "store",
     )  # fmt: skip
 
@@ -54,7 +69,7 @@ class Participant(ABC):
         slow = store.get_meta("turn") or 0
         self.routing = RoutingTable(
             settings,
-            store.epoch,
+            store.life,
             ByHops() if policy.costs is None else ByCost(policy.costs),
             turn_s=slow / 10,
             restarted=None if newborn else now,
@@ -64,10 +79,7 @@ class Participant(ABC):
         """How often this node has its turn, and how much it may send in one."""
         self.potential = 0
         """Own potential as last announced, wire units."""
-        self.rivals: dict[int, float] = {}
-        """Epochs of other nodes heard under this node's id, and when last."""
-        self.echoes = 0
-        """Own beacons that came back."""
+        self.alarms = Alarms()
         self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
         # Random starts: nothing that was said in an earlier life is taken for a word of this one.
         self._beacon_number, self._first_number = divmod(rng.getrandbits(48), 1 << 32)
@@ -140,12 +152,10 @@ class Participant(ABC):
     def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         if beacon.sender != self.id:
             self.routing.hear(beacon, now)
-        elif beacon.epoch == self.store.epoch:
-            self.echoes += 1
+        elif beacon.life == self.store.life:
+            self.alarms.echoes += 1
         else:
-            if len(self.rivals) >= MAX_RIVALS and beacon.epoch not in self.rivals:
-                self.rivals.clear()
-            self.rivals[beacon.epoch] = now
+            self.alarms.rival(beacon.life, now)
         return []
 
     def _ignore(self, message: Message, now: float) -> list[Message]:
@@ -182,11 +192,11 @@ class Participant(ABC):
         routing.announced(now)
         wanted = routing.wanted
         flags = (BEACON_BASE if self.base else 0) | (BEACON_WANTED if wanted else 0)
-        base, base_epoch, number, hops = routing.route or (0, 0, 0, NO_ROUTE)
+        base, base_life, number, hops = routing.route or (0, 0, 0, NO_ROUTE)
         wanted_base, wanted_number = wanted or (0, 0)
         self._beacon_number = following(self._beacon_number)
         return Beacon(
-            self.id, store.epoch, self._beacon_number, flags, base, base_epoch, number, hops, wanted_base,
+            self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
             self._turn,
         )  # fmt: skip

@@ -30,8 +30,16 @@ class Store(Protocol):
     """
 
     @property
+    def life(self) -> int:
+        """32 bits, drawn when the store was created: another life has nothing of what this one held."""
+
+    @property
     def epoch(self) -> int:
-        """32 bits, drawn when the store was created."""
+        """Of the ids that are given now, 32 bits: drawn anew whenever numbers may have been lost."""
+
+    @property
+    def given(self) -> int:
+        """How many numbers of this epoch have been given: the one that `next_sequence` gives next."""
 
     @property
     def accepting(self) -> bool:

@@ -73,7 +73,7 @@ def identity(config: RunConfig, evidence: Evidence) -> Finding:
     rivals = evidence.last["rivals"]
     if rivals:
         return failed(
-            "node id", f"another node with the id {config.node_id} is heard (epoch {rivals[0]['epoch']})",
+            "node id", f"another node with the id {config.node_id} is heard (life {rivals[0]['life']})",
             "give one of them another node.id",
         )  # fmt: skip
     return passed("node id", f"{config.node_id}, nobody else with it was heard")

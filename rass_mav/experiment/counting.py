@@ -81,7 +81,7 @@ class Ours:
         self._settings = NodeSettings(node_id=0)
         self._neighbours = neighbours
         self._tables = [
-            RoutingTable(NodeSettings(n, base=n == 0), epoch=n, rank=ByHops()) for n in range(len(neighbours))
+            RoutingTable(NodeSettings(n, base=n == 0), life=n, rank=ByHops()) for n in range(len(neighbours))
         ]
         self._said: dict[int, Beacon] = {}
         self._step = 0
@@ -118,7 +118,7 @@ def _beacon(table: RoutingTable, number: int) -> Beacon:
     base, epoch, route_number, hops = table.route if table.route is not None else (0, 0, 0, NO_ROUTE)
     wanted_base, wanted_number = table.wanted or (0, 0)
     return Beacon(
-        table.node_id, table.epoch, number & 0xFFFF, flags, base, epoch, route_number, hops, wanted_base,
+        table.node_id, table.life, number & 0xFFFF, flags, base, epoch, route_number, hops, wanted_base,
         wanted_number, risk=0, free=1, policy=0, potential=0, digest=0,
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ class MemoryStore:
 
     __slots__ = (
         "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used", "epoch",
+"life",
     )  # fmt: skip
     accepting = True
     """Always."""
@@ -32,7 +33,7 @@ class MemoryStore:
         """`epoch`: 32 bits. `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound."""
         if not 0 <= epoch < 1 << 32:
             raise ValueError(f"an epoch has 32 bits, got {epoch}")
-        self.epoch = epoch
+        self.life = self.epoch = epoch
         """32 bits, given when the store was created."""
         self._sequence = 0
         # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum goes to the end.
@@ -49,6 +50,11 @@ class MemoryStore:
     def used_bytes(self) -> int:
         """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
         return sum(len(datum.payload) + ROW_OVERHEAD for datum in self._data.values())
+
+    @property
+    def given(self) -> int:
+        """How many numbers of this epoch have been given."""
+        return self._sequence
 
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch."""
@@ -113,13 +119,13 @@ class MemoryStore:
         `bit`: 0 .. 8 * size - 1; bit 0 is the least significant bit of the first byte. Raises KeyError if `id` is not
         held and IndexError for a bit that the payload does not have.
         """
-        id, kind, created, hops, crc, payload = self._data[id]
+        id, kind, created, hops, crc, payload, at_least = self._data[id]
         if not 0 <= bit < 8 * len(payload):
             raise IndexError(f"bit {bit} of a payload of {len(payload)} bytes")
         self._struck.add(id)
         flipped = bytearray(payload)
         flipped[bit >> 3] ^= 1 << (bit & 7)
-        self._data[id] = Datum(id, kind, created, hops, crc, bytes(flipped))
+        self._data[id] = Datum(id, kind, created, hops, crc, bytes(flipped), at_least)
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter."""
@@ -132,7 +138,7 @@ class MemoryStore:
 
     def held(self) -> Iterator[StoredInfo]:
         """What is stored, least recently stored first."""
-        for id, kind, created, hops, crc, payload in list(self._data.values()):
+        for id, kind, created, hops, crc, payload, _ in list(self._data.values()):
             yield StoredInfo(id, kind, created, hops, crc, len(payload))
 
     def ids(self) -> Iterable[DatumId]:

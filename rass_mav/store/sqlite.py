@@ -73,6 +73,7 @@ class SqliteStore:
         self._meta = schema.read_numbers(reader, "meta")
         self.epoch, self._sequence = schema.read_own(self._meta)
         """32 bits, drawn when the store was created; and the sequence number of the next own datum."""
+        self.life = self.epoch
         self._counters = schema.read_numbers(reader, "counter")
         # Id -> size of all that is stored, buffered changes included, in the order of arrival.
         self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(reader)}
@@ -141,6 +142,11 @@ class SqliteStore:
     # -- what the store is ---------------------------------------------------------------------------------------------
 
     # -- changes -------------------------------------------------------------------------------------------------------
+
+    @property
+    def given(self) -> int:
+        """How many numbers of this epoch have been given."""
+        return self._sequence
 
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
@@ -254,7 +260,7 @@ class SqliteStore:
             for info in schema.read_infos(self._reader):
                 if info.id in self._sizes and info.id not in in_memory:
                     yield info
-        for id, kind, created, hops, crc, payload in in_memory.values():
+        for id, kind, created, hops, crc, payload, _ in in_memory.values():
             if id in self._sizes:
                 yield StoredInfo(id, kind, created, hops, crc, len(payload))
 
@@ -362,7 +368,7 @@ class SqliteStore:
                 schema.INSERT_DATUM,
                 (
                     (*id, kind, created, hops, crc, len(payload), payload)
-                    for id, kind, created, hops, crc, payload in changes.puts.values()
+                    for id, kind, created, hops, crc, payload, _ in changes.puts.values()
                 ),
             )
             writer.executemany(schema.DELETE_LOSS, changes.founds)

@@ -114,7 +114,7 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
     parts: list[bytes] = []
     room = MAX_TUNNEL - _TO.size
     flag = _SPARE if m.spare else 0
-    for number, (id, kind, created, hops, crc, payload) in m.handovers:
+    for number, (id, kind, created, hops, crc, payload, _) in m.handovers:
         size = _DATUM.size + len(payload)
         if size > room:
             if size > MAX_TUNNEL - _TO.size:
@@ -177,7 +177,7 @@ def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
         some = entries[: room // _RECEIPT_ENTRY.size]
         more = spans[: (room - len(some) * _RECEIPT_ENTRY.size) // _RECEIPT_SPAN.size]
         del entries[: len(some)], spans[: len(more)]
-        parts = [_RECEIPT.pack(_head(RECEIPT), m.base, m.base_epoch, len(some) | len(more) << 4)]
+        parts = [_RECEIPT.pack(_head(RECEIPT), m.base, m.base_life, len(some) | len(more) << 4)]
         parts += [_RECEIPT_ENTRY.pack(*entry) for entry in some]
         parts += [_RECEIPT_SPAN.pack(*span) for span in more]
         frames.append(b"".join(parts))

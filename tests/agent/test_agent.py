@@ -202,8 +202,8 @@ def test_a_second_node_with_our_id_is_told_to_the_ground() -> None:
 def test_an_echo_of_our_own_beacon_is_no_rival() -> None:
     agent = make(5)
     agent.peer_bytes(step(agent, 0.0)[0].frame, 0.0)
-    assert not agent.node.rivals
-    assert agent.node.echoes == 1
+    assert not agent.node.alarms.rivals
+    assert agent.node.alarms.echoes == 1
 
 
 def test_a_full_node_tells_the_ground_and_goes_on() -> None:

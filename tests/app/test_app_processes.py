@@ -207,7 +207,7 @@ def test_a_second_node_under_the_same_id_is_reported(tmp_path: Path, tidy: Tidy)
                     texts += frame.payload[1:51]
     assert texts.startswith(b"RASS: another node with node id 5")
     assert "another node with node id 5 on the air" in first.log()
-    assert [r["epoch"] for r in first.status()["rivals"]] == [rival.about["epoch"]]
+    assert [r["life"] for r in first.status()["rivals"]] == [rival.about["life"]]
     first.signal(signal.SIGTERM)
     rival.signal(signal.SIGTERM)
 

@@ -68,17 +68,15 @@ def beacon(
     number: int = 0,
     route: Route | None = None,
     *,
-    epoch: int = 1,
+    life: int = 1,
     flags: int = 0,
     wanted: tuple[int, int] = (0, 0),
     free: int = 50,
     policy: int = 0,
     potential: int = 1,
 ) -> Beacon:
-    base, base_epoch, announced, hops = route or (0, 0, 0, NO_ROUTE)
-    return Beacon(
-        sender, epoch, number, flags, base, base_epoch, announced, hops, *wanted, 0, free, policy, potential, 0
-    )
+    base, base_life, announced, hops = route or (0, 0, 0, NO_ROUTE)
+    return Beacon(sender, life, number, flags, base, base_life, announced, hops, *wanted, 0, free, policy, potential, 0)
 
 
 def datum(origin: int = 9, sequence: int = 0, payload: bytes = b"reading", *, created: float = 0.0) -> Datum:

@@ -29,7 +29,7 @@ class DurableStore:
     """`core.store.Store` over two states: the live one, and the one on the disk."""
 
     def __init__(self, epoch: int, *, quota_bytes: int | None = None, disk: State | None = None) -> None:
-        self.epoch = epoch
+        self.life = self.epoch = epoch
         self.fresh = disk is None
         self.quota_bytes = quota_bytes
         self.disk = disk or State()
@@ -52,6 +52,10 @@ class DurableStore:
         self._lazy = True
         self._live.sequence += 1
         return self._live.sequence - 1
+
+    @property
+    def given(self) -> int:
+        return self._live.sequence
 
     @property
     def accepting(self) -> bool:

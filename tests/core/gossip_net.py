@@ -78,7 +78,7 @@ class Net:
     def step(self) -> None:
         heard = [
             [
-                Neighbour(beacon(j, self.t, epoch=j)._replace(digest=self.receipts[j].digest), 0.0)
+                Neighbour(beacon(j, self.t, life=j)._replace(digest=self.receipts[j].digest), 0.0)
                 for j in sorted(j for i, j in self.links if i == hearer)
             ]
             for hearer in range(self.nodes)

@@ -21,7 +21,7 @@ NEAR = {3: 0.01, 4: 0.1, 5: 0.2}
 
 def heard(risks: dict[int, float], number: int, *, base: bool = True) -> list[Beacon]:
     """Beacons of the drones with these risks, and of the base 2."""
-    beacons = [beacon(id, number, epoch=id)._replace(risk=int(risk * 65535)) for id, risk in risks.items()]
+    beacons = [beacon(id, number, life=id)._replace(risk=int(risk * 65535)) for id, risk in risks.items()]
     route = Route(2, 1, number // 30, 0)
     return beacons + (
         [beacon(2, number, route, flags=BEACON_BASE, free=0xFFFF, potential=POTENTIAL_BASE)] if base else []

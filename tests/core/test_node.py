@@ -341,13 +341,13 @@ def test_echoes_and_rivals_are_told_apart() -> None:
     node = make_node(1)
     [own] = node.step(0.0)
     node.receive(own, 0.0)
-    node.receive(beacon(1, epoch=4242), 3.0)
-    assert node.echoes == 1
-    assert node.rivals == {4242: 3.0}
+    node.receive(beacon(1, life=4242), 3.0)
+    assert node.alarms.echoes == 1
+    assert node.alarms.rivals == {4242: 3.0}
     assert node.routing.neighbours == {}
     for epoch in range(100):
-        node.receive(beacon(1, epoch=epoch), 4.0)
-    assert len(node.rivals) <= 16
+        node.receive(beacon(1, life=epoch), 4.0)
+    assert len(node.alarms.rivals) <= 16
 
 
 class Failing(DurableStore):

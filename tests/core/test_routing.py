@@ -171,7 +171,7 @@ def test_a_restarted_neighbour_starts_anywhere() -> None:
     routing = table()
     routing.hear(beacon(1, 1000), 0.0)
     assert routing.hear(beacon(1, 7), 1.0)
-    assert routing.hear(beacon(1, 7, epoch=2), 1.0)
+    assert routing.hear(beacon(1, 7, life=2), 1.0)
 
 
 def test_the_table_is_bounded_and_keeps_the_fittest() -> None:

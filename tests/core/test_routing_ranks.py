@@ -61,7 +61,7 @@ def test_no_infeasible_route_is_ever_chosen(kind: str, moments: list[tuple[int, 
         if table.route is not None:
             assert table.next_hop is not None
             chosen = table.neighbours[table.next_hop].beacon
-            assert table.route == (chosen.base, chosen.base_epoch, chosen.route_number, chosen.hops + 1)
+            assert table.route == (chosen.base, chosen.base_life, chosen.route_number, chosen.hops + 1)
             metric = chosen.hops if kind == "hops" or chosen.hops == 0 else chosen.potential
             for number, lowest in announced.get(chosen.base, []):
                 assert newer(chosen.route_number, number) or (chosen.route_number == number and metric < lowest)

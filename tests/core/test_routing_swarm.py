@@ -88,4 +88,4 @@ def test_a_wiped_base_is_another_base() -> None:
     assert swarm.hops() == {i: i for i in range(5)}
     route = swarm.nodes[4].routing.route
     assert route is not None
-    assert route.base_epoch == swarm.nodes[0].store.epoch != old
+    assert route.base_life == swarm.nodes[0].store.epoch != old

@@ -68,12 +68,12 @@ class Pending:
 class Partner:
     """Another node that this one keeps spares for, or that keeps spares for this one."""
 
-    __slots__ = ("backed", "epoch", "heard", "id", "lifetime_s", "spares")
+    __slots__ = ("backed", "heard", "id", "life", "lifetime_s", "spares")
 
-    def __init__(self, id: int, epoch: int | None, heard: float, lifetime_s: float) -> None:
+    def __init__(self, id: int, life: int | None, heard: float, lifetime_s: float) -> None:
         self.id = id
-        self.epoch = epoch
-        """Epoch of its store, from its beacon; None: not known yet."""
+        self.life = life
+        """From its beacon; None: not known yet."""
         self.heard = heard
         """When it was last known to be there, seconds."""
         self.lifetime_s = lifetime_s

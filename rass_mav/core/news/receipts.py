@@ -222,7 +222,7 @@ class Receipts(NoReceipts):
             elif self._hear(pair, held, canonical(closed, bitmap, lost, floor)):
                 changed.add(pair)
         if changed and self._archive is None:
-            self._source = (receipt.base, receipt.base_epoch)
+            self._source = (receipt.base, receipt.base_life)
         return changed
 
     def _hear(self, pair: Pair, held: Known | None, said: Known) -> bool:
@@ -314,7 +314,7 @@ class Receipts(NoReceipts):
 
     def _compare(self, neighbours: Collection[Neighbour]) -> None:
         """Begin a round if a neighbour knows something else, or end it if none does."""
-        met = frozenset([(n.id, n.beacon.epoch) for n in neighbours])
+        met = frozenset([(n.id, n.beacon.life) for n in neighbours])
         if not met <= self._met:
             self._rounds = 0
             self._pause = min(self._pause, PATIENCE)

@@ -69,7 +69,7 @@ class Neighbours(dict[int, Neighbour]):
             return True
         last = known.beacon
         ahead = (beacon.number - last.number) & 0xFFFF
-        if -ahead & 0xFFFF < _LATE_WINDOW and last.epoch == beacon.epoch:
+        if -ahead & 0xFFFF < _LATE_WINDOW and last.life == beacon.life:
             return False
         missed = (ahead - 1) & 0xFFFF
         known.missed = 0.8 * known.missed + (missed if missed < _MOST_MISSED else _MOST_MISSED)

@@ -30,16 +30,34 @@ class RoutingTable:
     """Who is around, and the way to a base. One route is chosen; several bases compete like an anycast."""
 
     __slots__ = (
-        "_asked", "_bound", "_bound_until", "_feasible", "_max_hops", "base", "distance", "epoch", "lifetime_s",
-        "longest_s", "metric", "neighbours", "next_hop", "node_id", "rank", "route", "step_s", "toll", "turn_s",
+        "_asked",
+        "_bound",
+        "_bound_until",
+        "_feasible",
+        "_max_hops",
+        "base",
+        "distance",
+        "life",
+        "lifetime_s",
+        "longest_s",
+        "metric",
+        "neighbours",
+        "next_hop",
+        "node_id",
+        "rank",
+        "route",
+        "step_s",
+        "toll",
+        "turn_s",
         "wanted",
     )  # fmt: skip
 
     def __init__(
-        self, settings: NodeSettings, epoch: int, rank: Rank, *, turn_s: float = 0.0, restarted: float | None = None,
+        self, settings: NodeSettings, life: int, rank: Rank, *, turn_s: float = 0.0, restarted: float | None = None,
         number: int = 0,
     ) -> None:  # fmt: skip
-        """`turn_s`: how far apart the own beacons are, if more than a step. `number`: a base's first announcement's.
+        """`life`: of this node, as its beacons say it. `turn_s`: how far apart its beacons are, if more than a step.
+        `number`: a base's first announcement's.
 
         `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:
         it takes no route until all neighbours have forgotten those.
@@ -47,7 +65,7 @@ class RoutingTable:
         if not 1 <= settings.max_hops <= 254:
             raise ValueError("max_hops must be in 1..254")
         self.node_id = settings.node_id
-        self.epoch = epoch
+        self.life = life
         self.base = settings.base
         self.rank = rank
         self.step_s = settings.step_s
@@ -59,7 +77,7 @@ class RoutingTable:
         self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours)
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
-        self.route: Route | None = Route(self.node_id, epoch, number, 0) if self.base else None
+        self.route: Route | None = Route(self.node_id, life, number, 0) if self.base else None
         """The chosen route; its hops are counted from this node."""
         self.distance = 0 if self.base else NO_ROUTE
         """Fewest hops that any neighbour announces, plus one: h of Eq. 3. It is known even while no route is feasible;
@@ -74,7 +92,7 @@ class RoutingTable:
         """The base that this node announced a route to last: no other may be taken before `_bound_until`."""
         self._bound_until = -inf if restarted is None else restarted + HOLD_LIFETIMES * self.longest_s
         self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
-        """Feasibility distances, (number, metric), by (base id, base epoch): Babel's source table (RFC 8966, 3.2.5)."""
+        """Feasibility distances, (number, metric), by (base id, base life): Babel's source table (RFC 8966, 3.2.5)."""
         self._asked: tuple[int, int, float] | None = None
 
     def hear(self, beacon: Beacon, now: float) -> bool:
@@ -103,7 +121,7 @@ class RoutingTable:
 
     def raise_number(self) -> None:
         """As a base: announce anew (every `routing.seq_period` steps, or on request)."""
-        self.route = Route(self.node_id, self.epoch, following(self.number), 0)
+        self.route = Route(self.node_id, self.life, following(self.number), 0)
 
     def update(self, now: float) -> None:
         """Forget silent neighbours and choose the route (Alg. 2: the minimum of what the neighbours announce)."""
@@ -136,7 +154,7 @@ class RoutingTable:
         best_behind = 0
         best_metric = elsewhere = rank.no_way
         # About the base that the last neighbour announced; mostly the next one announces the same.
-        base = base_epoch = -1
+        base = base_life = -1
         own: tuple[int, int] | None = None
         other = False
         self.wanted = None
@@ -147,8 +165,8 @@ class RoutingTable:
                 continue
             if hops < nearest:
                 nearest = hops
-            if beacon.base != base or beacon.base_epoch != base_epoch:
-                base, base_epoch = key = beacon.base, beacon.base_epoch
+            if beacon.base != base or beacon.base_life != base_life:
+                base, base_life = key = beacon.base, beacon.base_life
                 own = self._feasible.get(key)
                 other = bound is not None and key != bound
             if tag is None or not hops:
@@ -183,7 +201,7 @@ class RoutingTable:
     def _preferred(self, neighbour: Neighbour, best: Neighbour) -> bool:
         """Between ways of the same rank: the newer announcement of the same base, else the present next hop."""
         a, b = neighbour.beacon, best.beacon
-        if a.route_number != b.route_number and (a.base, a.base_epoch) == (b.base, b.base_epoch):
+        if a.route_number != b.route_number and (a.base, a.base_life) == (b.base, b.base_life):
             return newer(a.route_number, b.route_number)
         return neighbour.id == self.next_hop
 
@@ -193,7 +211,7 @@ class RoutingTable:
         metric += self.toll
         self.metric = metric if metric < self.rank.no_way else self.rank.no_way - 1
         base, number = beacon.base, beacon.route_number
-        way = (base, beacon.base_epoch, number, beacon.hops + 1)
+        way = (base, beacon.base_life, number, beacon.hops + 1)
         if self.route != way:
             self.route = Route(*way)
         self.wanted = None
@@ -213,8 +231,8 @@ class RoutingTable:
         if route is None:
             self.rank.announced(self.metric, hold_s, now)
             return
-        base, base_epoch, number, _ = route
-        self._bound = key = (base, base_epoch)
+        base, base_life, number, _ = route
+        self._bound = key = (base, base_life)
         self._bound_until = max(self._bound_until, now + hold_s)
         feasible = self._feasible
         own = feasible.get(key)

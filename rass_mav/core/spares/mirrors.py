@@ -192,7 +192,7 @@ class Mirrors(NoSpares):
             if neighbour is None:
                 partner = Partner(with_whom, None, self._now, self._routing.longest_s)
             else:
-                partner = Partner(with_whom, neighbour.beacon.epoch, self._now, neighbour.lifetime_s)
+                partner = Partner(with_whom, neighbour.beacon.life, self._now, neighbour.lifetime_s)
         holdings.pair(holding, partner, self._now)
 
     def step(self, now: float) -> None:
@@ -224,10 +224,10 @@ class Mirrors(NoSpares):
             if neighbour is not None:
                 partner.heard = neighbour.heard
                 partner.lifetime_s = neighbour.lifetime_s
-                epoch = neighbour.beacon.epoch
-                if partner.epoch is None:
-                    partner.epoch = epoch
-                if partner.epoch == epoch:
+                life = neighbour.beacon.life
+                if partner.life is None:
+                    partner.life = life
+                if partner.life == life:
                     continue
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
