@@ -77,6 +77,12 @@ def register(subparsers: Subparsers) -> None:
         help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
     )  # fmt: skip
 
+    hostile = _add(
+        names, "hostile", _hostile, "attackers beside honest nodes: what arrives, is lost, heals; who notices",
+        "rass-mav experiment hostile --out results --runs 3",
+    )  # fmt: skip
+    hostile.add_argument("--attacker", nargs="+", metavar="NAME", help="which (default: all; docs/hostile.md)")
+
     counting = add_command(
         names, "counting-to-infinity", _counting,
         help="what Alg. 2 as written does when the base vanishes, and what sequence numbers change",
@@ -156,6 +162,18 @@ def _policies(options: argparse.Namespace) -> int:
         _distinct(options.variant), die_fraction=options.failures,
     )  # fmt: skip
     return _runs(options, planned, policies.report)
+
+
+def _hostile(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import hostile
+
+    attackers = _distinct(options.attacker or hostile.ATTACKERS)
+    for name in attackers:
+        if name not in hostile.ATTACKERS:
+            raise ConfigError(f"--attacker: expected some of {', '.join(hostile.ATTACKERS)}, got {name!r}")
+    policies = _compared(options, hostile.POLICIES)
+    planned = hostile.plan(_extent(options), attackers, policies, list(hostile.VARIANTS))
+    return _runs(options, planned, hostile.report)
 
 
 def _counting(options: argparse.Namespace) -> int:

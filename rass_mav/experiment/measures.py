@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.experiment.oracle import Ceiling
@@ -16,6 +16,10 @@ from rass_mav.swarm.world import World
 
 #: Time series hold every so many steps, and the last one; so do the authors' curves.
 EVERY = 5
+#: Attackers are there from this step until that one.
+ATTACK = (50, 150)
+#: What arrives so many steps after they have left has healed.
+HEALING = 200
 #: Distance of a datum that was made out of every base's reach.
 OUT_OF_REACH = -1
 
@@ -215,5 +219,37 @@ class Basins:
         return {key: self._counts[key] for key in keys}
 
 
+class Attack:
+    """What became of the data that were made until the attackers left, and who noticed them."""
+
+    def __init__(self) -> None:
+        self._missing: set[DatumId] = set()
+        self._healed = 0
+        self._alarms: Counter[str] = Counter()
+        self._noticed = 0
+
+    def after(self, world: World) -> None:
+        """Count, in the steps that matter."""
+        ledger, left = world.ledger, ATTACK[1]
+        if world.t == left:
+            self._missing = ledger.born.keys() - ledger.arrived.keys()
+        if left < world.t <= left + HEALING:
+            self._healed = len(self._missing & ledger.arrived.keys())
+        alarms = [agent.node.alarms.counts for agent in world.agents]
+        self._noticed = sum(map(bool, alarms))
+        self._alarms = Counter(alarm.name.lower() for counts in alarms for alarm in counts)
+
+    def result(self) -> dict[str, Any]:
+        """Counts of data, of nodes that raised any alarm, and of those that raised each."""
+        return {
+            "late": len(self._missing), "healed": self._healed, "noticed": self._noticed, "alarms": dict(self._alarms),
+        }  # fmt: skip
+
+
 #: By the name that a `Run` gives.
-MEASURES: dict[str, Callable[[], Measure]] = {"origins": Origins, "basins": Basins, "ceiling": Ceiling}
+MEASURES: dict[str, Callable[[], Measure]] = {
+    "origins": Origins,
+    "basins": Basins,
+    "ceiling": Ceiling,
+    "attack": Attack,
+}

@@ -44,6 +44,10 @@ class Ledger:
         """Data with a copy that have not been delivered."""
         self.waiting_copies = 0
         """Their copies."""
+        self.lies = False
+        """Whether somebody may hand over what nobody made; such data are not counted."""
+        self.false_delivered = 0
+        """Data that arrived at a base and that no node made."""
 
     def book(self, *, base: bool) -> Observer:
         """A book for one node."""
@@ -68,6 +72,10 @@ class Ledger:
     def delays(self) -> list[int]:
         """Steps from creation to arrival, of data that arrived."""
         return [step - self.born[id] for id, step in self.arrived.items()]
+
+    def is_genuine(self, datum: Datum) -> bool:
+        """Whether a node of the swarm made it, byte by byte."""
+        return self.payloads.get(datum.id) == datum.payload
 
     def gain(self, id: DatumId) -> None:
         """A drone has a copy more."""
@@ -129,6 +137,8 @@ class _Book(Observer):
     def __init__(self, ledger: Ledger, *, base: bool) -> None:
         self._ledger = ledger
         self._base = base
+        self._false: set[DatumId] = set()
+        """What is held here that nobody made."""
 
     def created(self, datum: Datum) -> None:
         ledger = self._ledger
@@ -139,18 +149,29 @@ class _Book(Observer):
         self._ledger.overflow += 1
 
     def gained(self, datum: Datum) -> None:
-        if not self._base:
+        if self._base:
+            return
+        if self._ledger.lies and not self._ledger.is_genuine(datum):
+            self._false.add(datum.id)
+        else:
             self._ledger.gain(datum.id)
 
     def dropped(self, id: DatumId, fate: Fate) -> None:
-        if not self._base:
+        if self._base:
+            return
+        if id in self._false:
+            self._false.remove(id)
+        else:
             self._ledger.drop(id, fate)
 
     def declined(self, id: DatumId) -> None:
         self._ledger.decline(id)
 
     def delivered(self, datum: Datum) -> None:
-        self._ledger.deliver(datum)
+        if self._ledger.lies and not self._ledger.is_genuine(datum):
+            self._ledger.false_delivered += 1
+        else:
+            self._ledger.deliver(datum)
 
 
 class Diary(Observer):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def count_loops(next_hops: Sequence[int | None]) -> int:
-    """Cycles in the graph of next hops (each node has one at most)."""
+    """Cycles in the graph of next hops (each node has one at most). Who is not in the swarm has none."""
     loops = 0
     state = [0] * len(next_hops)
     for start in range(len(next_hops)):
@@ -14,9 +14,9 @@ def count_loops(next_hops: Sequence[int | None]) -> int:
             continue
         node: int | None = start
         mark = start + 1
-        while node is not None and not state[node]:
+        while node is not None and node < len(state) and not state[node]:
             state[node] = mark
             node = next_hops[node]
-        if node is not None and state[node] == mark:
+        if node is not None and node < len(state) and state[node] == mark:
             loops += 1
     return loops

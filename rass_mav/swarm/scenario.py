@@ -12,6 +12,7 @@ from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, Routi
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicyName, PolicySettings
 from rass_mav.store.settings import StoreSettings
+from rass_mav.swarm.hostile.kinds import kinds
 
 
 class NodeSection(Section):
@@ -199,6 +200,18 @@ class DiskSection(Section):
         _check_spans("disk.read_only", self.read_only)
 
 
+class HostileSection(Section):
+    """An attacker beside the honest nodes (docs/hostile.md). For virtual time."""
+
+    kind: Annotated[str, Meta(one_of=kinds)]
+    near: Annotated[int, Meta(ge=0)] = 0
+    """It is where this node is: it hears, and is heard by, this node and its neighbours."""
+    begin: Annotated[int, Meta(ge=0)] = 0
+    """The first step in which it is there."""
+    end: Count | None = None
+    """The first step in which it is there no more; null: it stays."""
+
+
 class Scenario(Section):
     """A mock swarm."""
 
@@ -227,6 +240,8 @@ class Scenario(Section):
     radio: RadioSection = RadioSection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
+    hostile: list[HostileSection] = field(default_factory=list)
+    """Attackers beside the nodes."""
     disk: DiskSection | None = None
     """null: stores are in memory."""
     statistics: StatisticsSection = StatisticsSection()
@@ -242,6 +257,10 @@ class Scenario(Section):
             given = len(self.mobility.positions or ())
             if given != self.nodes:
                 raise ValueError(f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}")
+        if any(attacker.near >= self.nodes for attacker in self.hostile):
+            raise ValueError(f"hostile.near: expected a node id below {self.nodes}")
+        if self.hostile and self.transport != "loopback":
+            raise ValueError("hostile: expected no attackers unless the transport is loopback")
         if self.disk is not None and self.transport != "loopback":
             raise ValueError("disk: expected null unless the transport is loopback; processes have the machine's disk")
         if self.disk is not None and self.radiation.corruption:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from rass_mav.agent.agent import Agent
+from rass_mav.core.alarms import Alarm
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
+from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.radio import Radio
 
@@ -23,6 +25,7 @@ class Counted(Protocol):
     loops: int
     failures: Failures | None
     power: Power | None
+    hostile: Band | None
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -117,4 +120,12 @@ class Statistics:
             summary["failures"] = dict(world.failures.counts)
         if world.power is not None:
             summary["power"] = world.power.figures()
+        if world.hostile is not None:
+            summary["hostile"] = {
+                "false_delivered": ledger.false_delivered,
+                "alarms": {
+                    alarm.name.lower(): sum(alarm in agent.node.alarms.counts for agent in world.agents)
+                    for alarm in Alarm
+                },
+            }
         return summary

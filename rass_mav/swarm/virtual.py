@@ -22,10 +22,11 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
+from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.radio import Radio, Record
-from rass_mav.swarm.scenario import DiskSection, RadioSection
+from rass_mav.swarm.scenario import DiskSection, HostileSection, RadioSection
 from rass_mav.swarm.statistics import Statistics
 
 S = TypeVar("S", bound="VirtualSwarm")
@@ -47,6 +48,7 @@ class VirtualSwarm(ABC):
         full_items: int | None = None,
         failures: Failures | None = None,
         disk: DiskSection | None = None,
+        hostile: Sequence[HostileSection] = (),
         off_steps: int = 1,
         record: Record | None = None,
     ) -> None:
@@ -55,6 +57,7 @@ class VirtualSwarm(ABC):
         :param full_items: how many data in a drone's store the summary calls 100 %; None: the store's capacity.
         :param failures: which nodes go off, and when; whoever says what surrounds them carries it out. None: none do.
         :param disk: what the nodes' disks are like; None: their stores are in memory.
+        :param hostile: attackers beside the nodes.
         :param off_steps: how long a node is off after a power cut.
         :param record: called with every frame put on the air, and its step.
         """
@@ -92,6 +95,13 @@ class VirtualSwarm(ABC):
         self.step_s = self.agents[0].settings.step_s
         """Length of a step, seconds."""
         self.statistics = Statistics(self, full_items)
+        some = self.agents[0]
+        self.hostile = Band(
+            hostile, nodes=len(self.agents), seed=seed, payload_type=some.settings.mavlink.payload_type,
+            costs=some.node.policy.costs is not None,
+        )  if hostile else None  # fmt: skip
+        """None: all are honest."""
+        self.ledger.lies = bool(hostile)
         self._begins = bool(radio.latency_steps or radio.reorder)
         self._at_once = not radio.latency_steps
         self._strike_rng = random.Random(f"{seed}:strikes")
@@ -137,6 +147,9 @@ class VirtualSwarm(ABC):
                 self._say(node_id, agent.step(now), t)
             except StoreError as error:
                 self._fail(node_id, error)
+        if self.hostile is not None:
+            for liar, frame in self.hostile.turn(t, now):
+                self.radio.send(liar, frame, t)
         if self._at_once:
             self._deliver(t, now)
         self.loops += count_loops(
@@ -146,10 +159,12 @@ class VirtualSwarm(ABC):
         self.t = t + 1
 
     def _deliver(self, t: int, now: float) -> None:
-        agents, off = self.agents, self.off
+        agents, off, reach = self.agents, self.off, self.neighbours
+        if self.hostile is not None:
+            reach = self.hostile.reach(reach)
         # Over stores in memory nothing waits.
         waits = self.power is not None
-        for hearers, frame in self.radio.arrivals(t, self.neighbours):
+        for hearers, frame in self.radio.arrivals(t, reach):
             for hearer in hearers:
                 if off and hearer in off:
                     continue
@@ -174,6 +189,11 @@ class VirtualSwarm(ABC):
             # The mock flight controllers and the ground listen to nobody.
             if outgoing.way is Way.NEIGHBOURS:
                 send(node_id, outgoing.frame, t)
+                if self.hostile is not None:
+                    for liar, frame in self.hostile.overhear(
+                        node_id, outgoing.frame, self.neighbours, t, t * self.step_s
+                    ):
+                        send(liar, frame, t)
 
     def _make_store(self, settings: AgentSettings, rng: random.Random) -> MemoryStore:
         """An empty store, with an epoch of its own."""
@@ -262,4 +282,6 @@ class VirtualSwarm(ABC):
         assert isinstance(store, MemoryStore)
         for id in list(store.ids()):
             if rng.random() < probability:
-                store.flip_bit(id, rng.randrange(8 * len(self.ledger.payloads[id])))
+                datum = store.get(id)
+                assert datum is not None
+                store.flip_bit(id, rng.randrange(8 * len(datum.payload)))

@@ -47,6 +47,7 @@ class World(VirtualSwarm):
             full_items=scenario.statistics.full_items,
             failures=failures,
             disk=scenario.disk,
+            hostile=scenario.hostile,
             off_steps=scenario.failures.reboot_steps,
             record=record,
         )

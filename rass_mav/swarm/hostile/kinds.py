@@ -1,0 +1,243 @@
+"""The attackers, by the names that a scenario gives them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    BEACON_WANTED,
+    Beacon,
+    Committed,
+    Data,
+    Handover,
+    LossNote,
+    LossNoteEntry,
+    Message,
+    Offer,
+)
+from rass_mav.core.policy import POTENTIAL_BASE
+
+from .attacker import MAX_REMEMBERED, Attacker, Said
+
+_AHEAD = 30000
+
+
+class Sinkhole(Attacker):
+    """Says that it is one hop from the base and fitter than anybody, promises to take everything, and drops it."""
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        return self.take(message)
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base, best = self.base(), 1 if self.costs else POTENTIAL_BASE - 1
+        return () if base is None else (self.beacon(base, hops=1, risk=0, free=0xFFFE, potential=best, digest=0),)
+
+
+class FalseBase(Sinkhole):
+    """A sinkhole that says it is a base itself."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        template = self.base()
+        if template is None:
+            return ()
+        own = {"base": self.id, "base_life": self.id, "route_number": 1, "hops": 0}
+        return (
+            self.beacon(template, flags=BEACON_BASE, risk=0, free=0xFFFF, potential=POTENTIAL_BASE, **own, digest=0),
+        )
+
+
+class BlackHole(Sinkhole):
+    """Says what an honest node in its place would say, promises to take everything, and drops it."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        drones = [b for b in self.nodes() if b.hops < 250]
+        nearest = min(drones, key=lambda b: (b.hops, b.sender), default=None)
+        return () if nearest is None else (self.beacon(nearest, hops=nearest.hops + 1),)
+
+
+class CommittedForger(Attacker):
+    """Answers every hand-over that it overhears in the receiver's name, before the receiver can."""
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        if isinstance(message, Data):
+            taken = tuple((number, datum.crc) for number, datum in message.handovers if number)
+            return (Committed(message.target, message.sender, taken, ()),) if taken else ()
+        if isinstance(message, Offer):
+            return (Committed(message.target, message.sender, ((message.number, message.crc),), ()),)
+        return ()
+
+
+class NumberSquatter(Attacker):
+    """Hands over data under the numbers that nodes near by are about to give."""
+
+    def __init__(self, *args: int, **more: bool) -> None:
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+        self._last: dict[tuple[int, int], int] = {}
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        for _, datum in message.handovers if isinstance(message, Data) else ():
+            pair = datum.id[:2]
+            if pair in self._last or len(self._last) < MAX_REMEMBERED:
+                self._last[pair] = max(self._last.get(pair, 0), datum.id.sequence)
+        return ()
+
+    def turn(self, now: float) -> Iterable[Said]:
+        if not self._last:
+            return
+        for node in self.nodes():
+            (origin, epoch), last = self.rng.choice(list(self._last.items()))
+            id = DatumId(origin, epoch, (last + self.rng.randint(1, 8)) & 0xFFFFFFFF)
+            datum = make_datum(id, 0, now, self.rng.randbytes(20))
+            yield Data(self.id, node.sender, (Handover(self.rng.getrandbits(32) | 1, datum),))
+
+
+class RequestForger(Attacker):
+    """Asks for announcements that the base is far from."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base = self.base()
+        if base is None:
+            return ()
+        wanted = {"wanted_base": base.base, "wanted_number": (base.route_number + _AHEAD) & 0xFFFF}
+        return (self.beacon(base, flags=BEACON_WANTED, hops=255, base=0, base_life=0, route_number=0, **wanted),)
+
+
+class Impostor(Attacker):
+    """Says beacons in the base's name, with announcement numbers far ahead."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base = self.base()
+        if base is None:
+            return ()
+        number = (base.route_number + _AHEAD) & 0xFFFF
+        return (
+            self.beacon(
+                base, sender=base.base, life=base.base_life, flags=BEACON_BASE, route_number=number, hops=0,
+                potential=POTENTIAL_BASE, free=0xFFFF,
+            ),
+        )  # fmt: skip
+
+
+class IdInventor(Attacker):
+    """Beacons of nodes that are not, each said twice: what honest nodes around say, under other ids."""
+
+    EACH_TURN = 20
+
+    def __init__(self, *args: int, **more: bool) -> None:
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+        self._again: list[Beacon] = []
+
+    def turn(self, now: float) -> Iterable[Said]:
+        for beacon in self._again:
+            yield beacon._replace(number=(beacon.number + 1) & 0xFFFF)
+        self._again = []
+        drones = self.nodes()
+        for _ in range(self.EACH_TURN if drones else 0):
+            id, life = self.rng.randrange(1000, 65000), self.rng.getrandbits(32)
+            self._again.append(self.beacon(self.rng.choice(drones), sender=id, life=life, turn=0xFFFF))
+        yield from self._again
+
+
+class Replayer(Attacker):
+    """Says again what it has overheard, some while later."""
+
+    EACH_TURN = 20
+    KEPT = 5000
+
+    def __init__(self, *args: int, **more: bool) -> None:
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+        self._payloads: deque[bytes] = deque(maxlen=self.KEPT)
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        self._payloads.append(payload)
+        return ()
+
+    def turn(self, now: float) -> Iterable[Said]:
+        return self.rng.sample(self._payloads, min(self.EACH_TURN, len(self._payloads)))
+
+
+class JunkCustody(Attacker):
+    """Hands over data that nobody made, as fast as it can."""
+
+    EACH_TURN = 3
+
+    def turn(self, now: float) -> Iterable[Said]:
+        for node in self.nodes():
+            for _ in range(self.EACH_TURN):
+                id = DatumId(self.rng.randrange(1000, 65000), self.rng.getrandbits(32), self.rng.randrange(100))
+                datum = make_datum(id, 0, now, self.rng.randbytes(20))
+                yield Data(self.id, node.sender, (Handover(self.rng.getrandbits(32) | 1, datum),))
+
+
+class Flooder(Attacker):
+    """Says all that a radio carries: every kind of message with fields drawn at random, and loss notes."""
+
+    EACH_TURN = 100
+
+    def turn(self, now: float) -> Iterable[Said]:
+        rng = self.rng
+        heads = [next(iter(self._heads), 0x20)]
+        for _ in range(self.EACH_TURN):
+            target = rng.choice(list(self.beacons) or [0])
+            if rng.random() < 0.2:
+                id = DatumId(rng.randrange(100), rng.getrandbits(32), rng.getrandbits(32))
+                yield LossNote(self.id, target, (LossNoteEntry(rng.getrandbits(32), id, 1),))
+                continue
+            head = (heads[0] & 0xF0) | rng.randrange(16)
+            yield (
+                bytes([head])
+                + self.id.to_bytes(2, "little")
+                + target.to_bytes(2, "little")
+                + rng.randbytes(rng.randrange(100))
+            )
+
+    def __init__(self, *args: int, **more: bool) -> None:
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+        self._heads: set[int] = set()
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        self._heads.add(payload[0])
+        return super().overhear(message, payload, now)
+
+
+class BitFlipper(Attacker):
+    """Says again at once what it overhears, with some bits flipped and a checksum that fits."""
+
+    SHARE = 0.3
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        if self.rng.random() >= self.SHARE:
+            return ()
+        flipped = bytearray(payload)
+        for _ in range(self.rng.randint(1, 3)):
+            bit = self.rng.randrange(8 * len(flipped))
+            flipped[bit >> 3] ^= 1 << (bit & 7)
+        return (bytes(flipped),)
+
+
+#: By the name that `hostile: [{kind: ...}]` gives.
+KINDS: dict[str, type[Attacker]] = {
+    "sinkhole": Sinkhole,
+    "false-base": FalseBase,
+    "black-hole": BlackHole,
+    "committed-forger": CommittedForger,
+    "number-squatter": NumberSquatter,
+    "request-forger": RequestForger,
+    "impostor": Impostor,
+    "id-inventor": IdInventor,
+    "replayer": Replayer,
+    "junk-custody": JunkCustody,
+    "flooder": Flooder,
+    "bit-flipper": BitFlipper,
+}
+
+
+def kinds() -> dict[str, type[Attacker]]:
+    """All attackers, by name."""
+    return KINDS

@@ -1,0 +1,82 @@
+"""Attackers beside honest nodes: what they may cost."""
+
+from __future__ import annotations
+
+import pytest
+
+from rass_mav.errors import ConfigError
+from rass_mav.experiment.measures import ATTACK, HEALING
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.hostile.kinds import KINDS
+from rass_mav.swarm.world import World
+
+#: What these do must not matter.
+HARMLESS = (
+    "number-squatter", "request-forger", "impostor", "id-inventor", "replayer", "flooder", "bit-flipper",
+    "receipt-forger",
+)  # fmt: skip
+#: What these take is missing while they are there.
+THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger")
+
+
+def swarm(kind: str, *keys: str, begin: int = ATTACK[0], end: int = ATTACK[1]) -> World:
+    hostile = f"hostile=[{{kind: {kind}, near: 12, begin: {begin}, end: {end}}}]"
+    return World(load_scenario("hostile", {}, [hostile, *keys]))
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass"])
+@pytest.mark.parametrize("kind", HARMLESS)
+def test_liars_that_cost_nothing(kind: str, policy: str) -> None:
+    world = swarm(kind, f"policy.name={policy}")
+    world.run(500)
+    summary = world.statistics.summary()
+    assert summary["created"] + summary["lost"]["overflow"] >= 710
+    assert summary["delivered"] >= 0.99 * 720
+    assert summary["lost"]["unfounded"] == 0
+    assert summary["altered"] == 0
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass"])
+@pytest.mark.parametrize("kind", THIEVES)
+def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, policy: str) -> None:
+    world = swarm(kind, f"policy.name={policy}")
+    world.run(ATTACK[1])
+    made = set(world.ledger.born)
+    world.run(HEALING)
+    assert made - world.ledger.arrived.keys() == set()
+    assert world.ledger.losses()["unfounded"] == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_attacker_that_is_not_there_changes_nothing(kind: str) -> None:
+    honest, visited = World(load_scenario("hostile")), swarm(kind, begin=10**6, end=10**6 + 1)
+    for world in (honest, visited):
+        world.run(30)
+    assert visited.radio.sha256 == honest.radio.sha256
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_same_seed_tells_the_same_lies(kind: str) -> None:
+    digests = set()
+    for _ in range(2):
+        world = swarm(kind, begin=5)
+        world.run(25)
+        digests.add(world.radio.sha256)
+    assert len(digests) == 1
+
+
+def test_what_nobody_made_is_not_in_the_ledger() -> None:
+    world = swarm("junk-custody", begin=5)
+    world.run(100)
+    ledger = world.ledger
+    assert ledger.false_delivered > 0
+    assert ledger.created == len(ledger.arrived) + ledger.held + sum(ledger.losses().values())
+    assert ledger.arrived.keys() <= ledger.born.keys()
+
+
+@pytest.mark.parametrize(
+    "hostile", ["[{kind: friend}]", "[{kind: sinkhole, near: 25}]", "[{kind: sinkhole, end: 0}]", "[{near: 3}]"]
+)
+def test_attackers_that_make_no_sense_are_refused(hostile: str) -> None:
+    with pytest.raises(ConfigError, match="hostile"):
+        load_scenario("hostile", {}, [f"hostile={hostile}"])
