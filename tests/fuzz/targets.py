@@ -1,0 +1,115 @@
+"""What any bytes may do: one function for each way in. A target returns, whatever the bytes, or it has found a bug."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from pkgutil import resolve_name
+
+from rass_mav.app.config import load_config
+from rass_mav.app.control import _request
+from rass_mav.app.jsonlines import load_bytes
+from rass_mav.config.loading import convert, read_yaml
+from rass_mav.errors import ConfigError, MalformedError
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.replay.tlog import TlogReader
+from rass_mav.sensor.bgeigie_log import read_bgeigie
+from rass_mav.sensor.kinds import KINDS
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.wire import MAX_TUNNEL, decode, encode
+
+from . import nodes
+
+_SCRATCH = Path(tempfile.mkdtemp())
+
+
+def frames(data: bytes) -> None:
+    """A stream of MAVLink bytes: whole and in pieces the same frames, and telemetry takes them all."""
+    whole, pieces, telemetry = FrameReader(), FrameReader(), Telemetry(1)
+    found = whole.feed(data) + whole.flush()
+    again = []
+    size = data[0] % 17 + 1 if data else 1
+    for at in range(0, len(data), size):
+        again += pieces.feed(data[at : at + size])
+    again += pieces.flush()
+    assert [frame.payload for frame in found] == [frame.payload for frame in again]
+    for frame in found:
+        telemetry.handle(frame, 1.0)
+
+
+def payloads(data: bytes) -> None:
+    """A TUNNEL payload: malformed, or a message that means the same when it is said again."""
+    try:
+        message = decode(data[:MAX_TUNNEL], 1e6)
+    except MalformedError:
+        return
+    try:
+        said = encode(message, 1e6)
+    except ValueError:
+        # What nobody of ours says, such as a query of more entries than fit one frame.
+        return
+    assert all(len(payload) <= MAX_TUNNEL for payload in said)
+    for payload in said:
+        decode(payload, 1e6)
+
+
+def conversation(data: bytes) -> None:
+    """Two drones and a base that hear anything in any order, and are restarted over their stores."""
+    nodes.play(data)
+
+
+def tlog(data: bytes) -> None:
+    """A telemetry log."""
+    reader = TlogReader(io.BytesIO(data))
+    records = list(reader)
+    assert len(records) + reader.rejected == reader.read
+
+
+def bgeigie(data: bytes) -> None:
+    """A bGeigie log."""
+    log = read_bgeigie(io.BytesIO(data))
+    assert log.read == len(log.records) + log.rejected
+
+
+def sensors(data: bytes) -> None:
+    """What a counter says: the first byte chooses which one, and how the rest arrives."""
+    if not data:
+        return
+    protocols = [kind.protocol for kind in KINDS.values() if kind.protocol]
+    protocol = resolve_name(protocols[data[0] % len(protocols)])()
+    size = data[0] // len(protocols) % 16 + 1
+    for at in range(1, len(data), size):
+        protocol.ask(at * 0.1)
+        for sample in protocol.feed(data[at : at + size], at * 0.1):
+            assert sample.cpm >= 0
+
+
+def settings(data: bytes) -> None:
+    """A configuration: of a node, or of a mock swarm."""
+    path = _SCRATCH / "settings.yaml"
+    path.write_bytes(data)
+    try:
+        if data[:1] == b"#":
+            convert(read_yaml(path), Scenario, "scenario.yaml")
+        else:
+            load_config(path).agent_settings()
+    except ConfigError:
+        pass
+
+
+def control(data: bytes) -> None:
+    """Lines on the control socket."""
+    for line in data.split(b"\n"):
+        try:
+            request = _request(line)
+            load_bytes(getattr(request, "payload", ""))
+        except (MalformedError, ConfigError):
+            pass
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    target.__name__: target for target in (frames, payloads, conversation, tlog, bgeigie, sensors, settings, control)
+}

@@ -1,0 +1,42 @@
+"""All that fuzzing ever found interesting, once more; and a short run that looks for more."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from .targets import TARGETS
+
+CORPUS = Path(__file__).parent / "corpus"
+RUNS = 500
+
+
+def test_there_is_a_corpus_for_each_target_and_no_other() -> None:
+    assert {path.name for path in CORPUS.iterdir()} == set(TARGETS)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_corpus(name: str) -> None:
+    inputs = sorted((CORPUS / name).iterdir())
+    assert inputs
+    for path in inputs:
+        TARGETS[name](path.read_bytes())
+
+
+@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here (x86-64 Linux only)")
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_short_run_finds_nothing(name: str, tmp_path: Path) -> None:
+    found = tmp_path / "found"
+    found.mkdir()
+    run = subprocess.run(
+        [sys.executable, "-m", "tests.fuzz", name, "--runs", str(RUNS), "--scratch", str(found)],
+        check=False,
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr[-4000:]
