@@ -1,7 +1,7 @@
 """One frame is one frame: what it breaks is dropped with it, and the node goes on (docs/architecture.md).
 
-A fault of this program fails loudly, with this one exception: frames that come in, from neighbours, the autopilot or the
-ground, must not end the node, whatever they are. For who has said a frame can say it again after each restart.
+A fault of this program fails loudly, with this one exception: frames that come in, from neighbours, the autopilot or
+the ground, must not end the node, whatever they are. For who has said a frame can say it again after each restart.
 """
 
 from __future__ import annotations
@@ -119,9 +119,9 @@ class Guard(Unguarded):
             # The one place where that is right: whatever a frame breaks, it must not end the node.
             log.exception(
                 "a frame from %s hit a fault in this program and was dropped; please report: message %d of %d/%d, "
-                "sequence %d, payload %s",
+                "sequence %d, digest %s, payload %s",
                 self._sender, frame.message_id, frame.system_id, frame.component_id, frame.sequence,
-                frame.payload.hex(),
+                _digest(frame), frame.payload.hex(),
             )  # fmt: skip
         self._recover(frame, settings, now)
         return None
