@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from rass_mav.agent.ground import Ground
+from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.parameters import recall
@@ -77,6 +78,7 @@ class Agent:
         "_text_id",
         "_turns",
         "ground",
+        "guard",
         "last_reading",
         "node",
         "peers",
@@ -98,10 +100,12 @@ class Agent:
         now: float,
         observer: Observer | None = None,
         newborn: bool = False,
+        forgiving: bool = False,
     ) -> None:
         """`now` in seconds on the timeline of all later calls; `rng` decides all that is left to chance.
 
-        `newborn`: nobody can remember this node from an earlier life (as when a mock swarm begins).
+        `newborn`: nobody can remember this node from an earlier life (as when a mock swarm begins). `forgiving`: a
+        frame that hits a fault in this program is dropped, and the node goes on (`agent.guard`); else it raises.
         """
         configured = settings
         unfit: list[str] = []
@@ -110,6 +114,8 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
+        self.guard = Guard(self) if forgiving else Unguarded()
+        """Takes every frame that comes in."""
         self.node = self._make_node(now, observer, newborn)
         mavlink = settings.mavlink
         self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
@@ -159,8 +165,7 @@ class Agent:
         node = self.node
         policy = settings.policy.make()
         if rebirth or policy.costs != node.policy.costs:
-            self.node = self._make_node(now, node.observer, False)
-            self._observe_again()
+            self._renew(now)
             return
         node.adopt(settings.node_settings(), policy)
         risk, old = settings.risk, before.risk
@@ -169,6 +174,26 @@ class Agent:
         node.risk.adopt(risk.estimator(policy), forget=rescaled)
         if rescaled:
             self._observe_again()
+
+    def begin_again(self, settings: AgentSettings, sender: str, now: float) -> None:
+        """A frame has hit a fault, and the store forgot what had not been committed: a new node takes over.
+
+        What the autopilot and the sensor said stays, and so does what the ground has set.
+
+        :param settings: in force before the frame came.
+        :param sender: of the frame, in words.
+        """
+        self.settings = settings
+        self._renew(now)
+        self._keep_system_id()
+        if self.ground is not None:
+            self.ground.keep_again()
+        self._reports.fault(sender, now, self.tell_ground)
+
+    def _renew(self, now: float) -> None:
+        """A new node takes over the store, as after a restart."""
+        self.node = self._make_node(now, self.node.observer, False)
+        self._observe_again()
 
     def _observe_again(self) -> None:
         if self.last_reading is not None:
@@ -193,6 +218,9 @@ class Agent:
 
     def vehicle_frame(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port, whoever said it."""
+        self.guard.take(frame, now, self._hear_vehicle)
+
+    def _hear_vehicle(self, frame: Frame, now: float) -> None:
         if self.ground is not None:
             self.ground.handle(frame, Way.VEHICLE, now)
         telemetry = self.telemetry
@@ -201,15 +229,22 @@ class Agent:
         latched = telemetry.system_id
         if not telemetry.handle(frame, now):
             return
-        if telemetry.system_id != latched and self.settings.mavlink.system_id is None:
-            self.peers.writer.system_id = self.vehicle_writer.system_id = telemetry.system_id
-            if self.ground is not None:
-                self.ground.writer.system_id = telemetry.system_id
-                if self.store.get_meta(_SYSTEM_ID) != telemetry.system_id:
-                    self.store.set_meta(_SYSTEM_ID, telemetry.system_id)
+        if telemetry.system_id != latched:
+            self._keep_system_id()
         reading = telemetry.reading
         if reading is not None and reading is not self.last_reading and not self.settings.own_sensor:
             self._observe(reading)
+
+    def _keep_system_id(self) -> None:
+        """Speak under the autopilot's system id, if it is known, now and after the next start."""
+        system_id, mavlink = self.telemetry.system_id, self.settings.mavlink
+        if not system_id or mavlink.system_id is not None or mavlink.autopilot_id:
+            return
+        self.peers.writer.system_id = self.vehicle_writer.system_id = system_id
+        if self.ground is not None:
+            self.ground.writer.system_id = system_id
+            if self.store.get_meta(_SYSTEM_ID) != system_id:
+                self.store.set_meta(_SYSTEM_ID, system_id)
 
     def reading(self, value: float, at: float) -> None:
         """What the node's own sensor said (`AgentSettings.own_sensor`): in its unit, at `at` on the timeline."""
@@ -221,13 +256,18 @@ class Agent:
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
         """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
-        opened = open_datagram(data)
+        # The short way of the mock swarm; the guard has whole frames.
+        opened = None if self.guard.forgiving else open_datagram(data)
         if opened is not None:
             message = self.peers.message(opened, now)
             return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
-        for message in self.peers.taken_apart(data, now):
-            out += self._answers(message, now)
+        for frame in self.peers.tunnels(data):
+            faults, answers = self.guard.faults, self.peer_frame(frame, now)
+            if self.guard.faults != faults:
+                # What the frames before it were answered rests on what was dropped.
+                out.clear()
+            out += answers
         return out
 
     def peer_frame(
@@ -237,15 +277,21 @@ class Agent:
 
         `may_be_neighbour`: asked with the node id of the sender of each beacon; if it may not, the beacon goes unheard.
         """
-        message = self.peers.understood(frame, now)
-        if message is None or (
-            may_be_neighbour is not None
-            and type(message) is Beacon
-            and message.sender != self.settings.node_id
-            and not may_be_neighbour(message.sender)
-        ):
-            return ()
-        return self._answers(message, now)
+
+        def hear(frame: Frame, now: float) -> Sequence[Outgoing]:
+            message = self.peers.understood(frame, now)
+            if message is None or self.guard.shuts_out(message, now):
+                return ()
+            if (
+                may_be_neighbour is not None
+                and type(message) is Beacon
+                and message.sender != self.settings.node_id
+                and not may_be_neighbour(message.sender)
+            ):
+                return ()
+            return self._answers(message, now)
+
+        return self.guard.take(frame, now, hear) or ()
 
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)

@@ -93,6 +93,17 @@ class CommitGate:
         self.committing = False
         self.give_up(error)
 
+    def roll_back(self, error: RassError) -> None:
+        """Drop what the store has changed since the last `begin`, and what waits for that; who asked since is told.
+
+        What has been begun goes on, with all that it covers, whether it is under way or has failed.
+        """
+        self._store.roll_back()
+        self._held = []
+        asked, self._asked = self._asked, []
+        for tell in asked:
+            tell(error)
+
     def give_up(self, error: RassError) -> None:
         """Nobody who asked need wait any longer."""
         told, self._told, self._asked = self._told + self._asked, [], []

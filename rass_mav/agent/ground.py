@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from rass_mav import __version__
+from rass_mav.agent.guard import Unguarded
 from rass_mav.agent.outbox import Outbox
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.parameters import INDEX, PARAMETERS
@@ -58,6 +59,7 @@ class Host(Protocol):
     store: Store
     node: Participant
     vehicle_writer: FrameWriter
+    guard: Unguarded
 
     def beat_next(self, now: float) -> None:
         """Let a heartbeat be the next frame that leaves."""
@@ -85,6 +87,8 @@ class Ground:
             way: Outbox(way, writer, self._listed, len(PARAMETERS))
             for way, writer in ((Way.VEHICLE, agent.vehicle_writer), (Way.GROUND, self.writer))
         }
+        self._set_here: dict[str, float] = {}
+        """What was set in this life, by the parameter's name."""
         self.refused = 0
         """PARAM_SETs refused."""
         self.computer: Callable[[], mav.ComputerStatus] | None = None
@@ -98,7 +102,10 @@ class Ground:
         """What came directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of
         a frame. What it says of vehicles is not believed."""
         for frame in [*self._reader.feed(data), *(() if stream else self._reader.flush())]:
-            self.handle(frame, Way.GROUND, now)
+            self._agent.guard.take(frame, now, self._hear)
+
+    def _hear(self, frame: Frame, now: float) -> None:
+        self.handle(frame, Way.GROUND, now)
 
     def handle(self, frame: Frame, way: Way, now: float) -> None:
         """Answer a frame, if it is for this component and asks for something."""
@@ -170,7 +177,15 @@ class Ground:
         if new is not old:
             agent.take_over(new, now, rebirth=parameter.rebirth)
             parameters.remember(agent.store, self._configured, parameter, value)
+            self._set_here[parameter.name] = value
             log.warning("%s set from the ground: %g, was %g", parameter.name, value, parameter.read(old))
+
+    def keep_again(self) -> None:
+        """The store has forgotten what was not committed: what is in force is to be kept all the same."""
+        for name, value in self._set_here.items():
+            parameter = PARAMETERS[INDEX[name]]
+            if mav.single(parameter.read(self._agent.settings)) == value:
+                parameters.remember(self._agent.store, self._configured, parameter, value)
 
     def _values(self) -> list[float]:
         settings = self._agent.settings

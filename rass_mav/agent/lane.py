@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rass_mav.agent.agent import Agent
@@ -48,16 +48,15 @@ class Lane:
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def take(self, data: bytes, now: float, on_beacon: Callable[[int], None]) -> Sequence[Outgoing]:
-        """Bytes from the link. Returns the answers. `on_beacon` is called with the node id of each neighbour heard."""
+    def take(self, data: bytes, now: float, on_beacon: Callable[[int], None]) -> Iterator[Sequence[Outgoing]]:
+        """Bytes from the link. Yields the answers to each frame, which go to the gate before the next one is taken: if
+        that hits a fault, they are dropped. `on_beacon` is called with the node id of each neighbour heard."""
         frames = self.reader.feed(data)
         if not self._stream and self.reader.pending:
             # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
             frames += self.reader.flush()
-        out: list[Outgoing] = []
         for frame in frames:
-            out += self.frame(frame, now, on_beacon)
-        return out
+            yield self.frame(frame, now, on_beacon)
 
     def opened(self, generation: int) -> None:
         """The port has been opened so often. Half a frame from before it was lost has no end any more."""

@@ -52,12 +52,11 @@ class Peers:
         self.foreign = 0
         """TUNNEL payloads of another version, type or purpose."""
 
-    def taken_apart(self, data: bytes, now: float) -> list[Message]:
-        """The messages for this node in a datagram of whole frames, whatever they are."""
+    def tunnels(self, data: bytes) -> list[Frame]:
+        """The frames with TUNNEL messages in a datagram of whole frames, whatever they are."""
         # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
         frames = [*self.reader.feed(data), *self.reader.flush()]
-        messages = [self.understood(frame, now) for frame in frames if frame.message_id == TUNNEL]
-        return [message for message in messages if message is not None]
+        return [frame for frame in frames if frame.message_id == TUNNEL]
 
     def understood(self, frame: Frame, now: float) -> Message | None:
         """The message in a frame with a TUNNEL message; None: it is not for this node, or cannot be understood."""

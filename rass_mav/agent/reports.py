@@ -19,10 +19,10 @@ Tell = Callable[[int, str], None]
 class Reports:
     """What was told, and when it may be told again."""
 
-    __slots__ = ("_alarms_at", "_full_at", "_refused", "_rivals_at", "_told")
+    __slots__ = ("_alarms_at", "_fault_at", "_full_at", "_refused", "_rivals_at", "_told")
 
     def __init__(self, now: float) -> None:
-        self._rivals_at = self._alarms_at = self._full_at = now
+        self._rivals_at = self._alarms_at = self._full_at = self._fault_at = now
         self._told: dict[Alarm, int] = {}
         self._refused = 0
 
@@ -50,3 +50,9 @@ class Reports:
         if now >= self._full_at:
             self._full_at = now + REPORT_S
             tell(_WARNING, f"RASS: store full, {self._refused} measurements refused so far")
+
+    def fault(self, sender: str, now: float, tell: Tell) -> None:
+        """A frame hit a fault."""
+        if now >= self._fault_at:
+            self._fault_at = now + REPORT_S
+            tell(_CRITICAL, f"RASS: a frame from {sender} hit a fault in this program and was dropped; please report")

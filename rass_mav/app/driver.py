@@ -90,6 +90,7 @@ class Driver:
         self._vehicle_generation = 0
         self._wake = asyncio.Event()
         self.writer = Writer(agent.store, executor, self._wake.set, self._alarm)
+        agent.guard.use(self.writer.gate.roll_back)
         self._stopping = False
         self._bug: BaseException | None = None
         self._tend_at = math.inf
@@ -110,7 +111,8 @@ class Driver:
 
     async def put(self, payload: bytes, kind: int) -> DatumId:
         """Create a datum; returns when it is on disk. Raises `StoreFullError` or `DatumError`; `StoreError` if the
-        disk does not take it now (it is kept, and written as soon as possible)."""
+        disk does not take it now (it is kept, and written as soon as possible), or if it was dropped with a frame that
+        hit a fault."""
         if self._stopping:
             raise StoreError("the node is stopping")
         now = self.now()
@@ -187,7 +189,8 @@ class Driver:
             link = channel.link
             channel.lane.opened(link.generation)
             for data, source in link.receive():
-                self._hand_out(channel.lane.take(data, now, partial(_learn, link, source)))
+                for answers in channel.lane.take(data, now, partial(_learn, link, source)):
+                    self._hand_out(answers)
 
     def _take_in_vehicle(self, vehicle: VehiclePort, now: float) -> None:
         agent = self.agent

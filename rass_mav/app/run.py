@@ -103,7 +103,7 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=self._clock.now())
+            agent = Agent(settings, store, rng, now=self._clock.now(), forgiving=True)
             if store.report.set_aside is not None:
                 aside = store.report.set_aside
                 log.error("damaged store set aside as %s: %s", aside, store.report.reason)

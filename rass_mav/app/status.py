@@ -97,6 +97,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),
         "foreign": agent.peers.foreign,
         "vehicle_malformed": agent.vehicle_reader.malformed,
+        "faults": agent.guard.report(now),
         "alarms": {alarm.name.lower(): count for alarm, count in node.alarms.counts.items()},
         "rivals": [
             {"life": f"{life:08x}", "age_s": round(now - at, 3)} for life, at in sorted(node.alarms.rivals.items())

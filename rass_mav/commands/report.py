@@ -46,6 +46,12 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
     if s["commits"]["failed"]:
         yield f"WARNING: {s['commits']['failed']} commits failed"
+    if s["faults"] and s["faults"]["count"]:
+        last = s["faults"]["last"]
+        yield (
+            f"WARNING: {s['faults']['count']} frames hit a fault in this program and were dropped, the last one from "
+            f"{last['sender']} {last['age_s']:.0f} s ago; please report what the log has of it"
+        )
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 

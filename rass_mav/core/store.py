@@ -105,5 +105,9 @@ class Store(Protocol):
     def take(self, *, force: bool = False) -> object | None:
         """What has to be written now, or None. Removals alone wait for company (they need no sync), unless `force`."""
 
+    def roll_back(self) -> None:
+        """Forget what has changed since the last `take`, numbers given included: all is as a restart would find it if
+        what that handed out came to the disk. Whether it is on its way, or its write has failed: it stays."""
+
     def write(self, batch: object) -> None:
         """Make a batch durable. Blocking; may be called on another thread, one call at a time."""

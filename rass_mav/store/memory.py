@@ -161,6 +161,9 @@ class MemoryStore:
         """None: there is never anything to write."""
         return None
 
+    def roll_back(self) -> None:
+        """Nothing: what was put is there for good."""
+
     def write(self, batch: object) -> None:
         """Never called, since `take` hands out nothing; RuntimeError if it is."""
         raise RuntimeError("a MemoryStore hands out no batches")

@@ -70,13 +70,23 @@ class SqliteStore:
         self._buffered = 0
         self._out: Batch | None = None
         self._failing = False
-        self._meta = schema.read_numbers(reader, "meta")
+        self._load(_NOTHING)
+        self.life = self.epoch
+
+    def _load(self, waiting: Changes) -> None:
+        """Take into memory what the disk has and will have: some changes are `waiting` for it."""
+        self._meta = schema.read_numbers(self._reader, "meta")
         self.epoch, self._sequence = schema.read_own(self._meta)
         """32 bits, drawn when the store was created; and the sequence number of the next own datum."""
-        self.life = self.epoch
-        self._counters = schema.read_numbers(reader, "counter")
+        self._meta.update(waiting.meta)
+        if waiting.sequence is not None:
+            self._sequence = waiting.sequence
+        self._counters = {**schema.read_numbers(self._reader, "counter"), **waiting.counters}
         # Id -> size of all that is stored, buffered changes included, in the order of arrival.
-        self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(reader)}
+        self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(self._reader)}
+        for id in (*waiting.removes, *waiting.puts):
+            self._sizes.pop(id, None)
+        self._sizes.update({id: len(datum.payload) for id, datum in waiting.puts.items()})
         self.used_bytes = sum(self._sizes.values()) + ROW_OVERHEAD * len(self._sizes)
         """Bytes of payload plus `ROW_OVERHEAD` for each datum, buffered ones included: what the quota bounds."""
 
@@ -330,6 +340,18 @@ class SqliteStore:
         self._changes = out.changes.followed_by(self._changes)
         self._buffered = sum(len(datum.payload) + ROW_OVERHEAD for datum in self._changes.puts.values())
         self._out = None
+
+    def roll_back(self) -> None:
+        """Forget what has changed since the last `take`; what that handed out stays, however far it has come.
+
+        Reads what is stored anew, as `open` does; raises `StoreError` if that cannot be read.
+        """
+        # Before the disk is read: what is written meanwhile is the same, and said in absolute values.
+        waiting = self._in_flight()
+        self._changes = Changes()
+        self._buffered = 0
+        with explained(self._path, "reading what is stored"):
+            self._load(waiting)
 
     def write(self, batch: object) -> None:
         """Make a batch durable: one transaction, one fsync. Blocking; on any thread, one call at a time.

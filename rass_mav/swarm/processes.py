@@ -124,9 +124,11 @@ class NodeProcess:
             self.ready = "error" not in msgspec.json.decode(line)
 
     def ask(self) -> int | None:
-        """Ask for its status. Returns its next hop. Raises `SwarmError`."""
+        """Ask for its status. Returns its next hop. Raises `SwarmError`, also if a frame hit a fault in the node."""
         (answer,) = self._ask("status")
         self.status = answer["status"]
+        if self.status["faults"]["count"]:
+            raise self.child.failed("a frame hit a fault in this program, see its log")
         next_hop: int | None = self.status["next_hop"]
         return next_hop
 

@@ -104,21 +104,42 @@ def test_what_waits_is_bounded() -> None:
     assert (gate.waiting, gate.dropped) == (MAX_WAITING, 5)
 
 
-@given(st.lists(st.sampled_from(["change", "say", "ask", "begin", "written", "failed"]), max_size=60))
+def test_what_is_rolled_back_is_not_said_and_who_asked_is_told_while_the_batch_under_way_goes_on() -> None:
+    store = DurableStore(1)
+    gate = CommitGate(store)
+    told: list[tuple[str, RassError | None]] = []
+    store.set_meta("n", 1)
+    gate.say([frame(True, "kept")])
+    gate.ask(lambda error: told.append(("kept", error)))
+    batch = gate.begin()
+    store.set_meta("n", 2)
+    gate.say([frame(True, "dropped")])
+    gate.ask(lambda error: told.append(("dropped", error)))
+    error = StoreError("dropped")
+    gate.roll_back(error)
+    assert (store.get_meta("n"), told) == (1, [("dropped", error)])
+    store.write(batch)
+    assert gate.written() == [frame(True, "kept")]
+    assert told == [("dropped", error), ("kept", None)]
+    assert gate.idle
+
+
+@given(st.lists(st.sampled_from(["change", "say", "ask", "begin", "written", "failed", "fault"]), max_size=60))
 def test_nothing_leaves_before_what_it_rests_on_is_on_disk_and_nothing_waits_for_ever(events: list[str]) -> None:
     store = DurableStore(1)
     gate = CommitGate(store)
-    changes = said = left = 0
+    changes = said = begun = 0
+    waiting: list[int] = []
     batch: object | None = None
     hopes: list[int] = []
 
     def leaves(frames: Sequence[Outgoing]) -> None:
-        nonlocal left
+        nonlocal begun
         for outgoing in frames:
             number, rests_on = map(int, outgoing.frame.split())
             assert store.disk.meta.get("n", 0) >= rests_on
-            assert number == left, "in the order in which it was said"
-            left += 1
+            assert number == waiting.pop(0), "in the order in which it was said"
+            begun = max(0, begun - 1)
 
     def ask(rests_on: int) -> None:
         def tell(error: RassError | None) -> None:
@@ -133,12 +154,13 @@ def test_nothing_leaves_before_what_it_rests_on_is_on_disk_and_nothing_waits_for
             changes += 1
             store.set_meta("n", changes)
         elif event == "say":
-            leaves(gate.say([frame(True, f"{said} {changes}")]))
+            waiting.append(said)
             said += 1
+            leaves(gate.say([frame(True, f"{waiting[-1]} {changes}")]))
         elif event == "ask":
             ask(changes)
         elif event == "begin" and not gate.committing:
-            batch = gate.begin()
+            batch, begun = gate.begin(), len(waiting)
             if batch is None:
                 leaves(gate.written())
         elif event == "written" and gate.committing:
@@ -147,4 +169,8 @@ def test_nothing_leaves_before_what_it_rests_on_is_on_disk_and_nothing_waits_for
         elif event == "failed" and gate.committing:
             gate.failed(StoreError("I/O error"))
             assert not hopes, "all who asked are told"
-    assert (left, hopes) == (said, [])
+        elif event == "fault":
+            gate.roll_back(StoreError("dropped"))
+            del waiting[begun:]
+            changes = store.get_meta("n") or 0
+    assert (waiting, hopes) == ([], [])

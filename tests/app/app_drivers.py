@@ -126,10 +126,11 @@ async def running(
     *,
     observer: Observer | None = None,
     executor: Executor | None = None,
+    forgiving: bool = False,
 ) -> AsyncIterator[Driver]:
     """A driver that runs until the end of the block; what it raises comes out there."""
     clock = Clock()
-    agent = Agent(about, store, random.Random(1), now=clock.now(), observer=observer)
+    agent = Agent(about, store, random.Random(1), now=clock.now(), observer=observer, forgiving=forgiving)
     own = ThreadPoolExecutor(1)
     driver = Driver(agent, [link], None, clock.now, executor or own)
     task = asyncio.create_task(driver.run())

@@ -59,6 +59,8 @@ class RunningNode:
         self.name = name or f"n{node_id}"
         self.config = f"{self.name}.yaml"
         self.process: subprocess.Popen[bytes] | None = None
+        self.faulty = False
+        """Whether it is expected to hit faults."""
         node = {"id": node_id, "step_s": STEP_S, **sections.pop("node", {})}
         data = {"interval_steps": 0, **sections.pop("data", {})}
         store = {"path": f"{self.name}.db", **sections.pop("store", {})}
@@ -69,7 +71,7 @@ class RunningNode:
         """Returns when it runs."""
         with (self.directory / f"{self.name}.log").open("ab") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "rass_mav", "run", self.config, "--json", "-v"],
+                self.arguments(),
                 cwd=self.directory,
                 env=environment(),
                 stdout=subprocess.PIPE,
@@ -81,6 +83,10 @@ class RunningNode:
         assert line, f"{self.name} did not start: {self.log()}"
         self.about = json.loads(line)
         return self
+
+    def arguments(self) -> list[str]:
+        """What is run."""
+        return [sys.executable, "-m", "rass_mav", "run", self.config, "--json", "-v"]
 
     def client(self) -> ControlClient:
         return ControlClient(os.path.relpath(self.directory / f"{self.name}.sock"))
@@ -110,7 +116,12 @@ class RunningNode:
             assert not ended, f"{self.name} has ended: {self.log()}"
 
     def signal(self, number: int) -> int:
-        """Send a signal and wait for the end. Returns the exit code."""
+        """Send a signal and wait for the end. Returns the exit code. A frame that hit a fault is a failure."""
+        code = self._signal(number)
+        assert self.faulty or "hit a fault in this program" not in self.log(), self.log()
+        return code
+
+    def _signal(self, number: int) -> int:
         assert self.process is not None
         self.process.send_signal(number)
         code = self.process.wait(DEADLINE_S)
@@ -125,7 +136,7 @@ class RunningNode:
     def end(self) -> None:
         """For tidying up after a failure."""
         if self.process is not None:
-            self.signal(signal.SIGKILL)
+            self._signal(signal.SIGKILL)
 
 
 def line_of(directory: Path, ids: list[int], **sections: Any) -> list[RunningNode]:

@@ -148,6 +148,10 @@ class DurableStore:
         self._out = self._live.snapshot()
         return self._out
 
+    def roll_back(self) -> None:
+        self._live = (self._out or self.disk).snapshot()
+        self._urgent = self._lazy = False
+
     def write(self, batch: object) -> None:
         assert batch is self._out
         assert isinstance(batch, State)

@@ -100,8 +100,12 @@ class Swarm(RuleBasedStateMachine):
         self.turn(random.Random(0), 0.0)
 
     def _start(self, i: int) -> None:
-        self.lives += 1
         self.gates[i] = self.make_gate(self.stores[i])
+        self._take_over(i)
+
+    def _take_over(self, i: int) -> None:
+        """A new node over the store."""
+        self.lives += 1
         self.nodes[i] = make_node(
             i, store=self.stores[i], policy=self.policy, risk=self.risks[i], now=self.now, seed=self.lives,
             base=self.has_base and i == 0, capacity_items=4, inline_bytes=20, chunk_bytes=10, max_tries=3,
@@ -167,7 +171,7 @@ class Swarm(RuleBasedStateMachine):
                 if error is None:
                     assert id in self.stores[i].disk.data
                     self.created.add(id)
-                else:
+                elif id in self.stores[i].ids():
                     self.gates[i].ask(tell)
 
             self.gates[i].ask(tell)
@@ -270,6 +274,13 @@ class Swarm(RuleBasedStateMachine):
     def restart(self, i: int) -> None:
         if i not in self.nodes:
             self._start(i)
+
+    @rule(i=IDS)
+    def fault(self, i: int) -> None:
+        """A frame has hit a fault: what has changed since the last commit began is forgotten, a new node takes over."""
+        if i in self.nodes:
+            self.gates[i].roll_back(StoreError("dropped"))
+            self._take_over(i)
 
     @rule(i=IDS, risk=st.floats(0.0, 1.0))
     def danger_moves(self, i: int, risk: float) -> None:
@@ -379,6 +390,19 @@ def test_storms(part: int) -> None:
     """The same, many times deeper and from fixed seeds: finds a hand-over not cancelled when data come round."""
     for seed in range(part, int(os.environ.get("RASS_CUSTODY_STORMS", "1500")), STORM_PARTS):
         weather(seed, Swarm())
+
+
+class FaultySwarm(Swarm):
+    """Where a node would be killed and start again, a frame hits a fault: the gate and what is under way stay."""
+
+    def kill(self, i: int, written: bool) -> None:
+        self.fault(i)
+
+
+@pytest.mark.no_cover
+def test_storms_of_faults() -> None:
+    for seed in range(100):
+        weather(seed, FaultySwarm())
 
 
 class Ungated(CommitGate):

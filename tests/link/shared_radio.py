@@ -180,7 +180,8 @@ class RadioNode:
         self.pump()
 
     def hear(self, frame: bytes) -> None:
-        self.say(self.lane.take(frame, self.simulation.now, lambda sender: None))
+        for answers in self.lane.take(frame, self.simulation.now, lambda sender: None):
+            self.say(answers)
 
 
 class Vehicle:

@@ -60,6 +60,8 @@ class Stores(RuleBasedStateMachine):
         self.committed = Model()
         self.out: object | None = None
         self.at_take = Model()
+        self.kept = Model()
+        """What a store has that forgets what has changed since the last batch was taken."""
 
     def teardown(self) -> None:
         self.sqlite.abandon()
@@ -114,6 +116,7 @@ class Stores(RuleBasedStateMachine):
     def take(self, force: bool) -> None:
         self.out = self.sqlite.take(force=force)
         self.at_take = copy.deepcopy(self.model)
+        self.kept = copy.deepcopy(self.committed if self.out is None else self.model)
         if self.out is None:
             waits_at_most = copy.deepcopy(self.committed)
             if not force:
@@ -123,6 +126,13 @@ class Stores(RuleBasedStateMachine):
                     del waits_at_most.losses[id]
                 waits_at_most.counters, waits_at_most.sequence = self.model.counters, self.model.sequence
             assert self.model == waits_at_most
+
+    @rule()
+    def roll_back(self) -> None:
+        """Whether a batch was taken, is written or has failed, or there is none: what was in the last one stays."""
+        self.sqlite.roll_back()
+        self.model = copy.deepcopy(self.kept)
+        self._refill_memory()
 
     @precondition(lambda self: self.out is not None)
     @rule()
@@ -144,6 +154,7 @@ class Stores(RuleBasedStateMachine):
     @rule()
     def give_back(self) -> None:
         self.sqlite.restore(self.out)
+        self.kept = copy.deepcopy(self.committed)
         self.out = None
 
     @rule()
@@ -151,6 +162,12 @@ class Stores(RuleBasedStateMachine):
         self.sqlite.abandon()
         self.out = None
         self.model = copy.deepcopy(self.committed)
+        self.kept = copy.deepcopy(self.committed)
+        self._refill_memory()
+        self.sqlite = open_store(self.path, busy_timeout=0.0)
+        assert not self.sqlite.report.created
+
+    def _refill_memory(self) -> None:
         self.memory = MemoryStore(EPOCH)
         for datum in self.model.data.values():
             self.memory.put(datum)
@@ -162,14 +179,13 @@ class Stores(RuleBasedStateMachine):
             self.memory.set_meta(key, value)
         for _ in range(self.model.sequence):
             self.memory.next_sequence()
-        self.sqlite = open_store(self.path, busy_timeout=0.0)
-        assert not self.sqlite.report.created
 
     @rule()
     def restart(self) -> None:
         self.sqlite.close()
         self.out = None
         self.committed = copy.deepcopy(self.model)
+        self.kept = copy.deepcopy(self.model)
         self.sqlite = open_store(self.path, busy_timeout=0.0)
         assert (self.sqlite.report.created, self.sqlite.epoch) == (False, EPOCH)
 
