@@ -50,12 +50,8 @@ class Lane:
 
     def take(self, data: bytes, now: float, on_beacon: Callable[[int], None]) -> Sequence[Outgoing]:
         """Bytes from the link. Returns the answers. `on_beacon` is called with the node id of each neighbour heard."""
-        frames = self.reader.feed(data)
-        if not self._stream and self.reader.pending:
-            # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
-            frames += self.reader.flush()
         out: list[Outgoing] = []
-        for frame in frames:
+        for frame in self.reader.feed(data) if self._stream else self.reader.datagram(data):
             out += self.frame(frame, now, on_beacon)
         return out
 

@@ -54,8 +54,7 @@ class Peers:
 
     def taken_apart(self, data: bytes, now: float) -> list[Message]:
         """The messages for this node in a datagram of whole frames, whatever they are."""
-        # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
-        frames = [*self.reader.feed(data), *self.reader.flush()]
+        frames = self.reader.datagram(data)
         messages = [self.understood(frame, now) for frame in frames if frame.message_id == TUNNEL]
         return [message for message in messages if message is not None]
 
