@@ -34,7 +34,7 @@ _MAX_BITS = 1023
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as people expect it: a key stands once, numbers like 1e-3 are numbers, no aliases. Bounded in all it makes."""
+    """YAML as people expect it: a key stands once, numbers like 1e-3 are numbers, no aliases; and bounded."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -58,7 +58,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        value: int = super().construct_yaml_int(node)  # type: ignore[no-untyped-call]
+        value: int = super().construct_yaml_int(node)
         if value.bit_length() > _MAX_BITS:
             raise _refused("a number of very many digits", node)
         return value
@@ -77,7 +77,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _refused(why: str, where: yaml.Event | yaml.Node) -> yaml.MarkedYAMLError:
+def _refused(why: str, where: Any) -> yaml.MarkedYAMLError:
     return yaml.constructor.ConstructorError(None, None, why, where.start_mark)
 
 
@@ -90,7 +90,7 @@ _Loader.add_implicit_resolver(
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file; an empty file is an empty mapping. Raises `ConfigError`."""
-    with os_errors_as(ConfigError, path), open(_opened(path), "rb") as file:  # noqa: PTH123 (a descriptor)
+    with os_errors_as(ConfigError, path), open(_opened(path), "rb") as file:
         data = file.read(MAX_FILE_BYTES + 1)
     if len(data) > MAX_FILE_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
