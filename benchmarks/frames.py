@@ -73,11 +73,12 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
         writer = FrameWriter(1, 191, signer)
         return [writer.tunnel(one, payload_type=PAYLOAD_TYPE) for one in data]
 
-    def ours(pieces: Sequence[bytes], key: bytes | None = None) -> Work:
+    def ours(pieces: Sequence[bytes], key: bytes | None = None, *, stream: bool = False) -> Work:
         def work() -> None:
             reader = FrameReader(Verifier(key) if key else None)
+            take = reader.feed if stream else reader.datagram
             for piece in pieces:
-                for one in reader.feed(piece):
+                for one in take(piece):
                     decode_tunnel(one.payload)
 
         return work
@@ -104,8 +105,8 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
     return {
         "tunnel_decode": (count, datagrams, theirs(frames)),
         "reader_datagrams": (count, ours(frames), theirs(frames)),
-        "reader_stream": (count, ours([stream]), theirs([stream])),
-        "reader_bytewise": (count, ours(single), theirs(single)),
+        "reader_stream": (count, ours([stream], stream=True), theirs([stream])),
+        "reader_bytewise": (count, ours(single, stream=True), theirs(single)),
         "reader_verified": (count, ours(signed, KEY), theirs(signed, KEY)),
     }
 

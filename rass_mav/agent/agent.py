@@ -209,12 +209,8 @@ class Agent:
 
     def vehicle_bytes(self, data: bytes, now: float) -> None:
         """A datagram from the autopilot's port: whole frames, one or several."""
-        reader = self.vehicle_reader
-        for frame in reader.feed(data):
+        for frame in self.vehicle_reader.datagram(data):
             self.vehicle_frame(frame, now)
-        if reader.pending:
-            for frame in reader.flush():
-                self.vehicle_frame(frame, now)
 
     def vehicle_frame(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port, whoever said it."""

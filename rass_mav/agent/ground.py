@@ -101,7 +101,7 @@ class Ground:
     def receive(self, data: bytes, now: float, *, stream: bool = False) -> None:
         """What came directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of
         a frame. What it says of vehicles is not believed."""
-        for frame in [*self._reader.feed(data), *(() if stream else self._reader.flush())]:
+        for frame in self._reader.feed(data) if stream else self._reader.datagram(data):
             self._agent.guard.take(frame, now, self._hear)
 
     def _hear(self, frame: Frame, now: float) -> None:

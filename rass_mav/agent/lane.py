@@ -51,11 +51,7 @@ class Lane:
     def take(self, data: bytes, now: float, on_beacon: Callable[[int], None]) -> Iterator[Sequence[Outgoing]]:
         """Bytes from the link. Yields the answers to each frame, which go to the gate before the next one is taken: if
         that hits a fault, they are dropped. `on_beacon` is called with the node id of each neighbour heard."""
-        frames = self.reader.feed(data)
-        if not self._stream and self.reader.pending:
-            # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
-            frames += self.reader.flush()
-        for frame in frames:
+        for frame in self.reader.feed(data) if self._stream else self.reader.datagram(data):
             yield self.frame(frame, now, on_beacon)
 
     def opened(self, generation: int) -> None:

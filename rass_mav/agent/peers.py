@@ -54,9 +54,7 @@ class Peers:
 
     def tunnels(self, data: bytes) -> list[Frame]:
         """The frames with TUNNEL messages in a datagram of whole frames, whatever they are."""
-        # No frame spans two datagrams: what is cut off is garbage, and must not wait for the next one.
-        frames = [*self.reader.feed(data), *self.reader.flush()]
-        return [frame for frame in frames if frame.message_id == TUNNEL]
+        return [frame for frame in self.reader.datagram(data) if frame.message_id == TUNNEL]
 
     def understood(self, frame: Frame, now: float) -> Message | None:
         """The message in a frame with a TUNNEL message; None: it is not for this node, or cannot be understood."""

@@ -3,6 +3,9 @@
 A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`; so is an answer,
 `{"ok": true, ...}` or `{"ok": false, "error": "..."}`. `ls` answers with several lines, all but the last with
 `"more": true`. Who may open the socket's file may use it; it is made for the node's own user.
+
+A client that does not go on is cut, and when all places are taken it makes room for the next one, so clients that hang
+do not keep others out. Only one whose request is being carried out keeps its place in any case.
 """
 
 from __future__ import annotations
@@ -12,9 +15,9 @@ import logging
 import os
 import socket
 import stat
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
@@ -28,12 +31,20 @@ from .status import status
 
 log = logging.getLogger(__name__)
 
+T = TypeVar("T")
+
 #: Longest line, bytes: the largest payload in base64, and what stands around it.
 MAX_LINE = (MAX_PAYLOAD + 2) // 3 * 4 + 4096
-#: Clients at a time; each may hold two lines in memory.
+#: Clients at a time. Each may hold two lines that wait and one that is being read, 4.3 MB, so all of them 35 MB: a Pi
+#: Zero can bear it.
 MAX_CLIENTS = 8
-#: A client that says nothing for so long, seconds, is sent away.
+#: A client that asks nothing for so long, seconds, is cut.
 IDLE_S = 60.0
+#: A request that was begun must have its end after so long, seconds, and an answer be taken.
+REQUEST_S = 5.0
+TAKE_S = 5.0
+#: Longest name of a field in a request, characters.
+_MAX_NAME = 32
 #: Entries in one line of `ls`: so few that listing does not delay a step.
 LS_PAGE = 64
 # At the end, answers that are under way get so long, seconds.
@@ -65,6 +76,42 @@ class LsRequest(Section):
 _REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest, "get": GetRequest, "ls": LsRequest}
 
 
+class _Client:
+    """One of those who are connected."""
+
+    __slots__ = ("_writer", "answered", "task", "waited_for")
+
+    def __init__(self, task: asyncio.Task[None], writer: asyncio.StreamWriter) -> None:
+        self.task = task
+        self._writer = writer
+        # Then `drain` returns when the kernel has all of it, and nothing is left behind when the client is gone.
+        writer.transport.set_write_buffer_limits(high=0)
+        self.answered = False
+        """A request of it is being carried out, or its answer taken."""
+        self.waited_for: float | None = _now()
+        """Since when it is its turn to ask, to end its request or to take its answer; None: it is ours."""
+
+    async def request(self, reader: asyncio.StreamReader) -> bytes:
+        """The next line. Raises `ConnectionError` if none comes in time, `ValueError` if it is too long."""
+        self.waited_for = _now()
+        line = await _in_time(reader.read(1), IDLE_S)
+        if line and line != b"\n":
+            line += await _in_time(reader.readline(), REQUEST_S)
+        self.waited_for = None
+        return line
+
+    async def say(self, answer: dict[str, Any]) -> None:
+        """Returns when it is taken. Raises `ConnectionError` if that takes too long."""
+        self._writer.write(dump_line(answer))
+        self.waited_for = _now()
+        await _in_time(self._writer.drain(), TAKE_S)
+        self.waited_for = None
+
+    def cut(self) -> None:
+        """End the connection now."""
+        self._writer.transport.abort()
+
+
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
@@ -74,13 +121,12 @@ class ControlServer:
         self._path = path
         self._started = driver.now()
         self._server: asyncio.Server | None = None
-        self._clients: set[asyncio.Task[None]] = set()
-        self._busy: set[asyncio.Task[None]] = set()
+        self._clients: set[_Client] = set()
 
     async def start(self) -> None:
         """Begin to listen. Raises `ControlError` if another node listens there, or the file cannot be made."""
         sock = _listening_socket(self._path)
-        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=MAX_LINE)
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=MAX_LINE, backlog=MAX_CLIENTS)
 
     async def close(self) -> None:
         """Listen no more, and finish what is being answered."""
@@ -88,57 +134,68 @@ class ControlServer:
             return
         self._server.close()
         self._path.unlink(missing_ok=True)
-        for task in self._clients - self._busy:
-            task.cancel()
+        for client in self._clients:
+            if not client.answered:
+                client.task.cancel()
         if self._clients:
-            _, late = await asyncio.wait(self._clients, timeout=_LAST_WORDS_S)
+            _, late = await asyncio.wait([client.task for client in self._clients], timeout=_LAST_WORDS_S)
             for task in late:
                 task.cancel()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
-        self._clients.add(task)
+        client = _Client(task, writer)
         try:
-            if len(self._clients) > MAX_CLIENTS:
-                await _say(writer, {"ok": False, "error": "too many clients"})
+            if not self._make_room():
+                await client.say({"ok": False, "error": "too many clients"})
                 return
-            await self._converse(reader, writer, task)
+            self._clients.add(client)
+            await self._converse(reader, client)
         except (ConnectionError, asyncio.CancelledError):
-            pass  # the client went away, or the node is stopping
+            pass  # the client went away or was cut, or the node is stopping
         except BaseException as error:
             # Nobody waits for this task: a bug must not stay here.
             self._driver.fail(error)
             raise
         finally:
-            self._clients.discard(task)
-            writer.close()
+            self._clients.discard(client)
+            client.cut()
 
-    async def _converse(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, task: asyncio.Task[None]
-    ) -> None:
+    def _make_room(self) -> bool:
+        """Whether there is a place for one more: if need be, that of the client that was waited for longest."""
+        if len(self._clients) < MAX_CLIENTS:
+            return True
+        waited_for = {client: client.waited_for for client in self._clients if client.waited_for is not None}
+        if not waited_for:
+            return False
+        longest = min(waited_for, key=waited_for.__getitem__)
+        self._clients.discard(longest)
+        longest.cut()
+        longest.task.cancel()
+        return True
+
+    async def _converse(self, reader: asyncio.StreamReader, client: _Client) -> None:
         while self._server is not None and self._server.is_serving():
             try:
-                line = await asyncio.wait_for(reader.readline(), IDLE_S)
+                line = await client.request(reader)
             except ValueError:
-                await _say(writer, {"ok": False, "error": f"a request has at most {MAX_LINE} bytes"})
-                return
-            except asyncio.TimeoutError:
+                await client.say({"ok": False, "error": f"a request has at most {MAX_LINE} bytes"})
                 return
             if not line.endswith(b"\n"):
                 return
-            self._busy.add(task)
+            client.answered = True
             try:
                 async for answer in self._answers(line):
-                    await _say(writer, {"ok": True, **answer})
+                    await client.say({"ok": True, **answer})
             except StoreDamagedError as error:
-                await _say(writer, {"ok": False, "error": str(error)})
                 self._driver.fail(error)
+                await client.say({"ok": False, "error": str(error)})
                 return
             except RassError as error:
-                await _say(writer, {"ok": False, "error": str(error)})
+                await client.say({"ok": False, "error": str(error)})
             finally:
-                self._busy.discard(task)
+                client.answered = False
 
     async def _answers(self, line: bytes) -> AsyncIterator[dict[str, Any]]:
         try:
@@ -200,14 +257,22 @@ def _request(line: bytes) -> Section:
     command = raw.pop("command", None)
     if not isinstance(command, str) or command not in _REQUESTS:
         raise MalformedError(f"expected a command, one of {', '.join(_REQUESTS)}")
+    if any(len(name) > _MAX_NAME for name in raw):
+        raise MalformedError(f"expected names of at most {_MAX_NAME} characters")
     if any(isinstance(value, (dict, list)) for value in raw.values()):
         raise MalformedError("expected text and numbers only")
     return build(raw, _REQUESTS[command])
 
 
-async def _say(writer: asyncio.StreamWriter, answer: dict[str, Any]) -> None:
-    writer.write(dump_line(answer))
-    await writer.drain()
+def _now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+async def _in_time(waits: Coroutine[Any, Any, T], limit_s: float) -> T:
+    try:
+        return await asyncio.wait_for(waits, limit_s)
+    except asyncio.TimeoutError:
+        raise ConnectionAbortedError("the client does not go on") from None
 
 
 def _listening_socket(path: Path) -> socket.socket:

@@ -201,10 +201,7 @@ class Driver:
             reader.flush()
             self._send(agent.greet_vehicle(), first=True)
         for data in arrived:
-            frames = reader.feed(data)
-            if not vehicle.stream and reader.pending:
-                frames += reader.flush()
-            for frame in frames:
+            for frame in reader.feed(data) if vehicle.stream else reader.datagram(data):
                 if self._through is not None and frame.message_id in (TUNNEL, RADIO_STATUS):
                     link = self._through.link
                     assert isinstance(link, AutopilotLink)

@@ -15,13 +15,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rass_mav.errors import ConfigError, ServiceError, why
+from rass_mav.link.address import parse_serial, parse_vehicle_url
 
 from .config import RunConfig
 
 TEMPLATES = Path(__file__).parent / "systemd"
 #: Longest that one of systemd's programs may take, seconds. A start waits until the node is ready.
 COMMAND_S = 330.0
+_DEVICE = re.compile(r"/dev/(tty[A-Za-z]+|rfcomm)\d+")
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,30}")
+# The kernel's names of serial ports: those of the board and those at USB. Whoever has one may name it otherwise (a link
+# in /dev), or plug it in elsewhere.
+_SERIAL = ("ttyAMA", "ttyS", "ttyUSB", "ttyACM")
+# They make the last two known to the kernel, which else happens when the first such device is plugged in.
+_MODULES = "modprobe@usbserial.service modprobe@cdc_acm.service"
 _WANTS = "/etc/systemd/system/multi-user.target.wants"
 
 
@@ -89,6 +96,8 @@ def plan_install(
         "CONFIG": config_path(name),
         "PROTECT_HOME": "read-only" if at_home else "yes",
         "WRITABLE": "".join(f"ReadWritePaths={_quoted(path)}\n" for path in writable),
+        "DEVICES": "".join(f"DeviceAllow=char-{name} rw\n" for name in _serial_names(config)),
+        "MODULES": f"Wants={_MODULES}\nAfter={_MODULES}\n" if _serial_names(config) else "",
     }
     members = "".join(f"m {user} {group}\n" for group in groups)
     files = (
@@ -104,6 +113,18 @@ def plan_install(
         ("systemctl", "restart", unit),
     )
     return Plan(name, files, ((f"{_WANTS}/{unit}", unit_path(name)),), (), commands)
+
+
+def _serial_names(config: RunConfig) -> list[str]:
+    """Of the serial ports that the node may open, none if it has none: without their numbers."""
+    urls = [parse_vehicle_url(url) for url in (config.autopilot.url, config.ground.url) if url is not None]
+    ports = [url.address[0] for url in urls if url.mode == "serial"]
+    ports += [parse_serial(link.device)[0] for link in config.links if link.device is not None]
+    ports += [config.sensor.port] if config.sensor.port is not None else []
+    if not ports:
+        return []
+    named = {found[1] for port in ports if (found := _DEVICE.fullmatch(port))}
+    return [*_SERIAL, *sorted(named - set(_SERIAL))]
 
 
 def plan_remove(name: str) -> Plan:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
@@ -13,11 +14,12 @@ from rass_mav.errors import ConfigError
 S = TypeVar("S", bound=Section)
 
 _SHOWN = 60
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def build(raw: Any, section: type[S]) -> S:
     """`raw` as a section. Raises `ConfigError` that begins with the key: `links[0].peers: expected a list, got 3`."""
-    _check_finite(raw, "")
+    _check_values(raw, "")
     built: S = _build(raw, section, "")
     return built
 
@@ -46,16 +48,21 @@ def shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
-def _check_finite(raw: Any, path: str) -> None:
-    # .nan passes every comparison, and .inf most of them.
+def _check_values(raw: Any, path: str) -> None:
+    """What no type can say. .nan passes every comparison, and .inf most of them. No path, name or address has control
+    characters or halves of a character in it: they end it for the system, or do worse to who reads the log."""
     if isinstance(raw, float) and not math.isfinite(raw):
         raise ConfigError(f"{path}: expected a finite number, got {raw}")
+    if isinstance(raw, str) and _CONTROL.search(raw):
+        raise ConfigError(f"{path or 'the whole file'}: expected text without control characters, got {shown(raw)}")
     if isinstance(raw, dict):
         for key, value in raw.items():
-            _check_finite(value, _join(path, str(key)))
+            if _CONTROL.search(str(key)):
+                raise ConfigError(f"{path or 'the whole file'}: expected a name as key, got {shown(key)}")
+            _check_values(value, _join(path, str(key)))
     elif isinstance(raw, list):
         for index, value in enumerate(raw):
-            _check_finite(value, f"{path}[{index}]")
+            _check_values(value, f"{path}[{index}]")
 
 
 def _join(path: str, key: str) -> str:

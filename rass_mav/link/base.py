@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
 from collections.abc import Callable
@@ -14,8 +15,14 @@ T = TypeVar("T")
 #: Where a datagram came from: (IPv4 address, port), or a name and 0.
 Address: TypeAlias = tuple[str, int]
 
-#: Datagrams that may wait in a link for the driver. Beyond it the link stops reading, and the kernel's buffer fills.
+#: Datagrams that may wait in a link for the driver, and their bytes. Beyond it the link stops reading, and the kernel's
+#: buffer fills.
 MAX_INBOX = 256
+MAX_INBOX_BYTES = 1 << 16
+#: Of these so many are handed out in one turn, and so many bytes or one datagram: other links, the step and whoever
+#: asks at the control socket come in between, whatever arrives.
+MAX_TURN = 64
+MAX_TURN_BYTES = 8192
 #: Frames that may wait in a link because the socket would block.
 MAX_OUTBOX = 256
 
@@ -25,6 +32,45 @@ class Datagram(NamedTuple):
 
     data: bytes
     source: Address
+
+
+class Inbox:
+    """What has arrived on a port and waits for the driver."""
+
+    def __init__(self) -> None:
+        self.wake: Callable[[], None] = lambda: None  # nobody is listening yet
+        """Called when there is something to take."""
+        self.taken = 0
+        """Datagrams handed out."""
+        self._waiting: deque[Datagram] = deque()
+        self._bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    @property
+    def full(self) -> bool:
+        """Then the kernel has to keep what comes."""
+        return len(self._waiting) >= MAX_INBOX or self._bytes >= MAX_INBOX_BYTES
+
+    def put(self, datagram: Datagram) -> None:
+        """Something has arrived. Who puts it calls `wake` when that is all."""
+        self._waiting.append(datagram)
+        self._bytes += len(datagram.data)
+
+    def take(self) -> list[Datagram]:
+        """A turn of it, in order. If something is left, `wake` is called when the event loop has gone round."""
+        waiting = self._waiting
+        turn: list[Datagram] = []
+        room = MAX_TURN_BYTES
+        while waiting and len(turn) < MAX_TURN and (not turn or len(waiting[0].data) <= room):
+            turn.append(waiting.popleft())
+            room -= len(turn[-1].data)
+        self.taken += len(turn)
+        self._bytes -= MAX_TURN_BYTES - room
+        if waiting:
+            asyncio.get_running_loop().call_soon(self.wake)
+        return turn
 
 
 class LinkCounters(NamedTuple):
@@ -87,12 +133,11 @@ class Link(Port):
     def __init__(self, name: str) -> None:
         """`name`: how status and log call it."""
         self.name = name
-        self._received = 0
-        self._inbox: deque[Datagram] = deque()
+        self._inbox = Inbox()
 
     @abstractmethod
     def receive(self) -> list[Datagram]:
-        """What has arrived, at most `MAX_INBOX` datagrams, in order. Who does not call it slows the sender, not us."""
+        """What has arrived, so much as one turn bears, in order. Who does not call it slows the sender, not us."""
 
     @abstractmethod
     def send(self, frame: bytes, target: int) -> None:

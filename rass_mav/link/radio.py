@@ -74,6 +74,7 @@ class AutopilotLink(SharedLink):
     def __init__(self, vehicle: VehiclePort) -> None:
         super().__init__("autopilot")
         self._vehicle = vehicle
+        self._took = 0
         self._sent = 0
         self._dropped = 0
 
@@ -96,7 +97,7 @@ class AutopilotLink(SharedLink):
 
     def took(self) -> None:
         """The port's owner has taken in a frame from the neighbours."""
-        self._received += 1
+        self._took += 1
 
     def send(self, frame: bytes, target: int) -> None:
         """To everybody, by way of the autopilot."""
@@ -113,7 +114,7 @@ class AutopilotLink(SharedLink):
 
     def counters(self) -> LinkCounters:
         """What has been done so far. What the open port dropped for want of room is counted there only."""
-        return LinkCounters(self._sent, self._received, 0, self._dropped, 0)
+        return LinkCounters(self._sent, self._took, 0, self._dropped, 0)
 
     def close(self) -> None:
         """Nothing: the port's owner closes it."""

@@ -12,14 +12,15 @@ from pathlib import Path
 
 from rass_mav.errors import LinkError, why
 
-from .base import MAX_INBOX, MAX_OUTBOX, Address, Datagram
+from .base import MAX_OUTBOX, Address, Datagram, Inbox
 
 log = logging.getLogger(__name__)
 
 #: Datagrams read at one wake, so that other links and the step get their turn.
 MAX_PER_WAKE = 64
-#: Longer datagrams are cut; a MAVLink frame has at most 280 bytes, but several may share a datagram.
-MAX_DATAGRAM = 4096
+#: Longer datagrams are cut. A MAVLink frame has at most 280 bytes; autopilots and routers put several into a datagram,
+#: as many as fit into one packet of an Ethernet.
+MAX_DATAGRAM = 1472
 #: Socket buffers, bytes: about a thousand frames. The system may grant less.
 _BUFFER_BYTES = 1 << 19
 
@@ -50,15 +51,13 @@ class Reader:
     def __init__(
         self,
         sock: socket.socket,
-        inbox: deque[Datagram],
-        wake: Callable[[], None],
+        inbox: Inbox,
         *,
         is_echo: Callable[[Address], bool],
     ) -> None:
         """`is_echo`: whether a datagram from there is one of our own."""
         self._sock = sock
         self._inbox = inbox
-        self._wake = wake
         self._is_echo = is_echo
         self._loop = asyncio.get_running_loop()
         self._reading = False
@@ -66,7 +65,7 @@ class Reader:
         self.resume()
 
     def resume(self) -> None:
-        """Go on reading after the inbox was emptied."""
+        """Go on reading when there is room in the inbox."""
         if not self._reading:
             self._reading = True
             self._loop.add_reader(self._sock, self._readable)
@@ -81,7 +80,7 @@ class Reader:
         inbox = self._inbox
         receive = self._sock.recvfrom
         for _ in range(MAX_PER_WAKE):
-            if len(inbox) >= MAX_INBOX:
+            if inbox.full:
                 self.stop()
                 break
             try:
@@ -95,9 +94,9 @@ class Reader:
             if self._is_echo(source):
                 self.echoes += 1
             else:
-                inbox.append(Datagram(data, source))
+                inbox.put(Datagram(data, source))
         if inbox:
-            self._wake()
+            inbox.wake()
 
 
 # So long without an error, seconds, says that sending works again.

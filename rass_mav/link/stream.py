@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from rass_mav.errors import LinkError
 
-from .base import MAX_INBOX, Address, Datagram, LinkCounters, Port
+from .base import Address, Datagram, Inbox, LinkCounters, Port
 
 log = logging.getLogger(__name__)
 
@@ -69,19 +69,16 @@ class StreamPort:
     def __init__(self, opener: Opener) -> None:
         self._opener = opener
         self.name = opener.name
-        self.inbox: deque[Datagram] = deque()
+        self.inbox = Inbox()
         """Pieces of the stream that have arrived."""
         self.sent = 0
         """Frames taken whole by the port."""
-        self.received = 0
-        """Pieces handed out."""
         self.dropped = 0
         """Frames lost because the port was away or jammed."""
         self.opened = 0
         """How often the port was opened."""
         self.generation = 0
         """Grows with each opening: what was half read before has no end any more."""
-        self._wake: Callable[[], None] = lambda: None  # nobody is listening yet
         self._channel: Channel | None = None
         self._task: asyncio.Task[None] | None = None
         self._lost = asyncio.Event()
@@ -98,17 +95,14 @@ class StreamPort:
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to open the port, on the running event loop. `wake` is called when something has arrived, when the port
         has been opened, and when it is lost or cannot be opened."""
-        self._wake = wake
+        self.inbox.wake = wake
         self._task = asyncio.create_task(self._keep_open(), name=f"keep {self.name} open")
         self._task.add_done_callback(_fail_loudly)
 
     def receive(self) -> list[Datagram]:
-        """What has arrived."""
-        arrived = list(self.inbox)
-        self.inbox.clear()
-        self.received += len(arrived)
-        if len(arrived) >= MAX_INBOX:
-            self._watch()
+        """What has arrived, a turn of it."""
+        arrived = self.inbox.take()
+        self._watch()
         return arrived
 
     def send(self, frame: bytes) -> None:
@@ -148,7 +142,7 @@ class StreamPort:
             log.log(logging.WARNING if self._trouble else logging.INFO, "%s: open", self.name)
             self._trouble = ""
             self._watch()
-            self._wake()
+            self.inbox.wake()
             began = asyncio.get_running_loop().time()
             await self._lost.wait()
             # A port that is lost as soon as it is opened must not be opened a thousand times a second.
@@ -163,7 +157,7 @@ class StreamPort:
         if text != self._trouble:
             self._trouble = text
             log.warning("%s: %s; trying again", self.name, text.lower())
-            self._wake()
+            self.inbox.wake()
 
     def _watch(self) -> None:
         if self._channel is not None and not self._reading:
@@ -174,7 +168,7 @@ class StreamPort:
         channel = self._channel
         assert channel is not None
         for _ in range(MAX_PER_WAKE):
-            if len(self.inbox) >= MAX_INBOX:
+            if self.inbox.full:
                 # Until `receive`; then the kernel has to keep it.
                 self._reading = False
                 asyncio.get_running_loop().remove_reader(channel.fileno())
@@ -189,9 +183,9 @@ class StreamPort:
             if not data:
                 self._lose(OSError("the other end is gone"))
                 break
-            self.inbox.append(Datagram(data, self._opener.source))
+            self.inbox.put(Datagram(data, self._opener.source))
         if self.inbox:
-            self._wake()
+            self.inbox.wake()
 
     def _write(self) -> None:
         channel = self._channel
@@ -254,7 +248,7 @@ class OverStream(Port):
     def counters(self) -> LinkCounters:
         """What has been done so far. Received are pieces of the stream."""
         port = self.port
-        return LinkCounters(port.sent, port.received, 0, port.dropped, 0)
+        return LinkCounters(port.sent, port.inbox.taken, 0, port.dropped, 0)
 
     def close(self) -> None:
         """Close the port."""

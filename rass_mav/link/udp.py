@@ -17,7 +17,7 @@ from rass_mav.config.sections import under
 from rass_mav.errors import ConfigError, LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
-from .base import MAX_INBOX, Address, Datagram, Link, LinkCounters, remember
+from .base import Address, Datagram, Link, LinkCounters, remember
 from .interface import EVERY_NETWORK, find_interface, is_address, is_name
 from .settings import LinkSection
 from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
@@ -148,14 +148,14 @@ class UdpLink(Link):
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop."""
-        self._readers = [Reader(sock, self._inbox, wake, is_echo=self._is_own) for sock in self._sockets]
+        self._inbox.wake = wake
+        self._readers = [Reader(sock, self._inbox, is_echo=self._is_own) for sock in self._sockets]
 
     def receive(self) -> list[Datagram]:
-        """What has arrived."""
-        arrived = list(self._inbox)
-        self._inbox.clear()
-        self._received += len(arrived)
-        if len(arrived) >= MAX_INBOX:
+        """What has arrived, a turn of it."""
+        was_full = self._inbox.full
+        arrived = self._inbox.take()
+        if was_full:
             for reader in self._readers:
                 reader.resume()
         return arrived
@@ -194,7 +194,7 @@ class UdpLink(Link):
         """What has been done so far; dropped in is what the kernel had no room for."""
         overrun = sum(kernel_drops(sock) for sock in self._sockets)
         echoes = sum(reader.echoes for reader in self._readers)
-        return LinkCounters(self._sender.sent, self._received, overrun, self._sender.dropped, echoes)
+        return LinkCounters(self._sender.sent, self._inbox.taken, overrun, self._sender.dropped, echoes)
 
     def close(self) -> None:
         """Release the sockets."""

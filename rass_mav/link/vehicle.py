@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Callable
 
 from rass_mav.errors import LinkError, why
 
 from .address import VehicleUrl, resolve
-from .base import MAX_INBOX, Address, Datagram, LinkCounters, Port
+from .base import Address, Inbox, LinkCounters, Port
 from .sockets import Reader, Sender, bound_socket, kernel_drops, udp_socket
 
 
@@ -18,7 +17,7 @@ class VehiclePort(Port):
 
     @abstractmethod
     def receive(self) -> list[bytes]:
-        """What has arrived."""
+        """What has arrived, so much as one turn bears (`base.MAX_TURN`)."""
 
     @abstractmethod
     def send(self, frame: bytes) -> None:
@@ -31,8 +30,7 @@ class VehicleLink(VehiclePort):
     def __init__(self, url: VehicleUrl) -> None:
         """Raises `LinkError`, for example `udpin:0.0.0.0:14550: address already in use`."""
         self.name = str(url)
-        self._inbox: deque[Datagram] = deque()
-        self._received = 0
+        self._inbox = Inbox()
         self._reader: Reader | None = None
         self._listens = url.mode == "udpin"
         self._heard: Address | None = None
@@ -55,7 +53,8 @@ class VehicleLink(VehiclePort):
 
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to read, on the running event loop. `wake` is called when something has arrived."""
-        self._reader = Reader(self._socket, self._inbox, wake, is_echo=lambda source: False)
+        self._inbox.wake = wake
+        self._reader = Reader(self._socket, self._inbox, is_echo=lambda source: False)
 
     @property
     def generation(self) -> int:
@@ -63,18 +62,15 @@ class VehicleLink(VehiclePort):
         return 1 + self._speakers if self._listens else 1
 
     def receive(self) -> list[bytes]:
-        """What has arrived, at most `MAX_INBOX` datagrams."""
-        if not self._inbox:
-            return []
-        arrived = [datagram.data for datagram in self._inbox]
-        if self._inbox[-1].source != self._heard:
-            self._heard = self._inbox[-1].source
+        """What has arrived, a turn of it."""
+        was_full = self._inbox.full
+        arrived = self._inbox.take()
+        if arrived and arrived[-1].source != self._heard:
+            self._heard = arrived[-1].source
             self._speakers += 1
-        self._inbox.clear()
-        self._received += len(arrived)
-        if len(arrived) >= MAX_INBOX and self._reader is not None:
+        if was_full and self._reader is not None:
             self._reader.resume()
-        return arrived
+        return [datagram.data for datagram in arrived]
 
     def send(self, frame: bytes) -> None:
         """Send to the autopilot; with `udpin`, as long as nobody has spoken, to nobody."""
@@ -88,7 +84,7 @@ class VehicleLink(VehiclePort):
     def counters(self) -> LinkCounters:
         """What has been done so far. Frames that were meant for nobody yet count as dropped."""
         return LinkCounters(
-            self._sender.sent, self._received, kernel_drops(self._socket), self._sender.dropped + self._unheard, 0
+            self._sender.sent, self._inbox.taken, kernel_drops(self._socket), self._sender.dropped + self._unheard, 0
         )
 
     def close(self) -> None:

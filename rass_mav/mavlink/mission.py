@@ -129,10 +129,9 @@ def whole_frames(data: bytes, reader: FrameReader) -> Iterator[tuple[bytes, Fram
         if header == _HEADERS[MAGIC_V2] and data[start + 2] & FLAG_SIGNED:
             size += SIGNATURE_SIZE
         raw = data[start : start + size]
-        for frame in reader.feed(raw) + reader.flush():
+        for frame in reader.datagram(raw):
             yield raw, frame
         start += size
     else:
         return
-    reader.feed(data[start:])
-    reader.flush()
+    reader.datagram(data[start:])

@@ -10,6 +10,9 @@ whole frame with a good checksum of their own are taken for one.
 
 Work is linear in the bytes fed: each byte starts at most one candidate, and a candidate is checked at most once, over
 at most 280 bytes. Between two feeds at most 279 bytes are kept: a frame that lacks its end.
+
+Of a stream no true frame is given up, whatever stands before it; who reads it bounds the bytes of a turn. A datagram
+begins with a frame, so one in which too many starts come to nothing is noise or malice, and its rest is not searched.
 """
 
 from __future__ import annotations
@@ -23,6 +26,9 @@ from .signing import SIGNATURE_SIZE, Verifier
 
 #: The longest frame: header 10, payload 255, checksum 2, signature 13.
 MAX_FRAME = 280
+#: Starts in one datagram that may come to nothing, those of unknown messages included, before its rest is garbage. A
+#: whole datagram of messages from a newer dialect has a dozen by chance.
+MAX_FALSE_STARTS = 32
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 _HEADER_V1 = 6
@@ -71,38 +77,51 @@ class FrameReader:
                 self._buffer = data
                 self.pending = len(data)
                 return []
-        elif len(data) >= _HEADER_V2 + 2 and data[0] == MAGIC_V2 and len(data) == _AROUND[data[2] & 1] + data[1]:
+        return self._scan(data)
+
+    def datagram(self, data: bytes) -> list[Frame]:
+        """The frames of a datagram, which holds whole ones: what is cut off at its end is garbage, and so is all behind
+        `MAX_FALSE_STARTS`. Nothing is kept. Not for a reader that is fed a stream.
+        """
+        if len(data) >= _HEADER_V2 + 2 and data[0] == MAGIC_V2 and len(data) == _AROUND[data[2] & 1] + data[1]:
             # The usual datagram, exactly one whole frame, takes a short way; `_scan` would find the same.
             message_id = data[7] | data[8] << 8 | data[9] << 16
             known = FORMATS.get(message_id)
             if known is not None and data[2] <= FLAG_SIGNED:
                 frame, good = self._check(data, message_id, known.crc_extra)
                 if good:
-                    self._unknown_left = 0
                     return [] if frame is None else [frame]
-        return self._scan(data, final=False)
+        frames = self._scan(data, final=True, most=MAX_FALSE_STARTS)
+        self._unknown_left = 0
+        return frames
 
     def flush(self) -> list[Frame]:
         """Give up waiting for the end of a frame, and return the frames found behind its start.
 
-        For the end of a file, and after each datagram where a frame never spans two.
+        For the end of a file, or of a port that was lost.
         """
         frames = self._scan(self._buffer, final=True)
         self._unknown_left = 0
         return frames
 
-    def _scan(self, data: bytes, *, final: bool) -> list[Frame]:
+    def _scan(self, data: bytes, *, final: bool = False, most: int | None = None) -> list[Frame]:
+        """`final`: nothing comes behind it. `most`: starts that may come to nothing; None: as many as there are."""
         frames: list[Frame] = []
         position = 0
         size = len(data)
         self._needed = 0
         claimed = self._unknown_left  # up to here, bytes are accounted for by a frame with an unknown id
+        left = size + 1 if most is None else most
         while True:
             found = _MAGIC.search(data, position)
             start = found.start() if found else size
             self.garbage_bytes += max(0, start - max(position, claimed))
             position = start
             if found is None:
+                break
+            if not left:
+                self.garbage_bytes += size - max(start, min(claimed, size))
+                position = size
                 break
             header = _HEADER_V2 if data[start] == MAGIC_V2 else _HEADER_V1
             if start + header <= size:
@@ -113,6 +132,7 @@ class FrameReader:
                         self.unknown += 1
                         claimed = start + length
                     position += 1
+                    left -= 1
                     continue
                 # In version 1 nothing is trimmed or appended, so a longer payload cannot be.
                 if known is not None and header == _HEADER_V1 and length > known.size + _HEADER_V1 + 2:
@@ -135,6 +155,7 @@ class FrameReader:
                 self.malformed += 1
                 self.garbage_bytes += 1
             position += 1
+            left -= 1
         self._buffer = data[position:]
         self.pending = size - position
         self._unknown_left = max(0, claimed - position)

@@ -123,9 +123,7 @@ class Session:
             self._reader.flush()
             self._beat_at = -math.inf
         for data in arrived:
-            frames = self._reader.feed(data)
-            if not self.port.stream and self._reader.pending:
-                frames += self._reader.flush()
+            frames = self._reader.feed(data) if self.port.stream else self._reader.datagram(data)
             for frame in frames:
                 talk.hear(frame, self._clock())
 

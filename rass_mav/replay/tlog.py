@@ -149,8 +149,8 @@ class TlogReader:
         if len(raw) < size - _STAMP:
             return None
         reader = FrameReader()
-        frames = reader.feed(raw)
-        frame = frames[0] if frames and not (reader.garbage_bytes or reader.unknown or reader.pending) else None
+        frames = reader.datagram(raw)
+        frame = frames[0] if frames and not (reader.garbage_bytes or reader.unknown) else None
         if frame is None and (known_only or not self._strange(raw)):
             return None
         return Record(int.from_bytes(self._buffer[start : start + _STAMP], "big"), raw, frame)

@@ -32,8 +32,10 @@ log = logging.getLogger(__name__)
 READ_S = 0.1
 #: A question that is not sent after so long never will be, seconds.
 WRITE_S = 1.0
-#: Bytes read at once.
-MAX_READ = 4096
+#: Bytes read at once, and the pause after them, seconds: a device that never stops talking is read at 50 kB/s, several
+#: times what a counter's line carries, and leaves the processor to the node.
+MAX_READ = 1024
+GATHER_S = 0.02
 #: How long `close` waits for the thread, seconds; one that hangs in the kernel ends with the process.
 CLOSE_S = 2.0
 
@@ -164,10 +166,16 @@ class SerialSensor(Sensor):
                 port.write(question)
             data = port.read(1)
             if data and port.in_waiting:
-                data += port.read(min(port.in_waiting, MAX_READ))
+                data += port.read(min(port.in_waiting, MAX_READ - 1))
             now = self._now()
-            for sample in protocol.feed(data, now):
+            samples = protocol.feed(data, now)
+            for sample in samples:
                 self._take(SensorReading(self._meter.reading(sample.cpm, sample.cpm_per_usvh), sample.at))
+            if samples:
+                # Once for all of them: what wakes the loop waits there.
+                self._wake()
+            if data:
+                self._stop.wait(GATHER_S)
             if protocol.heard != heard:
                 heard, heard_at = protocol.heard, now
             elif now - heard_at > self._patience.silence:
@@ -182,7 +190,6 @@ class SerialSensor(Sensor):
         self._dropped += len(self._readings) == MAX_WAITING
         self._readings.append(reading)
         self._count += 1
-        self._wake()
 
     def _tell(self, trouble: str) -> None:
         if trouble != self._trouble:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -11,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
-from rass_mav.config.loading import convert, dump_yaml, read_yaml, set_key, to_plain
+from rass_mav.config.loading import MAX_VALUES, convert, dump_yaml, read_yaml, set_key, to_plain
 from rass_mav.errors import ConfigError
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -121,7 +123,32 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         (b"\xff\xfe\x00", "node.yaml: not UTF-8 text (byte 0)"),
         (b"a: \x00", None),
         ("a: 2026-99-99", "node.yaml: not YAML: month must be in 1..12"),
-        ("#" * (1 << 20) + "#", "node.yaml: larger than 1048576 bytes"),
+        ("#" * (1 << 18) + "#", "node.yaml: larger than 262144 bytes"),
+        ("a: [" + "1, " * 60_000 + "]", "node.yaml: line 1: more than 10000 values"),
+        ("- 1\n" * 60_000, "node.yaml: line 10000: more than 10000 values"),
+        ("a: [&x 1" + ", *x" * 60_000 + "]", "node.yaml: line 1: aliases (*name) are not supported"),
+        ("a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]", "node.yaml: line 2: aliases (*name) are not supported"),
+        ("a: &x {b: 1}\nc: {<<: *x}", "node.yaml: line 2: aliases (*name) are not supported"),
+        ("a: " + "- " * 100, None),
+        ("a: " + "[" * 40 + "]" * 40, "node.yaml: nested too deeply"),
+        ("a: " + "x" * 5000, "node.yaml: line 1: a value of more than 4096 characters"),
+        ("x" * 5000 + ": 1", None),
+        ("a: " + ":".join(["1"] * 2000) + ".5", None),
+        ("a: " + "9" * 400, "node.yaml: line 1: a number of very many digits"),
+        ("a: 0x" + "f" * 4000, "node.yaml: line 1: a number of very many digits"),
+        (DRONE + 'store: {path: "a\\0b.db"}',
+         "node.yaml: store.path: expected text without control characters, got 'a\\x00b.db'"),
+        (DRONE + 'control: {socket: "a\\nb.sock"}',
+         "node.yaml: control.socket: expected text without control characters, got 'a\\nb.sock'"),
+        (DRONE + 'store: {path: "\\uD800.db"}',
+         "node.yaml: store.path: expected text without control characters, got '\\ud800.db'"),
+        (DRONE + 'autopilot: {url: "serial:/dev/tty\\0:57600"}',
+         "node.yaml: autopilot.url: expected text without control characters, got 'serial:/dev/tty\\x00:57600'"),
+        (DRONE + 'sensor: {type: log, path: "\\e[2J"}',
+         "node.yaml: sensor.path: expected text without control characters, got '\\x1b[2J'"),
+        (DRONE + 'store: {"pa\\nth": x}',
+         "node.yaml: store: expected a name as key, got 'pa\\nth'"),
+        ('"\\x9b": 1', "node.yaml: the whole file: expected a name as key, got '\\x9b'"),
     ],
 )  # fmt: skip
 def test_each_mistake_is_one_line_that_names_file_and_key(
@@ -138,6 +165,40 @@ def test_a_missing_file_and_a_directory(tmp_path: Path) -> None:
         read_yaml(tmp_path / "none.yaml")
     with pytest.raises(ConfigError, match=r"is a directory$"):
         read_yaml(tmp_path)
+
+
+def test_what_is_no_file_is_refused_and_never_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), Path("/dev/null")):
+        with pytest.raises(ConfigError, match=f"{path}: expected a file, got something else$"):
+            read_yaml(path)
+
+
+def test_a_file_full_of_values_is_not_read_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes behind the bound is not even looked at."""
+    composed = 0
+    compose = yaml.SafeLoader.compose_node
+
+    def counting(self: yaml.SafeLoader, *where: Any) -> Any:
+        nonlocal composed
+        composed += 1
+        return compose(self, *where)
+
+    monkeypatch.setattr(yaml.SafeLoader, "compose_node", counting)
+    for text in ("- 1\n" * 65_000, "{" * 65_000, "a: [" + "{}," * 65_000, "? - " * 60_000):
+        composed = 0
+        assert complaint(tmp_path, monkeypatch, text)
+        assert composed <= MAX_VALUES
+
+
+@pytest.mark.parametrize("assignment", ['store.path="a\\0b"', "store.pa\nth=x", "node.id=" + "[" * 3000])
+def test_set_is_no_way_around(tmp_path: Path, assignment: str) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE)
+    with pytest.raises(ConfigError) as raised:
+        load_config(path, [assignment])
+    assert "\n" not in str(raised.value)
+    assert "\0" not in str(raised.value)
 
 
 def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:

@@ -61,16 +61,13 @@ class LoopbackLink(Link):
     def start(self, wake: Callable[[], None]) -> None:
         """Begin to wake the driver."""
         self._loop = asyncio.get_running_loop()
-        self._wake = wake
+        self._inbox.wake = wake
         if self._inbox:
             self._loop.call_soon(wake)
 
     def receive(self) -> list[Datagram]:
         """What has arrived."""
-        arrived = list(self._inbox)
-        self._inbox.clear()
-        self._received += len(arrived)
-        return arrived
+        return self._inbox.take()
 
     def send(self, frame: bytes, target: int) -> None:
         """To the endpoint where the target was heard, or to all that hear this one."""
@@ -85,9 +82,9 @@ class LoopbackLink(Link):
         if len(self._inbox) >= self._capacity:
             self._dropped_in += 1
             return
-        self._inbox.append(datagram)
+        self._inbox.put(datagram)
         if len(self._inbox) == 1 and self._loop is not None:
-            self._loop.call_soon(self._wake)
+            self._loop.call_soon(self._inbox.wake)
 
     def reaches(self, target: int) -> bool:
         """Whether the node was heard here, and the endpoint is still connected."""
@@ -100,7 +97,7 @@ class LoopbackLink(Link):
 
     def counters(self) -> LinkCounters:
         """What has been done so far; dropped in is what found the inbox full."""
-        return LinkCounters(self._sent, self._received, self._dropped_in, 0, 0)
+        return LinkCounters(self._sent, self._inbox.taken, self._dropped_in, 0, 0)
 
     def close(self) -> None:
         """Leave the hub."""

@@ -10,9 +10,9 @@ import pytest
 
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import LinkError
-from rass_mav.link.base import MAX_INBOX, MAX_OUTBOX
+from rass_mav.link.base import MAX_INBOX, MAX_INBOX_BYTES, MAX_OUTBOX, MAX_TURN, MAX_TURN_BYTES, Datagram, Inbox
 from rass_mav.link.interface import find_interface
-from rass_mav.link.sockets import MAX_PER_WAKE, Sender
+from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, Sender
 from rass_mav.link.udp import MAX_LEARNED, Peer, UdpLink
 
 from .link_helpers import TIMEOUT_S, Ear
@@ -130,12 +130,54 @@ def test_what_nobody_takes_stays_in_the_kernel_and_reading_goes_on_later() -> No
             a.send(index.to_bytes(2, "big"), BROADCAST)
         for _ in range(MAX_INBOX // MAX_PER_WAKE):
             await asyncio.wait_for(wakes.get(), TIMEOUT_S)
-        taken = b.receive()
-        assert len(taken) == MAX_INBOX
+        taken: list[Datagram] = []
         while len(taken) < total:
             await asyncio.wait_for(wakes.get(), TIMEOUT_S)
             taken += b.receive()
         assert [int.from_bytes(d.data, "big") for d in taken] == list(range(total))
+        a.close()
+        b.close()
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("size", [1, 158, MAX_DATAGRAM, MAX_INBOX_BYTES])
+def test_an_inbox_is_bounded_and_handed_out_in_turns(size: int) -> None:
+    async def scenario() -> None:
+        inbox = Inbox()
+        wakes: asyncio.Queue[None] = asyncio.Queue()
+        inbox.wake = lambda: wakes.put_nowait(None)
+        count = 0
+        while not inbox.full:
+            inbox.put(Datagram(count.to_bytes(2, "big") + bytes(size), ("127.0.0.1", 1)))
+            count += 1
+        assert count <= MAX_INBOX
+        assert count * size <= MAX_INBOX_BYTES + size
+        taken: list[Datagram] = []
+        while len(inbox):
+            turn = inbox.take()
+            assert 0 < len(turn) <= MAX_TURN
+            assert sum(len(one.data) for one in turn) <= MAX_TURN_BYTES or len(turn) == 1
+            assert not inbox.full
+            assert wakes.empty(), "others come first"
+            taken += turn
+            if len(inbox):
+                await asyncio.wait_for(wakes.get(), TIMEOUT_S)
+        assert inbox.take() == []
+        assert [int.from_bytes(one.data[:2], "big") for one in taken] == list(range(count))
+        assert inbox.taken == count
+
+    asyncio.run(scenario())
+
+
+def test_a_datagram_that_no_node_sends_is_cut() -> None:
+    async def scenario() -> None:
+        b = UdpLink(ANY)
+        a = UdpLink(ANY, peers=[Peer(b.address)])
+        ear = Ear(b)
+        for size in (MAX_DATAGRAM, 4096, 60_000):
+            a.send(bytes(size), BROADCAST)
+        assert [len(data) for data in await ear.frames(3)] == [MAX_DATAGRAM] * 3
         a.close()
         b.close()
 

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.reader import MAX_FALSE_STARTS, FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.mavlink.tunnel import decode_tunnel
 
@@ -230,3 +230,77 @@ def test_a_stream_that_pymavlink_wrote_is_read_as_pymavlink_reads_it() -> None:
     ]
     data = [decode_tunnel(frame.payload).payload for frame in read if frame.message_id == 385]
     assert data == [bytes(one.payload[: one.payload_length]) for one in theirs if one.get_msgId() == 385]
+
+
+# Each byte starts something; each start has a known id and a good length; each start has an id that nobody knows.
+FLOODS = [
+    b"\xfd" * 1472,
+    b"\xfe\x21\x21\x21\x21\x21" * 245,
+    b"\xfd\xff\x00\x00\x00\x00\x00\x81\x01\x00" * 147,
+    b"\xfd\xff\x00\x00\x00\x00\x00\x60\xea\x00" * 147,
+    bytes.fromhex("fdff000000000060ea00") + b"\xfd" * 1462,
+]
+
+
+@pytest.mark.parametrize("flood", FLOODS, ids=range(len(FLOODS)))
+def test_a_datagram_has_so_many_false_starts_and_then_it_is_garbage(
+    flood: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked = searched = 0
+
+    def counting(data: bytes, crc: int = 0xFFFF) -> int:
+        nonlocal checked
+        checked += len(data)
+        return crc16(data, crc)
+
+    class Magic:
+        """The real search, with a tally."""
+
+        def search(self, data: bytes, position: int) -> re.Match[bytes] | None:
+            nonlocal searched
+            searched += 1
+            return re.compile(rb"[\xfd\xfe]").search(data, position)
+
+    monkeypatch.setattr("rass_mav.mavlink.reader.crc16", counting)
+    monkeypatch.setattr("rass_mav.mavlink.reader._MAGIC", Magic())
+    reader = FrameReader()
+    assert reader.datagram(flood) == []
+    assert searched <= MAX_FALSE_STARTS + 1
+    assert checked <= MAX_FALSE_STARTS * 280 <= 8 * len(flood)
+    assert reader.malformed + reader.unknown <= MAX_FALSE_STARTS
+    assert reader.pending == 0
+    # The next datagram is read as if nothing had been.
+    assert [frame.sequence for frame in reader.datagram(pymav.heartbeat(7))] == [7]
+
+
+@pytest.mark.parametrize("flood", FLOODS, ids=range(len(FLOODS)))
+def test_a_stream_gives_up_no_true_frame_behind_any_garbage(flood: bytes) -> None:
+    reader = FrameReader()
+    read = reader.feed(flood + pymav.heartbeat(7)) + reader.flush()
+    assert [frame.sequence for frame in read] == [7]
+
+
+def test_a_datagram_of_unknown_messages_hides_nothing_behind_them() -> None:
+    stranger = random.Random(2).randbytes(255)
+    reader = FrameReader()
+    read = reader.datagram(unknown_frame(stranger) * 4 + pymav.heartbeat(7))
+    assert [frame.sequence for frame in read] == [7]
+    assert (reader.unknown, reader.malformed, reader.garbage_bytes) == (4, 0, 0)
+
+
+@given(data=st.binary(max_size=1472), magic=st.sampled_from([b"\xfd", b"\xfe", b"\xfd\x00\x00", b"\xfd\xff\x01"]))
+def test_a_datagram_keeps_nothing_and_accounts_for_all_its_bytes(data: bytes, magic: bytes) -> None:
+    hostile = data.replace(b"\x00", magic)
+    reader = FrameReader()
+    read = reader.datagram(hostile)
+    assert reader.pending == 0
+    if not reader.unknown:
+        assert accounted(reader, read) == len(hostile)
+
+
+@given(cut=st.integers(1, 40))
+def test_what_is_cut_off_at_the_end_of_a_datagram_waits_for_nothing(cut: int) -> None:
+    first, second = tunnels(2, seed=5)
+    reader = FrameReader()
+    assert [frame.sequence for frame in reader.datagram(first + second[:-cut])] == [0]
+    assert [frame.sequence for frame in reader.datagram(second)] == [1]

@@ -18,7 +18,7 @@ from rass_mav.sensor.gmc import Gmc
 from rass_mav.sensor.mightyohm import MightyOhm
 from rass_mav.sensor.protocol import Protocol, Sample
 from rass_mav.sensor.radpro import RadPro
-from rass_mav.sensor.serial_sensor import Patience, SerialSensor
+from rass_mav.sensor.serial_sensor import MAX_READ, Patience, SerialSensor
 from tests.ptys import TIMEOUT_S, SerialDevice
 
 METER = Tube(100.0, 0.0)
@@ -207,6 +207,46 @@ def test_a_driver_that_does_not_come_loses_the_oldest_readings(device: SerialDev
         assert watched.sensor.state().dropped == 100 - MAX_WAITING
 
     scenario(device, MightyOhm(), act)
+
+
+class Counted(MightyOhm):
+    """Notes how much it is given at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sizes: list[int] = []
+
+    def feed(self, data: bytes, now: float) -> list[Sample]:
+        if data:
+            self.sizes.append(len(data))
+        return super().feed(data, now)
+
+
+def test_a_device_that_floods_wakes_the_node_no_more_often_than_it_is_read(
+    device: SerialDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    protocol = Counted()
+    monkeypatch.setattr("rass_mav.sensor.serial_sensor.GATHER_S", 0.0)
+
+    async def act(watched: Watched) -> None:
+        await watched.connected()
+        wakes = 0
+        wake = watched.sensor._wake
+
+        def counting() -> None:
+            nonlocal wakes
+            wakes += 1
+            wake()
+
+        watched.sensor._wake = counting
+        saying = asyncio.create_task(asyncio.to_thread(device.say, b"".join(line(n) for n in range(500))))
+        await watched.until(lambda state: state.readings == 500)
+        await saying
+        assert max(protocol.sizes) <= MAX_READ
+        assert wakes <= len(protocol.sizes)
+        assert len(watched.sensor.receive()) == MAX_WAITING
+
+    scenario(device, protocol, act)
 
 
 class Broken(MightyOhm):

@@ -1,0 +1,255 @@
+"""The control socket among clients that hang: they cost a bounded amount, and keep nobody out."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import os
+import select
+import socket
+import stat
+from collections.abc import AsyncIterator, Iterable
+from concurrent.futures import Executor, Future
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.app import control
+from rass_mav.app.control import MAX_CLIENTS, MAX_LINE, ControlServer
+from rass_mav.core.store import Store
+from rass_mav.store import MemoryStore, SqliteStore
+from tests.link.loopback import LoopbackHub
+
+from .app_drivers import TIMEOUT_S, HeldExecutor, run, running, settings
+
+PATH = Path("n.sock")
+PAYLOAD = os.urandom(1 << 20)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The path of a unix socket must be short.
+    monkeypatch.chdir(tmp_path)
+
+
+@asynccontextmanager
+async def listening(store: Store | None = None, executor: Executor | None = None) -> AsyncIterator[ControlServer]:
+    link = LoopbackHub().endpoint("node")
+    async with running(link, store or MemoryStore(1), settings(1, base=True), executor=executor) as driver:
+        server = ControlServer(driver, PATH)
+        await server.start()
+        try:
+            yield server
+        finally:
+            await server.close()
+
+
+class Client:
+    """One that goes as far as the test wants."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+
+    @classmethod
+    async def connect(cls) -> Client:
+        return cls(*await asyncio.wait_for(asyncio.open_unix_connection(PATH, limit=1 << 22), TIMEOUT_S))
+
+    async def ask(self, command: str, **fields: Any) -> dict[str, Any]:
+        self.writer.write(json.dumps({"command": command, **fields}).encode() + b"\n")
+        return await self.answer()
+
+    async def answer(self) -> dict[str, Any]:
+        line = await asyncio.wait_for(self.reader.readline(), TIMEOUT_S)
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    async def is_cut(self) -> None:
+        """Returns when the node has ended the connection."""
+        assert await asyncio.wait_for(self.reader.read(), TIMEOUT_S) == b""
+
+    def close(self) -> None:
+        self.writer.close()
+
+
+class Hanger:
+    """One that never reads what it is told."""
+
+    def __init__(self, *said: bytes) -> None:
+        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.sock.settimeout(TIMEOUT_S)
+        self.said = said
+
+    async def hang(self) -> Hanger:
+        await asyncio.get_running_loop().run_in_executor(None, self._connect)
+        return self
+
+    def _connect(self) -> None:
+        self.sock.connect(str(PATH))
+        try:
+            for one in self.said:
+                self.sock.sendall(one)
+        except OSError:
+            pass  # it had to make room before it had said everything
+
+    async def is_cut(self) -> None:
+        """Returns when the node has ended the connection; without reading."""
+        poll = select.poll()
+        poll.register(self.sock, 0)
+        assert await asyncio.get_running_loop().run_in_executor(None, poll.poll, 1000 * TIMEOUT_S)
+
+
+def close_all(clients: Iterable[Hanger]) -> None:
+    for client in clients:
+        client.sock.close()
+
+
+async def work(payload: bytes = b"honest") -> str:
+    """What an honest client does; returns the id of its datum."""
+    client = await Client.connect()
+    assert (await client.ask("status"))["ok"]
+    put = await client.ask("put", payload=base64.b64encode(payload).decode())
+    assert put["ok"], put
+    client.close()
+    id: str = put["id"]
+    return id
+
+
+def test_the_socket_is_for_the_nodes_own_user() -> None:
+    async def scenario() -> None:
+        async with listening():
+            assert stat.S_IMODE(PATH.stat().st_mode) == 0o600
+
+    run(scenario)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [(), (b'{"command": "sta',), (b"x" * (MAX_LINE - 1),), (b'{"command": "status"}\n' * 2000,)],
+    ids=["nothing", "half a line", "a long half", "many, and takes no answer"],
+)
+def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...]) -> None:
+    async def scenario() -> None:
+        async with listening() as server:
+            hangers = [await Hanger(*said).hang() for _ in range(100 if sum(map(len, said)) < 10_000 else 24)]
+            await work()
+            assert len(server._clients) <= MAX_CLIENTS
+            close_all(hangers)
+
+    run(scenario)
+
+
+def test_answers_that_nobody_takes_keep_nobody_out() -> None:
+    async def scenario() -> None:
+        async with listening():
+            big = await work(PAYLOAD)
+            question = json.dumps({"command": "get", "id": big}).encode() + b"\n"
+            hangers = [await Hanger(question).hang() for _ in range(2 * MAX_CLIENTS)]
+            await work()
+            honest = await Client.connect()
+            assert base64.b64decode((await honest.ask("get", id=big))["payload"]) == PAYLOAD
+            honest.close()
+            close_all(hangers)
+
+    run(scenario)
+
+
+def test_a_request_without_end_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "REQUEST_S", 0.05)
+
+    async def scenario() -> None:
+        async with listening():
+            client = await Client.connect()
+            assert (await client.ask("status"))["ok"]
+            client.writer.write(b'{"command": "sta')
+            await client.is_cut()
+            client.close()
+
+    run(scenario)
+
+
+def test_one_that_asks_nothing_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "IDLE_S", 0.05)
+
+    async def scenario() -> None:
+        async with listening():
+            client = await Client.connect()
+            await client.is_cut()
+            client.close()
+
+    run(scenario)
+
+
+def test_one_that_does_not_take_its_answer_is_cut_and_nothing_of_it_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "TAKE_S", 0.05)
+
+    async def scenario() -> None:
+        async with listening() as server:
+            big = await work(PAYLOAD)
+            question = json.dumps({"command": "get", "id": big}).encode() + b"\n"
+            # The first client has gone when the second one is answered.
+            await work()
+            files = len(os.listdir("/proc/self/fd"))
+            for _ in range(3):
+                hanger = await Hanger(question).hang()
+                hanger.sock.shutdown(socket.SHUT_WR)
+                await hanger.is_cut()
+                hanger.sock.close()
+            await work()
+            assert len(os.listdir("/proc/self/fd")) <= files + 1
+            assert len(server._clients) <= 1
+
+    run(scenario)
+
+
+def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
+    async def scenario() -> None:
+        disk = HeldExecutor()
+        store = SqliteStore.open(Path("n.db"), draw_epoch=lambda: 7)
+        async with listening(store, disk) as server:
+            # A base stores its announcement number first of all; the data of all clients come in the write after it.
+            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
+            for client in clients:
+                client.writer.write(b'{"command": "put", "payload": "eA=="}\n')
+            while len(server._clients) < MAX_CLIENTS or any(one.waited_for is not None for one in server._clients):
+                await asyncio.sleep(0)
+            newcomer = await Client.connect()
+            assert await newcomer.answer() == {"ok": False, "error": "too many clients"}
+            newcomer.close()
+            asked = [asyncio.create_task(client.answer()) for client in clients]
+            while not all(task.done() for task in asked):
+                await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+                disk.arrived.clear()
+                while disk.submitted:
+                    disk.release()
+                await asyncio.wait(asked, timeout=0.01)
+            assert all(task.result()["ok"] for task in asked)
+            for client in clients:
+                client.close()
+            # What is written at the end is written at once.
+            disk.submit = _done  # type: ignore[method-assign]
+        store.close()
+
+    run(scenario)
+
+
+def _done(fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(fn(*args, **kwargs))
+    return future
+
+
+def test_names_that_are_none_are_refused_briefly() -> None:
+    async def scenario() -> None:
+        async with listening():
+            client = await Client.connect()
+            told = await client.ask("status", **{"x" * (1 << 20): 1})
+            assert not told["ok"]
+            assert len(told["error"]) < 100
+            client.close()
+
+    run(scenario)
