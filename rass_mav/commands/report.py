@@ -46,6 +46,11 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
     if s["commits"]["failed"]:
         yield f"WARNING: {s['commits']['failed']} commits failed"
+    for other in s["other_versions"]:
+        yield (
+            f"WARNING: node {other['node_id']} speaks version {other['version']} of the wire format, "
+            f"heard {other['age_s']:.0f} s ago"
+        )
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 

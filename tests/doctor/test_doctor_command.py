@@ -98,7 +98,7 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     assert found["report"]["running"] is running
     assert found["report"]["node_id"] == 7
     needed = ("python", "packages", "configuration", "store", "node", "autopilot", "position", "sensor", "links[0]",
-              "links[0] address", "links[0] hops", "neighbours", "loops", "node id")  # fmt: skip
+              "links[0] address", "links[0] hops", "neighbours", "versions", "loops", "node id")  # fmt: skip
     assert set(levels(found, *needed)) == {"pass"}, found
     assert "system 42, disarmed" in found["autopilot"]["text"]
     assert "ArduPilot" in found["autopilot"]["text"]
