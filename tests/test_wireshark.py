@@ -140,7 +140,8 @@ def assert_shows(fields: Shown, message: Message) -> None:
     ours = {
         name: values
         for name, values in fields.items()
-        if name.startswith("rass.") and not re.match(r"rass\.(version|type|flags\.|flags_tree|beacon_crc|measurement)", name)
+        if name.startswith("rass.")
+        and not re.match(r"rass\.(version|type|flags\.|flags_tree|beacon_crc|measurement)", name)
     }
     assert {name: [read(name, value) for value in values] for name, values in ours.items()} == expected
 

@@ -79,12 +79,10 @@ _SPARE = 0x80
 # Of an age: the datum is at least so old. And the largest one, which means as much.
 _AT_LEAST = 0x80000000
 _OLDEST = 0x7FFFFFFF
-# At the end of messages that move or end custody, or speak of copies: room for a message authentication code.
+# Bytes that stay free behind answers that end custody or speak of copies: for a message authentication code.
 _MAC = 12
 # The types in which, whatever the version, the node id of the sender stands behind the head.
-_WITH_SENDER = frozenset(
-    (BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS)
-)  # fmt: skip
+_WITH_SENDER = frozenset((BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS))
 
 
 class ForeignError(MalformedError):
@@ -278,9 +276,7 @@ def _foreign(p: bytes) -> ForeignError:
     if version == VERSION:
         return ForeignError(f"message type {type_} is not known", version)
     sender = p[1] | p[2] << 8 if len(p) > 2 and type_ in _WITH_SENDER else BROADCAST
-    return ForeignError(
-        f"version {version}, ours is {VERSION}", version, sender if sender != BROADCAST else None
-    )  # fmt: skip
+    return ForeignError(f"version {version}, ours is {VERSION}", version, None if sender == BROADCAST else sender)
 
 
 def _decode_beacon(p: bytes, now: float) -> Beacon:
