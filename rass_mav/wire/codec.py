@@ -48,10 +48,10 @@ VERSION = 2
 
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
 
-# A beacon up to its checksum, from it on, and whole but for the head.
-_BEACON = struct.Struct("<BHIHBHIHBHHHHHII")
-_BEACON_END = struct.Struct("<IH")
-_BEACON_BODY = struct.Struct("<xHIHBHIHBHHHHHIIIH")
+# A beacon without its checksum, which stands at `_SEAL`, and covers all before and behind it.
+_BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
+_BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
+_SEAL = 37
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _OFFER = struct.Struct("<BHHIHIIIBBIIB")
@@ -124,9 +124,8 @@ _BEACON_HEAD = _head(BEACON)
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    start = _BEACON.pack(_BEACON_HEAD, *m[:-1])
-    turn = m.turn
-    return [start + _BEACON_END.pack(crc32(turn.to_bytes(2, "little"), crc32(start)), turn)]
+    rest = _BEACON.pack(_BEACON_HEAD, *m)
+    return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
 def _encode_data(m: Data, now: float) -> list[bytes]:
@@ -280,13 +279,14 @@ def _foreign(p: bytes) -> ForeignError:
 
 
 def _decode_beacon(p: bytes, now: float) -> Beacon:
-    fields = _BEACON_BODY.unpack_from(p)
-    if crc32(p[41:], crc32(p[:37])) != fields[15]:
+    rest = p[:_SEAL] + p[_SEAL + 4 :]
+    fields = _BEACON_FIELDS.unpack_from(rest)
+    if (crc32(rest),) != _NUMBER.unpack_from(p, _SEAL):
         raise MalformedError("a beacon whose checksum does not fit")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, fields[:15] + fields[16:])
+    return tuple.__new__(Beacon, fields)
 
 
 def _decode_data(p: bytes, now: float) -> Data:
