@@ -50,7 +50,7 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
     message = decode(GOLDEN[name], 0.0)
     assert message is not None
     assert text[0].startswith(name.split("-")[0].capitalize())
-    assert f"type {GOLDEN[name][0] & 15}, version 1" in text[0]
+    assert f"type {GOLDEN[name][0] & 15}, version 2" in text[0]
     on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) != ("chunk", "target")]
     shown = [line.split()[0] for line in text[1:] if line.startswith("  ") and line[2] != " "]
     assert shown == ["age" if f == "created" else f for f in on_the_wire]
@@ -162,9 +162,9 @@ def test_from_stdin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
         ([frame(ACCEPT).hex()[:-6]], "cut off"),
         (["fd00" + "80" + frame(ACCEPT).hex()[6:]], "incompatibility flags"),
         ([frame(ACCEPT).hex() + "00"], "no MAVLink frame"),
-        ([frame(b"\x1f").hex()], "type 15 is not known"),
-        (["--payload", "2402"], "version 2, ours is 1"),
-        (["--payload", "1402"], "truncated"),
+        ([frame(b"\x2f").hex()], "type 15 is not known"),
+        (["--payload", "1402"], "version 1, ours is 2"),
+        (["--payload", "2402"], "truncated"),
     ],
 )
 def test_garbage_is_one_line_and_exit_code_1(given: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:

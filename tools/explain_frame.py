@@ -1,7 +1,7 @@
 """Explains MAVLink frames that are given in hex: every field of the frame, of TUNNEL, and of a rass_mav message.
 
     python tools/explain_frame.py fd29...              one frame or several, one behind the other
-    python tools/explain_frame.py --payload 110300...  just the payload of a TUNNEL message
+    python tools/explain_frame.py --payload 210300...  just the payload of a TUNNEL message
     xxd -p air.bin | python tools/explain_frame.py     from stdin
 
 Exit codes: 0 all is well, 1 something is damaged or no frame at all, 2 bad usage.
@@ -39,7 +39,7 @@ _WORDS = {
     Word.HERE: "a good copy is here",
 }
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
-_HEX = {"epoch": 8, "base_life": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
+_HEX = {"epoch": 8, "life": 8, "base_life": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
 
 
 class UnreadableError(Exception):
@@ -265,6 +265,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "risk": lambda _, value: f"{value / 65535:.3f}",
     "free": lambda _, value: "no bound" if value == UNBOUNDED_FREE else "items",
     "potential": lambda _, value: _potential(value),
+    "at_least": lambda _, value: "it may be older" if value else "it is as old as that",
     "kind": lambda _, value: Kind(value).name.lower() if value in list(Kind) else "unknown",
     "Datum.crc": lambda datum, _: "good" if datum.intact else "BAD: the datum is damaged",
     "reason": lambda _, value: _LOSS_REASONS.get(value, "unknown"),
@@ -304,7 +305,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="explain_frame.py",
         description="Explain MAVLink frames given in hex, down to the fields of rass_mav's own messages.",
-        epilog="example: explain_frame.py --payload 140200030005030201b2a10a00",
+        epilog="example: explain_frame.py --payload 240200030005030201b2a10a00",
     )
     parser.add_argument("hex", metavar="HEX", nargs="*", help="bytes in hex, spaces allowed; none: read from stdin")
     parser.add_argument("--payload", action="store_true", help="the bytes are a TUNNEL payload, not a whole frame")

@@ -18,6 +18,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
     "Query", "Passed on", "Words" }
+local VERSION = 2
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished" }
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here" }
@@ -52,13 +53,14 @@ field("version", ProtoField.uint8, "rass.version", "Version", base.DEC, nil, 0xf
 field("type", ProtoField.uint8, "rass.type", "Type", base.DEC, TYPES, 0x0f)
 field("sender", ProtoField.uint16, "rass.sender", "Sender")
 field("target", ProtoField.uint16, "rass.target", "Target", base.DEC, TARGETS)
+field("life", ProtoField.uint32, "rass.life", "Life", base.HEX)
 field("epoch", ProtoField.uint32, "rass.epoch", "Epoch", base.HEX)
 field("beacon", ProtoField.uint16, "rass.beacon", "Beacon number")
 field("flags", ProtoField.uint8, "rass.flags", "Flags", base.HEX)
 field("flag_base", ProtoField.bool, "rass.flags.base", "Sender is a base", 8, nil, 1)
 field("flag_wanted", ProtoField.bool, "rass.flags.wanted", "Wants a newer announcement", 8, nil, 2)
 field("base", ProtoField.uint16, "rass.base", "Base")
-field("base_life", ProtoField.uint32, "rass.base_life", "Base epoch", base.HEX)
+field("base_life", ProtoField.uint32, "rass.base_life", "Base life", base.HEX)
 field("route_number", ProtoField.uint16, "rass.route_number", "Announcement number")
 field("hops", ProtoField.uint8, "rass.hops", "Hops to the base (255: no route)")
 field("wanted_base", ProtoField.uint16, "rass.wanted_base", "Wanted base")
@@ -68,6 +70,7 @@ field("free", ProtoField.uint16, "rass.free", "Free items (65535: no bound)")
 field("policy", ProtoField.uint16, "rass.policy", "Policy tag", base.HEX)
 field("potential", ProtoField.uint32, "rass.potential", "Potential (16777216 is fitness 1)")
 field("digest", ProtoField.uint32, "rass.digest", "Receipt digest", base.HEX)
+field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC of the beacon", base.HEX)
 field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
@@ -77,7 +80,8 @@ field("spans", ProtoField.uint8, "rass.spans", "Spans", base.DEC, nil, 0xf0)
 field("number", ProtoField.uint32, "rass.number", "Hand-over number", base.HEX)
 field("origin", ProtoField.uint16, "rass.origin", "Datum: origin")
 field("sequence", ProtoField.uint32, "rass.sequence", "Datum: sequence")
-field("age", ProtoField.uint32, "rass.age", "Age, ms")
+field("age", ProtoField.uint32, "rass.age", "Age, ms", base.DEC, nil, 0x7fffffff)
+field("at_least", ProtoField.bool, "rass.at_least", "At least so old", 32, nil, 0x80000000)
 field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Hand-overs so far")
 field("kind", ProtoField.uint8, "rass.kind", "Kind", base.DEC, KINDS)
 field("crc", ProtoField.uint32, "rass.crc", "CRC of the datum", base.HEX)
@@ -112,7 +116,7 @@ field("m_reading", ProtoField.float, "rass.measurement.reading", "Reading, the s
 field("m_risk", ProtoField.uint16, "rass.measurement.risk", "Risk (65535 is 1)")
 rass.fields = f
 
-local malformed = ProtoExpert.new("rass.malformed", "Cut off, or fields contradict each other",
+local malformed = ProtoExpert.new("rass.malformed", "Cut off, fields contradict each other, or a wrong checksum",
     expert.group.MALFORMED, expert.severity.ERROR)
 local foreign = ProtoExpert.new("rass.foreign", "Another version, or a type that is not known",
     expert.group.UNDECODED, expert.severity.NOTE)
@@ -120,6 +124,77 @@ rass.experts = { malformed, foreign }
 local bad_checksum = ProtoExpert.new("rass_mavlink.bad_checksum", "Bad checksum", expert.group.CHECKSUM,
     expert.severity.ERROR)
 frame.experts = { bad_checksum }
+
+-- Checksums -----------------------------------------------------------------------------------------------------------
+
+-- Exclusive or of two bytes, from a table of half bytes: which bit library there is depends on the Lua.
+local HALF = {}
+for a = 0, 15 do
+    HALF[a] = {}
+    for b = 0, 15 do
+        local sum, bit = 0, 1
+        for _ = 1, 4 do
+            if math.floor(a / bit) % 2 ~= math.floor(b / bit) % 2 then sum = sum + bit end
+            bit = bit * 2
+        end
+        HALF[a][b] = sum
+    end
+end
+
+local function xor(a, b)
+    local a_low, b_low = a % 16, b % 16
+    return HALF[(a - a_low) / 16][(b - b_low) / 16] * 16 + HALF[a_low][b_low]
+end
+
+-- CRC-16/MCRF4XX of each byte: low and high half.
+local LOW, HIGH = {}, {}
+for byte = 0, 255 do
+    local low, high = byte, 0
+    for _ = 1, 8 do
+        local carry = low % 2
+        low = (low - carry) / 2 + high % 2 * 128
+        high = (high - high % 2) / 2
+        if carry == 1 then low, high = xor(low, 0x08), xor(high, 0x84) end
+    end
+    LOW[byte], HIGH[byte] = low, high
+end
+
+local function checksum(tvb, first, last, extra)
+    local low, high = 0xff, 0xff
+    local function feed(byte)
+        local index = xor(low, byte)
+        low, high = xor(high, LOW[index]), HIGH[index]
+    end
+    for at = first, last do feed(tvb(at, 1):uint()) end
+    feed(extra)
+    return low + high * 256
+end
+
+-- CRC-32 (as zlib) of each byte: four bytes, the lowest first.
+local CRC_32 = {}
+for byte = 0, 255 do
+    local crc = { byte, 0, 0, 0 }
+    for _ = 1, 8 do
+        local carry = crc[1] % 2
+        for i = 1, 4 do crc[i] = (crc[i] - crc[i] % 2) / 2 + (i < 4 and crc[i + 1] % 2 * 128 or 0) end
+        if carry == 1 then
+            crc = { xor(crc[1], 0x20), xor(crc[2], 0x83), xor(crc[3], 0xb8), xor(crc[4], 0xed) }
+        end
+    end
+    CRC_32[byte] = crc
+end
+
+-- CRC-32 of a message but for `size` bytes from `gap` on.
+local function crc_32_around(tvb, gap, size)
+    local a, b, c, d = 0xff, 0xff, 0xff, 0xff
+    for at = 0, tvb:len() - 1 do
+        if at < gap or at >= gap + size then
+            local step = CRC_32[xor(a, tvb(at, 1):uint())]
+            a, b, c, d = xor(b, step[1]), xor(c, step[2]), xor(d, step[3]), step[4]
+        end
+    end
+    return 255 - a + (255 - b) * 256 + (255 - c) * 65536 + (255 - d) * 16777216
+end
 
 -- Our messages --------------------------------------------------------------------------------------------------------
 
@@ -181,10 +256,16 @@ local function measurement(r, range)
     inner:add_le(f.m_risk, range(18, 2))
 end
 
+local function age(r)
+    local range = r:need(4)
+    r.tree:add_le(f.age, range)
+    r.tree:add_le(f.at_least, range)
+end
+
 -- What Data and Put have in common: id, age, hops, kind, CRC, size, payload.
 local function whole_datum(r)
     local title = datum_id(r)
-    r:number("age", 4)
+    age(r)
     r:number("datum_hops", 1)
     local kind = r:number("kind", 1)
     r:number("crc", 4)
@@ -206,7 +287,7 @@ local READ = {}
 READ[1] = function(r)
     local sender = r:number("sender", 2)
     if sender == 65535 then error(CUT, 0) end
-    r:number("epoch", 4)
+    r:number("life", 4)
     r:number("beacon", 2)
     local flags = r:need(1)
     local branch = r.tree:add(f.flags, flags)
@@ -223,7 +304,9 @@ READ[1] = function(r)
     r:number("policy", 2)
     r:number("potential", 4)
     r:number("digest", 4)
-    if r.at < r.tvb:len() then r:number("turn", 2) end
+    local crc = r:number("beacon_crc", 4)
+    r:number("turn", 2)
+    if crc ~= crc_32_around(r.tvb, 37, 4) then error(CUT, 0) end
     local way = hops == 255 and "no route" or string.format("%d hops to %d", hops, to)
     return string.format("%d: %s, risk %.3f", sender, way, risk / 65535)
 end
@@ -252,7 +335,7 @@ READ[3] = function(r)
     local info = to_one(r)
     r:number("number", 4)
     info = info .. " " .. datum_id(r)
-    r:number("age", 4)
+    age(r)
     r:number("datum_hops", 1)
     r:number("kind", 1)
     r:number("crc", 4)
@@ -375,7 +458,7 @@ function rass.dissector(tvb, pinfo, root)
     tree:add(f.version, head)
     tree:add(f.type, head)
     local read = READ[number]
-    if version ~= 1 or not read then
+    if version ~= VERSION or not read then
         tree:add_proto_expert_info(foreign)
         tree:append_text(string.format(", version %d, type %d", version, number))
         pinfo.cols.info:append(string.format("[version %d, type %d] ", version, number))
@@ -394,49 +477,6 @@ function rass.dissector(tvb, pinfo, root)
 end
 
 -- MAVLink 2 -----------------------------------------------------------------------------------------------------------
-
--- Exclusive or of two bytes, from a table of half bytes: which bit library there is depends on the Lua.
-local HALF = {}
-for a = 0, 15 do
-    HALF[a] = {}
-    for b = 0, 15 do
-        local sum, bit = 0, 1
-        for _ = 1, 4 do
-            if math.floor(a / bit) % 2 ~= math.floor(b / bit) % 2 then sum = sum + bit end
-            bit = bit * 2
-        end
-        HALF[a][b] = sum
-    end
-end
-
-local function xor(a, b)
-    local a_low, b_low = a % 16, b % 16
-    return HALF[(a - a_low) / 16][(b - b_low) / 16] * 16 + HALF[a_low][b_low]
-end
-
--- CRC-16/MCRF4XX of each byte: low and high half.
-local LOW, HIGH = {}, {}
-for byte = 0, 255 do
-    local low, high = byte, 0
-    for _ = 1, 8 do
-        local carry = low % 2
-        low = (low - carry) / 2 + high % 2 * 128
-        high = (high - high % 2) / 2
-        if carry == 1 then low, high = xor(low, 0x08), xor(high, 0x84) end
-    end
-    LOW[byte], HIGH[byte] = low, high
-end
-
-local function checksum(tvb, first, last, extra)
-    local low, high = 0xff, 0xff
-    local function feed(byte)
-        local index = xor(low, byte)
-        low, high = xor(high, LOW[index]), HIGH[index]
-    end
-    for at = first, last do feed(tvb(at, 1):uint()) end
-    feed(extra)
-    return low + high * 256
-end
 
 -- Length of the MAVLink 2 frame at `at`, or nil if there is none or it does not fit.
 local function frame_length(tvb, at)

@@ -311,6 +311,8 @@ class Agent:
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out = self.peers.frames(node.step(now), self.store, now)
         self._reports.look(node, now, self.tell_ground)
+        if self.peers.other_versions:
+            self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
         if self._is_measured():
             self.measure(now)
             out += self.forward(now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.messages import BROADCAST, Message
@@ -17,10 +17,12 @@ from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, target_of
-from rass_mav.wire.codec import ForeignError
+from rass_mav.wire.codec import VERSION, ForeignError
 
 log = logging.getLogger(__name__)
 
+#: So many nodes that speak another version are remembered.
+MAX_OTHERS = 16
 
 #: Of a TUNNEL message: target system and component, payload type, payload; and the node id that the payload names.
 Opened: TypeAlias = tuple[int, int, int, bytes, int]
@@ -34,10 +36,21 @@ def open_datagram(data: bytes) -> Opened | None:
     return None if fields is None else (*fields[2:], target_of(fields[5]))
 
 
+class OtherVersion(NamedTuple):
+    """A node that speaks another version of the wire format. Anybody can say so in its name."""
+
+    version: int
+    """Major version, 0..15."""
+    heard: float
+    """When last, seconds."""
+
+
 class Peers:
     """What is heard from the neighbours is counted here."""
 
-    __slots__ = ("_node_id", "_payload_type", "foreign", "malformed", "reader", "received", "writer")
+    __slots__ = (
+        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "writer"
+    )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int) -> None:
         """:param payload_type: of the swarm's TUNNEL messages."""
@@ -51,6 +64,8 @@ class Peers:
         """TUNNEL payloads that do not parse."""
         self.foreign = 0
         """TUNNEL payloads of another version, type or purpose."""
+        self.other_versions: dict[int, OtherVersion] = {}
+        """By node id, the longest silent first. Nothing but words to people may come of it."""
 
     def tunnels(self, data: bytes) -> list[Frame]:
         """The frames with TUNNEL messages in a datagram of whole frames, whatever they are."""
@@ -61,7 +76,7 @@ class Peers:
         try:
             tunnel = decode_tunnel(frame.payload)
         except MalformedError as error:
-            self._count(error)
+            self._count(error, now)
             return None
         return self.message((*tunnel, target_of(tunnel.payload)), now)
 
@@ -81,12 +96,18 @@ class Peers:
         try:
             return decode(payload, now)
         except MalformedError as error:
-            self._count(error)
+            self._count(error, now)
             return None
 
-    def _count(self, error: MalformedError) -> None:
+    def _count(self, error: MalformedError, now: float) -> None:
         if isinstance(error, ForeignError):
             self.foreign += 1
+            if error.sender is not None and error.version != VERSION:
+                others = self.other_versions
+                others.pop(error.sender, None)
+                others[error.sender] = OtherVersion(error.version, now)
+                if len(others) > MAX_OTHERS:
+                    del others[next(iter(others))]
         else:
             self.malformed += 1
         log.debug("frame not understood: %s", error)

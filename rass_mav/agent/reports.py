@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
+from rass_mav.agent.peers import OtherVersion
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.participant import Participant
+from rass_mav.wire.codec import VERSION
 
 #: The same trouble is told at most this often, seconds.
 REPORT_S = 30.0
+#: Of nodes that speak another version one text in so many seconds, of whatever nodes: anybody can make them up.
+VERSION_TEXT_S = 5.0
+#: So many of them are remembered as told, more than there can be texts in `REPORT_S`.
+MAX_TOLD = 64
 _CRITICAL = 2
 _WARNING = 4
 
@@ -19,12 +25,14 @@ Tell = Callable[[int, str], None]
 class Reports:
     """What was told, and when it may be told again."""
 
-    __slots__ = ("_alarms_at", "_fault_at", "_full_at", "_refused", "_rivals_at", "_told")
+    __slots__ = ("_alarms_at", "_fault_at", "_full_at", "_refused", "_rivals_at", "_told", "_versions", "_versions_at")
 
     def __init__(self, now: float) -> None:
-        self._rivals_at = self._alarms_at = self._full_at = self._fault_at = now
+        self._rivals_at = self._alarms_at = self._full_at = self._fault_at = self._versions_at = now
         self._told: dict[Alarm, int] = {}
         self._refused = 0
+        self._versions: dict[int, tuple[float, frozenset[int]]] = {}
+        """Node id -> when a text on it was told last, and the versions told. In the order of the texts."""
 
     def look(self, node: Participant, now: float, tell: Tell) -> None:
         """Once a step: is there anything that people should know?"""
@@ -43,6 +51,23 @@ class Reports:
                 if count != self._told.get(alarm):
                     self._told[alarm] = count
                     tell(_CRITICAL, f"RASS: {alarm.value} ({alarms.about[alarm]})")
+
+    def versions(self, own_id: int, others: Mapping[int, OtherVersion], now: float, tell: Tell) -> None:
+        """Once a step, if nodes that speak another version were heard: each is told of once a version."""
+        if now < self._versions_at:
+            return
+        for node_id, (version, heard) in others.items():
+            at, told = self._versions.get(node_id, (now - REPORT_S, frozenset()))
+            if version in told or now - at < REPORT_S or now - heard > REPORT_S:
+                continue
+            self._versions.pop(node_id, None)
+            self._versions[node_id] = (now, told | {version})
+            if len(self._versions) > MAX_TOLD:
+                del self._versions[next(iter(self._versions))]
+            self._versions_at = now + VERSION_TEXT_S
+            behind = node_id if version < VERSION else own_id
+            tell(_WARNING, f"RASS: node {node_id} speaks version {version}, this one {VERSION}: update node {behind}")
+            return
 
     def full(self, now: float, tell: Tell) -> None:
         """A measurement was refused for want of room."""

@@ -96,6 +96,10 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         },
         "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),
         "foreign": agent.peers.foreign,
+        "other_versions": [
+            {"node_id": node_id, "version": other.version, "age_s": round(now - other.heard, 3)}
+            for node_id, other in sorted(agent.peers.other_versions.items())
+        ],
         "vehicle_malformed": agent.vehicle_reader.malformed,
         "faults": agent.guard.report(now),
         "alarms": {alarm.name.lower(): count for alarm, count in node.alarms.counts.items()},

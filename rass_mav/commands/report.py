@@ -52,6 +52,11 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             f"WARNING: {s['faults']['count']} frames hit a fault in this program and were dropped, the last one from "
             f"{last['sender']} {last['age_s']:.0f} s ago; please report what the log has of it"
         )
+    for other in s["other_versions"]:
+        yield (
+            f"WARNING: node {other['node_id']} speaks version {other['version']} of the wire format, "
+            f"heard {other['age_s']:.0f} s ago"
+        )
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 

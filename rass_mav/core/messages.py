@@ -176,6 +176,8 @@ class Offer(NamedTuple):
     """Bytes of payload, 1..1 MiB."""
     chunk_size: int
     """Bytes of payload in each chunk but the last, 1..123."""
+    at_least: bool = False
+    """As of a datum: it is at least as old as `created` says."""
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)

@@ -92,6 +92,7 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
         vehicle.parameters(config, evidence, path),
         *(neighbours.link(config, index, evidence) for index in range(len(config.links))),
         neighbours.neighbours(config, evidence),
+        neighbours.versions(config, evidence),
         neighbours.loops(evidence),
         neighbours.identity(config, evidence),
     ]

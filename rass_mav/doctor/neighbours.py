@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from rass_mav.app.config import RunConfig
+from rass_mav.link.airtime import MAX_TURN_S
+from rass_mav.wire.codec import VERSION
 
 from .finding import Finding, failed, passed, warned
 from .watch import Evidence
@@ -77,6 +79,20 @@ def identity(config: RunConfig, evidence: Evidence) -> Finding:
             "give one of them another node.id",
         )  # fmt: skip
     return passed("node id", f"{config.node_id}, nobody else with it was heard")
+
+
+def versions(config: RunConfig, evidence: Evidence) -> Finding:
+    """Does everybody speak this node's version of the wire format?"""
+    # Who was updated meanwhile has fallen silent in the other one.
+    others = [other for other in evidence.last["other_versions"] if other["age_s"] <= MAX_TURN_S]
+    if not others:
+        return passed("versions", f"no other than {VERSION} of the wire format is heard")
+    behind = {other["node_id"] if other["version"] < VERSION else config.node_id for other in others}
+    said = ", ".join(f"node {other['node_id']} speaks version {other['version']}" for other in others)
+    return warned(
+        "versions", f"{said}, this one {VERSION}; they take no data from each other",
+        f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/protocol.md)",
+    )  # fmt: skip
 
 
 def loops(evidence: Evidence) -> Finding:

@@ -20,7 +20,7 @@ MAX_WAITING = (8, 1, 32, 64)
 #: The longest frame of ours on the air, bytes: a full TUNNEL with a signature.
 FRAME_BYTES = 158
 #: A beacon on the air with a signature, bytes.
-BEACON_BYTES = 69
+BEACON_BYTES = 73
 #: Parts of the swarm's airtime that are left for data, and for what is said to the vehicle, when beacons have theirs;
 #: the rest is for answers, which are as many as the data of all neighbours, but small.
 DATA_PART = 0.7

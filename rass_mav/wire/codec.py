@@ -1,7 +1,7 @@
 """Encoding and decoding of TUNNEL payloads (docs/protocol.md). Little-endian, version in the first four bits.
 
-Fields appended by later versions at the end are ignored; another major version, and a type that is not known, raise
-`MalformedError` with `.foreign` set, so that they can be counted apart from garbage. Times travel as ages.
+Fields appended at the end are ignored; another major version, and a type that is not known, raise `ForeignError`, so
+that they can be counted apart from garbage. Times travel as ages.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from itertools import chain
 from typing import Any, NamedTuple
+from zlib import crc32
 
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import (
@@ -43,13 +44,14 @@ from rass_mav.errors import MalformedError
 #: Bytes of a TUNNEL payload.
 MAX_TUNNEL = 128
 #: Major version of the format, the high four bits of the first byte.
-VERSION = 1
+VERSION = 2
 
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
 
-_BEACON = struct.Struct("<HIHBHIHBHHHHHII")
-# Behind it only if it is not 0: most nodes say a beacon in every step.
-_TURN = struct.Struct("<H")
+# A beacon without its checksum, which stands at `_SEAL`, and covers all before and behind it.
+_BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
+_BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
+_SEAL = 37
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _OFFER = struct.Struct("<BHHIHIIIBBIIB")
@@ -74,19 +76,36 @@ CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
 
 _POLL = 0x8000
 _SPARE = 0x80
+# Of an age: the datum is at least so old. And the largest one, which means as much.
+_AT_LEAST = 0x80000000
+_OLDEST = 0x7FFFFFFF
+# Bytes that stay free behind answers that end custody or speak of copies: for a message authentication code.
+_MAC = 12
+# The types in which, whatever the version, the node id of the sender stands behind the head.
+_WITH_SENDER = frozenset((BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS))
 
 
 class ForeignError(MalformedError):
     """Another major version, or a message type of a later one: not garbage, but nothing for us."""
+
+    def __init__(self, text: str, version: int, sender: int | None = None) -> None:
+        super().__init__(text)
+        self.version = version
+        """Major version of the message, 0..15."""
+        self.sender = sender
+        """Node id of who sent a message of another version; None: it does not say."""
 
 
 def _head(type_: int) -> int:
     return VERSION << 4 | type_
 
 
-def _age(created: float, now: float) -> int:
+def _age(created: float, now: float, at_least: bool) -> int:
+    """Milliseconds, and the bit for "at least so old". A reader takes that from `_OLDEST` too, with or without it."""
     age = int((now - created) * 1000.0 + 0.5)
-    return 0 if age < 0 else min(age, 0xFFFFFFFF)
+    if age >= _OLDEST:
+        return _AT_LEAST | _OLDEST
+    return max(age, 0) | (_AT_LEAST if at_least else 0)
 
 
 # -- encoding ----------------------------------------------------------------------------------------------------------
@@ -101,12 +120,12 @@ def encode(message: Message, now: float) -> list[bytes]:
     return _ENCODERS[type(message)](message, now)
 
 
-_BEACON_HEAD = bytes([_head(BEACON)])
+_BEACON_HEAD = _head(BEACON)
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    head = _BEACON_HEAD + _BEACON.pack(*m[:-1])
-    return [head + _TURN.pack(m.turn)] if m.turn else [head]
+    rest = _BEACON.pack(_BEACON_HEAD, *m)
+    return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
 def _encode_data(m: Data, now: float) -> list[bytes]:
@@ -114,7 +133,7 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
     parts: list[bytes] = []
     room = MAX_TUNNEL - _TO.size
     flag = _SPARE if m.spare else 0
-    for number, (id, kind, created, hops, crc, payload, _) in m.handovers:
+    for number, (id, kind, created, hops, crc, payload, at_least) in m.handovers:
         size = _DATUM.size + len(payload)
         if size > room:
             if size > MAX_TUNNEL - _TO.size:
@@ -122,7 +141,7 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
             frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
             parts = []
             room = MAX_TUNNEL - _TO.size
-        parts.append(_DATUM.pack(number, *id, _age(created, now), hops, kind, crc, len(payload)))
+        parts.append(_DATUM.pack(number, *id, _age(created, now, at_least), hops, kind, crc, len(payload)))
         parts.append(payload)
         room -= size
     frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
@@ -132,8 +151,8 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
 def _encode_offer(m: Offer, now: float) -> list[bytes]:
     return [
         _OFFER.pack(
-            _head(OFFER), m.sender, m.target, m.number, *m.id, _age(m.created, now), m.hops, m.kind, m.crc, m.size,
-            m.chunk_size,
+            _head(OFFER), m.sender, m.target, m.number, *m.id, _age(m.created, now, m.at_least), m.hops, m.kind, m.crc,
+            m.size, m.chunk_size,
         )
     ]  # fmt: skip
 
@@ -157,9 +176,9 @@ def _encode_committed(m: Committed, now: float) -> list[bytes]:
     committed, refused = list(m.committed), list(m.refused)
     frames = []
     while True:
-        done = committed[: (MAX_TUNNEL - _COMMITTED.size) // _DONE.size]
-        room = (MAX_TUNNEL - _COMMITTED.size - len(done) * _DONE.size) // _NUMBER.size
-        no = refused[:room]
+        room = MAX_TUNNEL - _MAC - _COMMITTED.size
+        done = committed[: room // _DONE.size]
+        no = refused[: (room - len(done) * _DONE.size) // _NUMBER.size]
         del committed[: len(done)], refused[: len(no)]
         frames.append(
             _COMMITTED.pack(_head(COMMITTED), m.sender, m.target, len(done), len(no))
@@ -185,9 +204,11 @@ def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
             return frames
 
 
-def _encode_rows(type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any) -> list[bytes]:
-    """As many frames as it takes, at least one."""
-    each = (MAX_TUNNEL - _TO.size) // row.size
+def _encode_rows(
+    type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0
+) -> list[bytes]:
+    """As many frames as it takes, at least one; `free`: bytes that stay free at the end of each."""
+    each = (MAX_TUNNEL - _TO.size - free) // row.size
     frames = []
     for start in range(0, len(rows) or 1, each):
         part = rows[start : start + each]
@@ -203,8 +224,9 @@ def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
 def _encode_put(m: Put, now: float) -> list[bytes]:
     d = m.datum
     head = _PUT.pack(
-        _head(PUT), m.sender, m.lamport, m.writer, *d.id, _age(d.created, now), d.hops, d.kind, d.crc, len(d.payload)
-    )
+        _head(PUT), m.sender, m.lamport, m.writer, *d.id, _age(d.created, now, d.at_least), d.hops, d.kind, d.crc,
+        len(d.payload),
+    )  # fmt: skip
     if len(head) + len(d.payload) > MAX_TUNNEL:
         raise ValueError(f"an entry of {len(d.payload)} bytes does not go whole")
     return [head + d.payload]
@@ -217,11 +239,11 @@ def _encode_query(m: Query, now: float) -> list[bytes]:
 
 
 def _encode_passed_on(m: PassedOn, now: float) -> list[bytes]:
-    return _encode_rows(PASSED_ON, m, _ID, m.ids)
+    return _encode_rows(PASSED_ON, m, _ID, m.ids, _MAC)
 
 
 def _encode_words(m: Words, now: float) -> list[bytes]:
-    return _encode_rows(WORDS, m, _WORD, [(*e.id, e.word) for e in m.entries])
+    return _encode_rows(WORDS, m, _WORD, [(*e.id, e.word) for e in m.entries], _MAC)
 
 
 # -- decoding ----------------------------------------------------------------------------------------------------------
@@ -242,21 +264,29 @@ def decode(payload: bytes, now: float) -> Message:
     try:
         decoder = _DECODERS.get(payload[0])
         if decoder is None:
-            if payload[0] >> 4 != VERSION:
-                raise ForeignError(f"version {payload[0] >> 4}, ours is {VERSION}")
-            raise ForeignError(f"message type {payload[0] & 15} is not known")
+            raise _foreign(payload)
         return decoder(payload, now)
     except (struct.error, IndexError) as error:
         raise MalformedError(f"truncated message: {error}") from None
 
 
+def _foreign(p: bytes) -> ForeignError:
+    version, type_ = p[0] >> 4, p[0] & 15
+    if version == VERSION:
+        return ForeignError(f"message type {type_} is not known", version)
+    sender = p[1] | p[2] << 8 if len(p) > 2 and type_ in _WITH_SENDER else BROADCAST
+    return ForeignError(f"version {version}, ours is {VERSION}", version, None if sender == BROADCAST else sender)
+
+
 def _decode_beacon(p: bytes, now: float) -> Beacon:
-    fields = _BEACON.unpack_from(p, 1)
+    rest = p[:_SEAL] + p[_SEAL + 4 :]
+    fields = _BEACON_FIELDS.unpack_from(rest)
+    if (crc32(rest),) != _NUMBER.unpack_from(p, _SEAL):
+        raise MalformedError("a beacon whose checksum does not fit")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    turn = _TURN.unpack_from(p, 1 + _BEACON.size) if len(p) > 1 + _BEACON.size else (0,)
-    return tuple.__new__(Beacon, fields + turn)
+    return tuple.__new__(Beacon, fields)
 
 
 def _decode_data(p: bytes, now: float) -> Data:
@@ -270,7 +300,8 @@ def _decode_data(p: bytes, now: float) -> Data:
         at += size
         if len(data) != size or not size:
             raise MalformedError("truncated datum")
-        datum = Datum(DatumId(origin, epoch, sequence), kind, now - age / 1000.0, hops, crc, data)
+        created = now - (age & _OLDEST) / 1000.0
+        datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
     return Data(sender, target, tuple(handovers), count >= _SPARE)
 
@@ -280,7 +311,8 @@ def _decode_offer(p: bytes, now: float) -> Offer:
     if size <= 0 or not 0 < chunk <= CHUNK_BYTES:
         raise MalformedError(f"an offer of {size} bytes in chunks of {chunk}")
     id = DatumId(origin, epoch, sequence)
-    return Offer(sender, target, number, id, kind, now - age / 1000.0, hops, crc, size, chunk)
+    created = now - (age & _OLDEST) / 1000.0
+    return Offer(sender, target, number, id, kind, created, hops, crc, size, chunk, age >= _OLDEST)
 
 
 def _decode_accept(p: bytes, now: float) -> Accept:
@@ -340,7 +372,8 @@ def _decode_put(p: bytes, now: float) -> Put:
     data = p[_PUT.size : _PUT.size + size]
     if len(data) != size or not size:
         raise MalformedError("truncated entry")
-    datum = Datum(DatumId(origin, epoch, sequence), kind, now - age / 1000.0, hops, crc, data)
+    created = now - (age & _OLDEST) / 1000.0
+    datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
     return Put(sender, lamport, writer, datum)
 
 

@@ -180,8 +180,8 @@ def test_tunnel_frames_for_others_are_left_alone() -> None:
 def test_garbage_in_a_tunnel_is_counted_and_survived() -> None:
     agent = make(1)
     writer = FrameWriter(9, 191)
-    agent.peer_bytes(writer.tunnel(b"\x11short", payload_type=33200), 0.0)
-    agent.peer_bytes(writer.tunnel(b"\x21" + bytes(60), payload_type=33200), 0.0)
+    agent.peer_bytes(writer.tunnel(b"\x21short", payload_type=33200), 0.0)
+    agent.peer_bytes(writer.tunnel(b"\x31" + bytes(60), payload_type=33200), 0.0)
     agent.peer_bytes(writer.tunnel(b"", payload_type=33200), 0.0)
     assert (agent.peers.malformed, agent.peers.foreign) == (2, 1)
 

@@ -19,9 +19,11 @@ import serial
 
 from rass_mav.cli import main
 from rass_mav.doctor import watch
+from rass_mav.mavlink.frames import FrameWriter
 from tests.app.app_nodes import RunningNode, command, free_ports
 from tests.mock_vehicle import MockVehicle
 from tests.ptys import SerialDevice
+from tests.wire.version_1 import VERSION_1
 
 #: Ten seconds are promised; here a busy machine is added.
 PATIENCE_S = 15.0
@@ -98,7 +100,7 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     assert found["report"]["running"] is running
     assert found["report"]["node_id"] == 7
     needed = ("python", "packages", "configuration", "store", "node", "autopilot", "position", "sensor", "links[0]",
-              "links[0] address", "links[0] hops", "neighbours", "loops", "node id")  # fmt: skip
+              "links[0] address", "links[0] hops", "neighbours", "versions", "loops", "node id")  # fmt: skip
     assert set(levels(found, *needed)) == {"pass"}, found
     assert "system 42, disarmed" in found["autopilot"]["text"]
     assert "ArduPilot" in found["autopilot"]["text"]
@@ -284,6 +286,20 @@ def test_the_same_node_id_twice(tmp_path: Path, tidy: Tidy, capsys: Capture, mon
     tidy(node).start()
     node.until(lambda: node.status()["rivals"] != [])
     assert examined(Path(node.config), capsys, 1)["node id"]["level"] == "fail"
+
+
+def test_a_neighbour_of_another_version(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    mine, theirs = free_ports(2)
+    node = tidy(base(tmp_path, mine, theirs)).start()
+    old = FrameWriter(3, 191).tunnel(VERSION_1["beacon-drone"], payload_type=33200)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as neighbour:
+        neighbour.sendto(old, ("127.0.0.1", mine))
+    node.until(lambda: node.status()["other_versions"] != [])
+    [other] = node.status()["other_versions"]
+    assert (other["node_id"], other["version"], other["age_s"] >= 0) == (3, 1, True)
+    found = examined(Path(node.config), capsys, 0)["versions"]
+    assert (found["level"], "update rass-mav on node 3" in found["remedy"]) == ("warn", True)
 
 
 def test_a_loop_that_brings_everything_back(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:

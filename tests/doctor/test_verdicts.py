@@ -183,6 +183,28 @@ def test_neighbours(scene: tuple[RunConfig, Evidence], change: Change, level: st
     assert (found.level, said in found.text) == (level, True), found
 
 
+def other(node_id: int, version: int, age_s: float = 1.0) -> dict[str, Any]:
+    return {"node_id": node_id, "version": version, "age_s": age_s}
+
+
+@pytest.mark.parametrize(
+    ("others", "level", "said", "remedy"),
+    [
+        ([], "pass", "no other than 2", ""),
+        ([other(4, 1)], "warn", "node 4 speaks version 1, this one 2", "on node 4 "),
+        ([other(4, 3)], "warn", "node 4 speaks version 3", "on node 7 "),
+        ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 speaks version 3", "on node 4, 7 "),
+        ([other(4, 1, 121.0)], "pass", "no other than 2", ""),
+    ],
+)
+def test_who_has_to_be_updated(
+    scene: tuple[RunConfig, Evidence], others: list[Any], level: str, said: str, remedy: str
+) -> None:
+    found = neighbours.versions(scene[0], evidence(scene, put("other_versions", others)))
+    assert (found.level, said in found.text, remedy in found.remedy) == (level, True, True), found
+    assert bool(found.remedy) == bool(others and level == "warn")
+
+
 @pytest.mark.parametrize(
     ("change", "level", "said"),
     [

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.link.airtime import (
+    BEACON_BYTES,
     FRAME_BYTES,
     LEAST_THROTTLE,
     MAX_WAITING,
@@ -119,7 +120,7 @@ def test_beacons_of_all_take_at_most_their_part(neighbours: int) -> None:
     turn_s, items = pacer(budget, neighbours=neighbours).pace()
     assert items >= 1
     if turn_s < 120.0:
-        assert (neighbours + 1) * 69 / turn_s <= budget.beacons * budget.duty * budget.bytes_s + 1e-6
+        assert (neighbours + 1) * BEACON_BYTES / turn_s <= budget.beacons * budget.duty * budget.bytes_s + 1e-6
     assert turn_s == int(turn_s)
 
 

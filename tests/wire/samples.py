@@ -35,6 +35,8 @@ NOW = 1000.0
 
 HELLO = make_datum(DatumId(3, 0xCAFEBABE, 7), 0, NOW - 1.5, b"hello")._replace(hops=2)
 WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
+#: Its holder was switched off for it does not know how long.
+OLD_HELLO = HELLO._replace(at_least=True)
 
 SAMPLES: dict[str, Message] = {
     "beacon-drone": Beacon(3, 0xCAFEBABE, 513, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0),
@@ -43,6 +45,7 @@ SAMPLES: dict[str, Message] = {
     "beacon-slow": Beacon(3, 0xCAFEBABE, 514, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0, 90),
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
     "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
+    "data-at-least": Data(3, 2, (Handover(0x01020304, OLD_HELLO),)),
     "offer": Offer(3, 2, 0x01020305, DatumId(3, 0xCAFEBABE, 8), 2, NOW - 2.0, 0, 0xDEADBEEF, 100000, 123),
     "accept": Accept(2, 3, 0x01020305, 0xA1B2, 10),
     "chunk": Chunk(BROADCAST, 0xA1B2, 10, False, b"chunk"),
@@ -71,7 +74,7 @@ moments = st.integers(0, 1_000_000).map(lambda ms: NOW - ms / 1000.0)
 
 
 def data(largest: int) -> st.SearchStrategy[Datum]:
-    return st.builds(Datum, ids, u8, moments, u8, u32, st.binary(min_size=1, max_size=largest))
+    return st.builds(Datum, ids, u8, moments, u8, u32, st.binary(min_size=1, max_size=largest), st.booleans())
 
 
 #: A span's floor is not above its end.
@@ -83,7 +86,18 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
     Beacon: st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32, u16),
     Data: st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans()),
     Offer: st.builds(
-        Offer, u16, u16, u32, ids, u8, moments, u8, u32, st.integers(1, 0xFFFFFFFF), st.integers(1, CHUNK_BYTES)
+        Offer,
+        u16,
+        u16,
+        u32,
+        ids,
+        u8,
+        moments,
+        u8,
+        u32,
+        st.integers(1, 0xFFFFFFFF),
+        st.integers(1, CHUNK_BYTES),
+        st.booleans(),
     ),
     Accept: st.builds(Accept, u16, u16, u32, u16, u16),
     Chunk: st.builds(Chunk, st.just(BROADCAST), u16, u15, st.booleans(), st.binary(max_size=CHUNK_BYTES)),

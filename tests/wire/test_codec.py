@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rass_mav.core.datum import Datum
 from rass_mav.core.messages import (
     BROADCAST,
     Beacon,
@@ -17,15 +19,20 @@ from rass_mav.core.messages import (
     Handover,
     LossNote,
     Message,
+    Offer,
     PassedOn,
+    Put,
     Receipt,
+    Word,
+    WordEntry,
     Words,
 )
 from rass_mav.errors import MalformedError
 from rass_mav.wire import INLINE_BYTES, MAX_TUNNEL, decode, encode, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
 
-from .samples import HELLO, NOW, SAMPLES, any_message
+from .samples import HELLO, NOW, SAMPLES, any_message, by_type
+from .version_1 import VERSION_1
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
 
@@ -90,15 +97,66 @@ def test_many_hand_overs_fill_as_few_frames_as_possible() -> None:
 
 
 def test_the_beacon_is_small() -> None:
-    assert all(len(encode(m, NOW)[0]) <= 40 for m in SAMPLES.values() if isinstance(m, Beacon))
+    assert all(len(encode(m, NOW)[0]) == 43 for m in SAMPLES.values() if isinstance(m, Beacon))
+
+
+def sealed(beacon: bytes, extra: bytes = b"") -> bytes:
+    """The bytes of a beacon of a later version of the format, with more behind it: the checksum covers all of it."""
+    end = beacon[41:] + extra
+    return beacon[:37] + zlib.crc32(end, zlib.crc32(beacon[:37])).to_bytes(4, "little") + end
+
+
+@given(by_type[Beacon], st.binary(min_size=1, max_size=85))
+def test_what_is_appended_to_a_beacon_is_ignored_but_belongs_to_its_checksum(beacon: Message, extra: bytes) -> None:
+    [payload] = encode(beacon, NOW)
+    assert sealed(payload) == payload
+    assert decode(sealed(payload, extra), NOW) == beacon
+    with pytest.raises(MalformedError):
+        decode(payload + extra, NOW)
+
+
+@given(by_type[Beacon], st.binary(max_size=85), st.data())
+def test_no_flipped_bit_in_a_beacon_goes_unseen(beacon: Message, extra: bytes, draw: st.DataObject) -> None:
+    payload = bytearray(sealed(encode(beacon, NOW)[0], extra))
+    bit = draw.draw(st.integers(0, len(payload) * 8 - 1))
+    payload[bit >> 3] ^= 1 << (bit & 7)
+    if bit >= 8:
+        with pytest.raises(MalformedError):
+            decode(bytes(payload), NOW)
+    elif understood(bytes(payload)):
+        # The first byte says another type now; what the bytes mean as such a message is for that one's rules.
+        assert not isinstance(decode(bytes(payload), NOW), Beacon)
+
+
+@given(by_type[Beacon], st.integers(1, 42))
+def test_a_beacon_whose_end_is_zeros_is_none(beacon: Message, size: int) -> None:
+    """As when the length in the frame is damaged, and zeros are restored that never were there."""
+    [payload] = encode(beacon, NOW)
+    damaged = payload[:size].ljust(43, b"\0")
+    if damaged != payload:
+        with pytest.raises(MalformedError):
+            decode(damaged, NOW)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Committed(2, 3, tuple((n, n) for n in range(40)), tuple(range(60))),
+        Committed(2, 3, (), tuple(range(60))),
+        PassedOn(2, 3, (HELLO.id,) * 40),
+        Words(2, 3, (WordEntry(HELLO.id, Word.AGAIN),) * 40),
+    ],
+)
+def test_where_custody_ends_there_is_room_for_a_code_that_proves_who_said_so(message: Message) -> None:
+    lengths = [len(frame) for frame in encode(message, NOW)]
+    assert max(lengths) <= MAX_TUNNEL - 12
+    assert max(lengths) > MAX_TUNNEL - 12 - 11, "not more than that is given away"
 
 
 @given(any_message, st.binary(min_size=1, max_size=20))
 def test_appended_fields_are_ignored(message: Message, extra: bytes) -> None:
-    if isinstance(message, Chunk):
-        return  # A chunk's data reach to the end of the frame; see the document.
-    if isinstance(message, Beacon) and not message.turn:
-        message = message._replace(turn=1)  # it is left out where it is 0, and what follows would be taken for it
+    if isinstance(message, Chunk | Beacon):
+        return  # A chunk's data reach to the end of the frame; a beacon's checksum covers what is behind it.
     for frame in encode(message, NOW):
         assert decode(frame + extra, NOW) == decode(frame, NOW)
 
@@ -139,17 +197,37 @@ def test_flipped_bits(message: Message, draw: st.DataObject) -> None:
 def test_truncated_messages_are_malformed(name: str) -> None:
     frame = encode(SAMPLES[name], NOW)[0]
     # A chunk may be cut anywhere behind its head and only gets shorter: its receiver knows how long it must be.
-    # A beacon without a turn is whole.
-    end = 5 if isinstance(SAMPLES[name], Chunk) else 37 if isinstance(SAMPLES[name], Beacon) else len(frame)
+    end = 5 if isinstance(SAMPLES[name], Chunk) else len(frame)
     for size in range(end):
         with pytest.raises(MalformedError):
             decode(frame[:size], NOW)
 
 
-@pytest.mark.parametrize("head", [0x01, 0x21, 0xF1, 0x10, 0x1E, 0x1F])
+@pytest.mark.parametrize("head", [0x01, 0x11, 0x31, 0xF1, 0x20, 0x2E, 0x2F])
 def test_other_versions_and_types_are_foreign(head: int) -> None:
-    with pytest.raises(ForeignError):
-        decode(bytes([head]) + bytes(127), NOW)
+    for size in (0, 1, 2, 127):
+        with pytest.raises(ForeignError) as raised:
+            decode(bytes([head]) + bytes(size), NOW)
+        assert raised.value.version == head >> 4
+
+
+def test_who_speaks_another_version_is_known_where_the_message_says_so() -> None:
+    for name, payload in VERSION_1.items():
+        with pytest.raises(ForeignError) as raised:
+            decode(payload, NOW)
+        kind = SAMPLES[name]
+        sender = None if isinstance(kind, Chunk | Receipt) else kind.sender
+        assert (raised.value.version, raised.value.sender) == (1, sender), name
+    for nobody in (b"\x11", b"\x11\x03", b"\x11\xff\xff" + bytes(40), b"\x1e\x03\x00", b"\x1f\x03\x00"):
+        with pytest.raises(ForeignError) as raised:
+            decode(nobody, NOW)
+        assert raised.value.sender is None
+
+
+def test_the_first_version_takes_nothing_of_this_one() -> None:
+    """It reads on only if the high four bits of the first byte are its own."""
+    its_own = {payload[0] >> 4 for payload in VERSION_1.values()}
+    assert its_own.isdisjoint(encode(message, NOW)[0][0] >> 4 for message in SAMPLES.values())
 
 
 def test_the_target_can_be_told_without_decoding() -> None:
@@ -163,12 +241,18 @@ def test_the_target_can_be_told_without_decoding() -> None:
 @pytest.mark.parametrize(
     ("name", "offset", "bad"),
     [("offer", 29, b"\0\0\0\0"), ("offer", 33, b"\0"), ("offer", 33, b"\x7c"), ("data", 30, b"\0"),
-     ("sack", 9, b"\x21"), ("put", 27, b"\0"), ("beacon-drone", 1, b"\xff\xff")],
+     ("sack", 9, b"\x21"), ("put", 27, b"\0")],
 )  # fmt: skip
 def test_impossible_values_are_malformed(name: str, offset: int, bad: bytes) -> None:
     frame = encode(SAMPLES[name], NOW)[0]
     with pytest.raises(MalformedError):
         decode((frame[:offset] + bad + frame[offset + len(bad) :]).ljust(128, b"\0"), NOW)
+
+
+def test_a_beacon_from_everybody_is_malformed() -> None:
+    frame = encode(SAMPLES["beacon-drone"], NOW)[0]
+    with pytest.raises(MalformedError, match="everybody"):
+        decode(sealed(frame[:1] + b"\xff\xff" + frame[3:]), NOW)
 
 
 @pytest.mark.parametrize("name", SAMPLES)
@@ -193,8 +277,48 @@ def test_ages_are_relative_to_each_ones_clock_and_bounded() -> None:
     there = decode(frame, 5.0)
     assert isinstance(there, Data)
     assert there.handovers[0].datum.created == 3.5
-    future = Data(3, 2, ((1, HELLO._replace(created=NOW + 9)), (2, HELLO._replace(created=-1e9))))  # type: ignore[arg-type]
-    [frame] = encode(future, NOW)
-    back = decode(frame, NOW)
-    assert isinstance(back, Data)
-    assert [h.datum.created for h in back.handovers] == [NOW, NOW - 0xFFFFFFFF / 1000]
+
+
+OLDEST_MS = 0x7FFFFFFF
+
+
+@pytest.mark.parametrize(
+    ("age_s", "at_least", "says"),
+    [
+        (-9.0, False, (0, False)),
+        (-9.0, True, (0, True)),
+        (0.0, True, (0, True)),
+        (1.5, True, (1500, True)),
+        ((OLDEST_MS - 1) / 1000, False, (OLDEST_MS - 1, False)),
+        (OLDEST_MS / 1000, False, (OLDEST_MS, True)),
+        (1e9, False, (OLDEST_MS, True)),
+        (1e9, True, (OLDEST_MS, True)),
+    ],
+)
+def test_ages_at_their_bounds(age_s: float, at_least: bool, says: tuple[int, bool]) -> None:
+    datum = HELLO._replace(created=NOW - age_s, at_least=at_least)
+    offer = SAMPLES["offer"]
+    assert isinstance(offer, Offer)
+    data, put, offered = (
+        decode(encode(message, NOW)[0], NOW)
+        for message in (
+            Data(3, 2, (Handover(1, datum),)),
+            Put(3, 2, 4, datum),
+            offer._replace(created=datum.created, at_least=at_least),
+        )
+    )
+    assert isinstance(data, Data)
+    assert isinstance(put, Put)
+    assert isinstance(offered, Offer)
+    for back in (data.handovers[0].datum, put.datum, offered):
+        assert (round((NOW - back.created) * 1000), back.at_least) == says
+
+
+@pytest.mark.parametrize(("name", "offset"), [("data", 20), ("offer", 19), ("put", 17)])
+def test_the_oldest_age_means_at_least_even_without_the_bit(name: str, offset: int) -> None:
+    frame = encode(SAMPLES[name], NOW)[0]
+    back = decode(frame[:offset] + OLDEST_MS.to_bytes(4, "little") + frame[offset + 4 :], NOW)
+    datum = back.handovers[0].datum if isinstance(back, Data) else back.datum if isinstance(back, Put) else back
+    assert isinstance(datum, Offer | Datum)
+    assert datum.at_least
+    assert datum.created == NOW - OLDEST_MS / 1000

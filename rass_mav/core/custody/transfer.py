@@ -43,8 +43,9 @@ class Sending:
         d = self.datum
         self.answered = False
         return Offer(
-            sender, self.neighbour, self.number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), self.size
-        )
+            sender, self.neighbour, self.number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), self.size,
+            d.at_least,
+        )  # fmt: skip
 
     def on_accept(self, accept: Accept) -> list[Chunk]:
         """Begin, or go on after an interruption."""
@@ -157,4 +158,4 @@ class Receiving:
         payload = b"".join(self._chunks[i] for i in range(self.count))
         if datum_crc(offer.id, offer.kind, payload) != offer.crc:
             return None
-        return Datum(offer.id, offer.kind, offer.created, offer.hops, offer.crc, payload)
+        return Datum(offer.id, offer.kind, offer.created, offer.hops, offer.crc, payload, offer.at_least)
