@@ -150,6 +150,6 @@ def test_the_status_names_them() -> None:
         "node_id": 2, "role": "base", "life": "1", "epoch": "1", "uptime_s": 1.0, "steps": 1, "reading": None,
         "sensor": None, "position": None, "store": {"items": 0, "capacity_items": None, "bytes": 0}, "neighbours": [],
         "ground": None, "links": [], "vehicle": None, "ledger": {}, "malformed": 0, "foreign": 9, "rivals": [],
-        "commits": {"failed": 0}, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
+        "commits": {"failed": 0}, "faults": None, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
     assert "WARNING: node 7 speaks version 1 of the wire format, heard 3 s ago" in list(status_lines(status))
