@@ -14,23 +14,21 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
 from rass_mav.core.risk import RiskEstimator
+from rass_mav.core.routes.announcements import Announcements
 from rass_mav.core.routes.ranks import ByCost, ByHops
-from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import DatumError, StoreFullError
-
-#: How many announcement numbers a base claims on disk at a time.
-ANNOUNCEMENTS_CLAIMED = 256
 
 
 class Participant(ABC):
     """One RASS participant. `Node` hands custody on, `Replica` copies everything to everybody."""
 
     __slots__ = (
+        "_announcements",
         "_beacon_number",
-        "_claimed",
         "_first_number",
         "_slow_until",
         "_steps",
@@ -73,8 +71,8 @@ class Participant(ABC):
             ByHops() if policy.costs is None else ByCost(policy.costs),
             turn_s=slow / 10,
             restarted=None if newborn else now,
-            number=following(store.get_meta("announcement") or 0),
         )
+        self._announcements = Announcements(store, settings.seq_period) if self.base else None
         self.pace = Pace(settings.step_s, settings.bandwidth_items, keeps=settings.mirror and settings.immediate)
         """How often this node has its turn, and how much it may send in one."""
         self.potential = 0
@@ -84,9 +82,6 @@ class Participant(ABC):
         # Random starts: nothing that was said in an earlier life is taken for a word of this one.
         self._beacon_number, self._first_number = divmod(rng.getrandbits(48), 1 << 32)
         self._steps = 0
-        self._claimed = self.routing.number
-        if self.base:
-            self._claim_announcement()
         self.receipts = NoReceipts()
         """What bases say has arrived."""
         self.holdings = self._take_up(now)
@@ -166,11 +161,9 @@ class Participant(ABC):
 
     def update_routing_table(self, now: float) -> None:
         """Alg. 2, from what the neighbours' beacons said."""
-        routing, settings = self.routing, self.settings
-        if self.base:
-            if settings.seq_period and self._steps % settings.seq_period == 0:
-                routing.raise_number()
-            self._claim_announcement()
+        routing = self.routing
+        if self._announcements is not None and (number := self._announcements.turn(routing.requested)) is not None:
+            routing.announce(number)
         if self.policy.costs is not None:
             routing.toll = self.policy.potential(routing.distance, self.risk.risk(now), 1)
         routing.update(now)
@@ -200,14 +193,6 @@ class Participant(ABC):
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
             self._turn,
         )  # fmt: skip
-
-    def _claim_announcement(self) -> None:
-        """Keep a number on disk that has not been announced yet: a restarted base goes on after it (RFC 1982)."""
-        number = self.routing.number
-        if not newer(self._claimed, number):
-            # Not at each number: that would be a write each step.
-            self._claimed = (number + ANNOUNCEMENTS_CLAIMED) & 0xFFFF
-            self.store.set_meta("announcement", self._claimed)
 
     # -- other settings, while it runs ---------------------------------------------------------------------------------
 

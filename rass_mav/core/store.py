@@ -102,6 +102,9 @@ class Store(Protocol):
     def set_meta(self, key: str, value: int) -> None:
         """Set such a number; durable with the next commit."""
 
+    def meta_durable(self, key: str) -> bool:
+        """Whether such a number is on disk as it was set last."""
+
     def take(self, *, force: bool = False) -> object | None:
         """What has to be written now, or None. Removals alone wait for company (they need no sync), unless `force`."""
 

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon
 from rass_mav.core.routes.ranks import ByHops
+from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.settings import NodeSettings
 from rass_mav.experiment.figures import OTHERS, Curve, Panel, draw
@@ -98,7 +99,7 @@ class Ours:
                     table.hear(self._said[n], now)
             period = self._settings.seq_period
             if node == 0 and period and self._step % period == 0:
-                table.raise_number()
+                table.announce(following(table.number))
             table.update(now)
             table.announced(now)
             said[node] = _beacon(table, self._step)

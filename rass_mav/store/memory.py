@@ -157,6 +157,10 @@ class MemoryStore:
         """Set such a number."""
         self._meta[key] = value
 
+    def meta_durable(self, key: str) -> bool:
+        """Always: what is here outlives a restart of the node."""
+        return True
+
     def take(self, *, force: bool = False) -> object | None:
         """None: there is never anything to write."""
         return None

@@ -239,6 +239,10 @@ class SqliteStore:
             raise ValueError(f"{key} = {value}: a reserved name, or more than 64 bits")
         self._meta[key] = self._changes.meta[key] = value
 
+    def meta_durable(self, key: str) -> bool:
+        """Whether such a number is on disk as it was set last."""
+        return key not in self._changes.meta and key not in self._in_flight().meta
+
     def _release(self, id: DatumId) -> None:
         """Take a datum that waits in the buffer out of the count of buffered bytes."""
         waiting = self._changes.puts.get(id)

@@ -36,7 +36,7 @@ def make_node(
     estimator = RiskEstimator(stale_s=1e9)
     estimator.observe(risk, now)
     store = store or DurableStore(epoch=1000 + node_id)
-    return Node(
+    node = Node(
         NodeSettings(node_id=node_id, base=base, mirror=mirror and not base, **settings),
         store,
         PolicySettings(name=policy).make() if isinstance(policy, str) else policy,
@@ -46,6 +46,10 @@ def make_node(
         observer=observer,
         newborn=store.fresh if newborn is None else newborn,
     )
+    if base:
+        # It announces nothing before its first number is on disk.
+        store.commit()
+    return node
 
 
 def make_replica(node_id: int, *, store: DurableStore | None = None, **settings: Any) -> Replica:

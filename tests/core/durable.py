@@ -141,6 +141,9 @@ class DurableStore:
         self._live.meta[key] = value
         self._urgent = True
 
+    def meta_durable(self, key: str) -> bool:
+        return self._live.meta.get(key) == self.disk.meta.get(key)
+
     def take(self, *, force: bool = False) -> object | None:
         if not (self.unwritten or (force and self._lazy)):
             return None

@@ -331,8 +331,10 @@ def test_a_restarted_base_knows_what_has_arrived() -> None:
     store = DurableStore(1)
     base = make_node(0, base=True, store=store)
     base.receive(data(7, 0, (5, datum())), 0.0)
+    base.step(0.0)
     store.commit()
     again = make_node(0, base=True, store=store.crashed())
+    again.step(1.0)
     assert datum().id in again.keeper.arrived
     assert newer(again.routing.number, base.routing.number)
 

@@ -179,7 +179,7 @@ class Storm:
 def test_notes_reach_the_base_and_never_cost_a_datum(mirror: bool) -> None:
     """RASS_NOTE_STORMS: how many."""
     told = rescued = 0
-    for seed in range(int(os.environ.get("RASS_NOTE_STORMS", "60"))):
+    for seed in range(int(os.environ.get("RASS_NOTE_STORMS", "90"))):
         storm = Storm(seed, mirror=mirror)
         storm.turn(0.0)
         storm.turn(0.0)

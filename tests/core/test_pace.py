@@ -30,6 +30,7 @@ def test_the_beacon_says_the_turn_only_when_it_is_longer_than_a_step() -> None:
 
 def test_a_neighbour_lives_as_long_as_its_own_turn_says() -> None:
     node = make_node(2, newborn=True)
+    node.receive(beacon(3, 0)._replace(turn=90), -9.0)
     node.receive(beacon(1, 1, BASE), 0.0)
     node.receive(beacon(3, 1)._replace(turn=90), 0.0)
     node.step(3.4)
@@ -40,10 +41,16 @@ def test_a_neighbour_lives_as_long_as_its_own_turn_says() -> None:
     assert set(node.routing.neighbours) == {3}
     node.step(32.0)
     assert not node.routing.neighbours
-    # It comes back faster: the shorter lifetime counts again.
+    # It comes back. What it said once of its turn does not count yet, but it is known when it is heard again.
     node.receive(beacon(3, 2)._replace(turn=90), 40.0)
-    node.receive(beacon(3, 3), 41.0)
-    node.step(45.0)
+    node.step(44.0)
+    assert not node.routing.neighbours
+    node.receive(beacon(3, 3)._replace(turn=90), 49.0)
+    node.step(60.0)
+    assert set(node.routing.neighbours) == {3}
+    # It becomes faster: the shorter lifetime counts again.
+    node.receive(beacon(3, 4), 61.0)
+    node.step(65.0)
     assert not node.routing.neighbours
 
 
@@ -115,6 +122,7 @@ def test_after_a_restart_the_old_turn_decides_how_long_to_wait() -> None:
 def test_a_cost_table_waits_for_a_slow_neighbour_and_holds_for_it() -> None:
     node = make_node(2, policy="survival", newborn=True)
     base: dict[str, Any] = {"flags": 1, "policy": node.policy.tag, "potential": 0xFFFFFFFF}
+    node.receive(beacon(1, 0, BASE, **base)._replace(turn=90), -9.0)
     node.receive(beacon(1, 1, BASE, **base)._replace(turn=90), 0.0)
     node.step(0.0)
     assert node.routing.next_hop == 1
@@ -135,6 +143,7 @@ def test_a_cost_table_waits_for_a_slow_neighbour_and_holds_for_it() -> None:
 def test_a_slow_neighbour_is_as_recent_as_a_fast_one() -> None:
     node = make_node(2, policy="survival", newborn=True)
     near: dict[str, Any] = {"policy": node.policy.tag, "potential": 1000}
+    node.receive(beacon(3, 0, Route(1, 11, 5, 1), **near)._replace(turn=90), -9.0)
     node.receive(beacon(3, 1, Route(1, 11, 5, 1), **near)._replace(turn=90), 0.0)
     for number in range(1, 12):
         node.receive(beacon(4, number, Route(1, 11, 5, 1), policy=node.policy.tag, potential=5000), number)

@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 
-from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Route
-from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByHops, Rank
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Route
+from rass_mav.core.routes.costs import CostRules
+from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByCost, ByHops, Rank
 from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, RoutingTable
 from rass_mav.core.settings import NodeSettings
 
@@ -16,8 +17,10 @@ from .build import beacon
 def table(
     node_id: int = 5, *, rank: Rank | None = None, restarted: float | None = None, number: int = 0, **settings: Any
 ) -> RoutingTable:
-    rank = rank or ByHops()
-    return RoutingTable(NodeSettings(node_id, **settings), 50 + node_id, rank, restarted=restarted, number=number)
+    made = RoutingTable(NodeSettings(node_id, **settings), 50 + node_id, rank or ByHops(), restarted=restarted)
+    if made.base:
+        made.announce(number)
+    return made
 
 
 def feasible(routing: RoutingTable, route: Route) -> bool:
@@ -139,6 +142,7 @@ def test_a_silent_neighbour_is_gone_with_all_it_said() -> None:
 
 def test_a_slow_neighbour_that_has_become_fast_is_forgotten_sooner() -> None:
     routing = table()
+    routing.hear(beacon(1, 0xFFFF)._replace(turn=90), -1.0)
     routing.hear(beacon(1, 0)._replace(turn=90), 0.0)
     routing.update(0.0)
     assert routing.longest_s == pytest.approx(3.5 * 9)
@@ -174,21 +178,57 @@ def test_a_restarted_neighbour_starts_anywhere() -> None:
     assert routing.hear(beacon(1, 7, life=2), 1.0)
 
 
-def test_the_table_is_bounded_and_keeps_the_fittest() -> None:
+def hear_twice(routing: RoutingTable, first: Beacon, now: float = 0.0) -> bool:
+    """Whether a neighbour is known that is heard twice."""
+    routing.hear(first._replace(number=0xFFFF), now - 1.0)
+    return routing.hear(first, now)
+
+
+def test_the_table_is_bounded_and_keeps_the_nearest_and_of_these_the_fittest() -> None:
     routing = table(max_neighbours=2)
-    routing.hear(beacon(1, potential=10, route=Route(0, 9, 1, 0)), 0.0)
-    routing.hear(beacon(2, potential=5), 0.0)
-    assert not routing.hear(beacon(3, potential=5), 0.0)
-    assert routing.hear(beacon(4, potential=6), 0.0)
+    hear_twice(routing, beacon(1, potential=1, route=Route(0, 9, 1, 0)))
+    hear_twice(routing, beacon(2, potential=5))
+    assert not hear_twice(routing, beacon(3, potential=5))
+    assert hear_twice(routing, beacon(4, potential=6))
     assert set(routing.neighbours) == {1, 4}
+    assert hear_twice(routing, beacon(5, potential=2, route=Route(0, 9, 1, 7)))
+    assert set(routing.neighbours) == {1, 5}
 
 
 def test_a_full_table_keeps_the_next_hop() -> None:
     routing = table(max_neighbours=1)
-    routing.hear(beacon(1, potential=1, route=Route(0, 9, 1, 0)), 0.0)
+    hear_twice(routing, beacon(1, potential=1, route=Route(0, 9, 1, 3)))
     routing.update(0.0)
-    assert not routing.hear(beacon(2, potential=9), 0.0)
+    assert not hear_twice(routing, beacon(2, potential=9, route=Route(0, 9, 1, 0)))
     assert routing.next_hop == 1
+
+
+def test_under_costs_a_full_table_keeps_the_cheapest_and_strangers_go_first() -> None:
+    rank = ByCost(CostRules(7, hold=1.0, hysteresis=1.0, change_over=3))
+    routing = table(rank=rank, max_neighbours=3)
+    way = Route(0, 9, 1, 4)
+    hear_twice(routing, beacon(1, potential=900, policy=7, route=way))
+    hear_twice(routing, beacon(2, potential=0xFFFFFFFF, policy=8, route=Route(0, 9, 1, 1)))
+    hear_twice(routing, beacon(3, potential=100, policy=7, route=way))
+    routing.update(0.0)
+    assert hear_twice(routing, beacon(4, potential=800, policy=7, route=way))
+    assert set(routing.neighbours) == {1, 3, 4}
+    assert not hear_twice(routing, beacon(5, potential=900, policy=7, route=way))
+    assert hear_twice(routing, beacon(6, potential=0xFFFFFFFF, flags=BEACON_BASE, policy=8, route=Route(6, 1, 1, 0)))
+    assert set(routing.neighbours) == {3, 4, 6}
+
+
+def test_who_says_that_it_is_a_base_fills_a_quarter_of_the_table_at_most() -> None:
+    routing = table(max_neighbours=8)
+    for id in range(100, 108):
+        hear_twice(routing, beacon(id, flags=BEACON_BASE, route=Route(id, 1, 1, 0)))
+    routing.update(0.0)
+    kept = {100, 101, routing.next_hop}
+    # Better than they: as near, and fitter. It takes the places of all that are not kept.
+    for id in range(1, 20):
+        hear_twice(routing, beacon(id, potential=1000 + id, flags=BEACON_BASE, route=Route(0, 9, 1, 0)))
+    assert {id for id in routing.neighbours if id >= 100} == kept
+    assert len(routing.neighbours) == 8
 
 
 def test_hop_counts_are_bounded() -> None:
@@ -243,14 +283,18 @@ def test_a_request_dies_out_in_time_and_without_a_route() -> None:
     assert routing.wanted is None
 
 
-def test_a_base_raises_its_number_when_asked_for_a_newer_one_only() -> None:
+def test_a_base_heeds_requests_for_newer_numbers_of_its_own_only() -> None:
     base = table(0, base=True, number=0xFFFF)
     base.hear(beacon(1, 0, flags=BEACON_WANTED, wanted=(0, 0xFFFF)), 0.0)
     base.hear(beacon(1, 1, flags=BEACON_WANTED, wanted=(1, 0)), 0.0)
-    assert base.number == 0xFFFF
-    base.hear(beacon(1, 2, flags=BEACON_WANTED, wanted=(0, 0)), 0.0)
-    assert base.number == 0
-    assert base.route == Route(0, 50, 0, 0)
+    base.hear(beacon(1, 2, flags=BEACON_WANTED, wanted=(0, 0xFFF0)), 0.0)
+    assert base.requested is None
+    base.hear(beacon(1, 3, flags=BEACON_WANTED, wanted=(0, 7)), 0.0)
+    base.hear(beacon(1, 4, flags=BEACON_WANTED, wanted=(0, 0)), 0.0)
+    assert base.requested == 7
+    base.announce(7)
+    assert base.requested is None
+    assert base.route == Route(0, 50, 7, 0)
 
 
 def test_a_route_through_oneself_is_none() -> None:

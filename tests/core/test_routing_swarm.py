@@ -70,6 +70,7 @@ def test_a_base_killed_and_restarted_goes_on_with_higher_numbers() -> None:
     before = swarm.nodes[0].routing.number
     swarm.kill(0)
     swarm.start(0)
+    swarm.turn()
     assert newer(swarm.nodes[0].routing.number, before)
     for _ in range(10):
         swarm.turn()

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from math import inf
 from typing import Protocol
 
-from rass_mav.core.messages import NO_ROUTE
+from rass_mav.core.messages import NO_ROUTE, Beacon
 from rass_mav.core.routes.costs import NO_COST, CostRules
 from rass_mav.core.routes.neighbours import Neighbour
 
@@ -39,6 +39,10 @@ class Rank(Protocol):
     def behind(self, neighbour: Neighbour, now: float) -> int:
         """0, or more if data may have to wait with this neighbour: it is chosen if nobody less behind is feasible."""
 
+    def standing(self, beacon: Beacon) -> tuple[int, int]:
+        """How much a neighbour is worth that says this; the smaller the better. The last is given up where there is no
+        room for all."""
+
     def shelter(
         self, neighbours: Collection[Neighbour], toll: int, next_hop: int | None, now: float
     ) -> tuple[int | None, int]:
@@ -60,6 +64,10 @@ class ByHops:
     def behind(self, neighbour: Neighbour, now: float) -> int:
         """Nobody is."""
         return 0
+
+    def standing(self, beacon: Beacon) -> tuple[int, int]:
+        """By hops, also where the policy is another; among equals the fitter one is better."""
+        return beacon.hops, -beacon.potential
 
     def shelter(
         self, neighbours: Collection[Neighbour], toll: int, next_hop: int | None, now: float
@@ -101,6 +109,12 @@ class ByCost:
         """Full: 1, for it may still be the way, but data wait there. Its last beacon is missing: 2."""
         late = neighbour.heard < now - RECENT_TURNS * neighbour.turn_s
         return 2 * late + (not neighbour.beacon.free)
+
+    def standing(self, beacon: Beacon) -> tuple[int, int]:
+        """By cost. Behind all of them come nodes of another policy, by hops."""
+        if not beacon.hops:
+            return 0, 0
+        return (0, beacon.potential) if beacon.policy == self.tag else (1, beacon.hops)
 
     def shelter(
         self, neighbours: Collection[Neighbour], toll: int, next_hop: int | None, now: float

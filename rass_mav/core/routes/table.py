@@ -53,11 +53,9 @@ class RoutingTable:
     )  # fmt: skip
 
     def __init__(
-        self, settings: NodeSettings, life: int, rank: Rank, *, turn_s: float = 0.0, restarted: float | None = None,
-        number: int = 0,
-    ) -> None:  # fmt: skip
+        self, settings: NodeSettings, life: int, rank: Rank, *, turn_s: float = 0.0, restarted: float | None = None
+    ) -> None:
         """`life`: of this node, as its beacons say it. `turn_s`: how far apart its beacons are, if more than a step.
-        `number`: a base's first announcement's.
 
         `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:
         it takes no route until all neighbours have forgotten those.
@@ -74,11 +72,11 @@ class RoutingTable:
         """A neighbour silent for longer is gone, unless its turns are longer; no frame travels for longer."""
         self.longest_s = self.lifetime_s * (self.turn_s / self.step_s)
         """The longest that this node or a neighbour is remembered by what it said last, seconds."""
-        self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours)
+        self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing)
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
-        self.route: Route | None = Route(self.node_id, life, number, 0) if self.base else None
-        """The chosen route; its hops are counted from this node."""
+        self.route: Route | None = None
+        """The chosen route; its hops are counted from this node. Of a base: what it announces (`announce`)."""
         self.distance = 0 if self.base else NO_ROUTE
         """Fewest hops that any neighbour announces, plus one: h of Eq. 3. It is known even while no route is feasible;
         then it is not announced, so that nobody counts on it."""
@@ -94,6 +92,7 @@ class RoutingTable:
         self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
         """Feasibility distances, (number, metric), by (base id, base life): Babel's source table (RFC 8966, 3.2.5)."""
         self._asked: tuple[int, int, float] | None = None
+        """(base id, number, until when) that neighbours ask for; of a base: the newest since it last announced."""
 
     def hear(self, beacon: Beacon, now: float) -> bool:
         """Take in a neighbour's beacon. False: a duplicate, a late one, or there is no room for a new neighbour."""
@@ -101,17 +100,21 @@ class RoutingTable:
             return False
         if beacon.flags & BEACON_WANTED:
             self._hear_request(beacon.wanted_base, beacon.wanted_number, now)
+        if self.base and (beacon.base, beacon.base_life) == (self.node_id, self.life) and beacon.hops != NO_ROUTE:
+            number = beacon.route_number
+            if number != self.number and not newer(self.number, number):
+                # It was said in this base's name, and who takes it for a way will take nothing older.
+                self._hear_request(self.node_id, following(number), now)
         return True
 
     def _hear_request(self, base: int, number: int, now: float) -> None:
         """A neighbour needs an announcement of this base with this number or a newer one (RFC 8966, 3.8.1.2)."""
         route = self.route
-        if route is None or route.base != base or not newer(number, route.number):
+        if route is None or route.base != base or number == route.number or newer(route.number, number):
             # Only who has a route passes a request on, so requests die out where no base is reachable.
             return
-        if self.base:
-            self.raise_number()
-        else:
+        asked = self._asked
+        if not self.base or asked is None or newer(number, asked[1]):
             self._asked = (base, number, now + self.longest_s)
 
     @property
@@ -119,9 +122,17 @@ class RoutingTable:
         """As a base: the announcement number, 16 bits."""
         return 0 if self.route is None else self.route.number
 
-    def raise_number(self) -> None:
-        """As a base: announce anew (every `routing.seq_period` steps, or on request)."""
-        self.route = Route(self.node_id, self.life, following(self.number), 0)
+    @property
+    def requested(self) -> int | None:
+        """As a base: the newest number that neighbours have asked for since the last `announce`, if it is to be newer
+        than the present one."""
+        return None if self._asked is None else self._asked[1]
+
+    def announce(self, number: int) -> None:
+        """As a base: announce this number from now on."""
+        self._asked = None
+        if self.route is None or self.route.number != number:
+            self.route = Route(self.node_id, self.life, number, 0)
 
     def update(self, now: float) -> None:
         """Forget silent neighbours and choose the route (Alg. 2: the minimum of what the neighbours announce)."""
@@ -217,7 +228,7 @@ class RoutingTable:
         self.wanted = None
         if self._asked is not None:
             wanted_base, wanted_number, until = self._asked
-            if now <= until and wanted_base == base and newer(wanted_number, number):
+            if now <= until and wanted_base == base and wanted_number != number and not newer(number, wanted_number):
                 self.wanted = (wanted_base, wanted_number)
             else:
                 self._asked = None
