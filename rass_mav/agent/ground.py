@@ -279,7 +279,7 @@ class Ground:
                 if value is not None
             ]
         if message_id == mav.ONBOARD_COMPUTER_STATUS and self.computer is not None:
-            return [(message_id, mav.onboard_computer_status(self.computer(), max(0, int(now * 1e6))))]
+            return [(message_id, mav.onboard_computer_status(self.computer()))]
         return []
 
     def _own_values(self, now: float) -> tuple[float | None, ...]:
