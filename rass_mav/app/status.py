@@ -95,6 +95,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "link": None if driver.ground is None else _port(driver.ground),
             "parameters": agent.ground.in_force(),
             "parameters_refused": agent.ground.refused,
+            "requests_dropped": agent.ground.dropped,
             "texts_dropped": agent.ground.texts.dropped,
         },
         "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),
