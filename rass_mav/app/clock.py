@@ -13,6 +13,7 @@ import ctypes
 import math
 import time
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -37,6 +38,7 @@ def boot_time() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
+@cache
 def boot_number() -> int:
     """63 bits of the name that Linux gives to this boot; 0: it has none."""
     try:
@@ -45,9 +47,14 @@ def boot_number() -> int:
         return 0
 
 
+@cache
+def _libc() -> ctypes.CDLL:
+    return ctypes.CDLL(None)
+
+
 def synchronised() -> bool:
     """Whether the kernel says that somebody (NTP, GPS) keeps the date right. False where it cannot be asked."""
-    adjtimex = getattr(ctypes.CDLL(None), "adjtimex", None)
+    adjtimex = getattr(_libc(), "adjtimex", None)
     return adjtimex is not None and 0 <= adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES)) < _TIME_ERROR
 
 
