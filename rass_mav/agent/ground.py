@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from rass_mav import __version__
+from rass_mav.agent.floods import Allowance
 from rass_mav.agent.guard import Unguarded
 from rass_mav.agent.outbox import Outbox
 from rass_mav.agent.outgoing import Outgoing, Way
@@ -49,7 +50,15 @@ log = logging.getLogger(__name__)
 VALUE_NAMES = ("RASS_PHI", "RASS_COST", "RASS_HOPS", "RASS_RISK", "RASS_FILL")
 #: Bounds of an interval that a ground station may ask for, seconds. The wire counts to 2147.
 LEAST_INTERVAL_S, MOST_INTERVAL_S = 0.5, 2000.0
+#: On each way so many PARAM_SETs are handled in a second, and so many listings of all parameters in ten.
+MOST_SETS_S, MOST_LISTS_10S = 10, 4
+#: A change with which the node begins anew costs it its routes: at most one in so many seconds.
+REBIRTH_S = 5.0
 _WARNING = 4
+
+
+class _DeniedError(ConfigError):
+    """The value may be right: but not from there, or not now."""
 
 
 class Host(Protocol):
@@ -91,6 +100,11 @@ class Ground:
         """What was set in this life, by the parameter's name."""
         self.refused = 0
         """PARAM_SETs refused."""
+        self.dropped = 0
+        """PARAM_SETs and PARAM_REQUEST_LISTs that were not looked at: too many at once."""
+        self._sets = {way: Allowance(MOST_SETS_S, 1.0) for way in self.outboxes}
+        self._lists = {way: Allowance(MOST_LISTS_10S, 10.0) for way in self.outboxes}
+        self._rebirths = Allowance(1, REBIRTH_S)
         self.computer: Callable[[], mav.ComputerStatus] | None = None
         """Asked how the computer does; None: nobody knows."""
         self._intervals = {NAMED_VALUE_FLOAT: about.values_s, mav.ONBOARD_COMPUTER_STATUS: about.computer_s}
@@ -126,7 +140,10 @@ class Ground:
             handler(self, message, frame, self.outboxes[way], now)
 
     def _on_param_list(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
-        outbox.list_all()
+        if self._lists[outbox.way].take(now):
+            outbox.list_all()
+        else:
+            self.dropped += 1
 
     def _on_param_read(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
         index = message.param_index if message.param_index >= 0 else INDEX.get(message.param_id, -1)
@@ -136,18 +153,21 @@ class Ground:
             self._param_error(message.param_id, message.param_index, mav.DOES_NOT_EXIST, frame, outbox)
 
     def _on_param_set(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        if not self._sets[outbox.way].take(now):
+            self.dropped += 1
+            return
         index = INDEX.get(message.param_id)
         if index is None:
             self._param_error(message.param_id, -1, mav.DOES_NOT_EXIST, frame, outbox)
             return
         before = self._values()
         try:
-            self._set(index, message.param_type, message.param_value, now)
+            self._set(index, message.param_type, message.param_value, outbox.way, now)
         except ConfigError as error:
             self.refused += 1
             log.warning("refused from the ground: %s", error)
             self.texts.add(_WARNING, str(error))
-            self._param_error(message.param_id, -1, self._reason(index), frame, outbox)
+            self._param_error(message.param_id, -1, _reason(index, error), frame, outbox)
             outbox.answer(*self._listed(index))
             return
         # Others may have changed with it: the policy brings its own weights.
@@ -155,26 +175,24 @@ class Ground:
         for i in (index, *others):
             outbox.answer(*self._listed(i), promises=True)
 
-    def _reason(self, index: int) -> int:
-        if not PARAMETERS[index].key:
-            return mav.READ_ONLY
-        return mav.VALUE_OUT_OF_RANGE if self._about.may_set else mav.PERMISSION_DENIED
-
     def _param_error(self, name: str, index: int, error: int, frame: Frame, outbox: Outbox) -> None:
         if mav.PARAM_ERROR is not None:
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PARAM_ERROR, mav.param_error(name, index, error, **target))
 
-    def _set(self, index: int, kind: int, value: float, now: float) -> None:
+    def _set(self, index: int, kind: int, value: float, way: Way, now: float) -> None:
         parameter = PARAMETERS[index]
-        if not self._about.may_set:
-            raise ConfigError(f"{parameter.name}: ground.may_set is false")
+        key = "may_set" if way is Way.GROUND else "may_set_by_radio"
+        if not getattr(self._about, key):
+            raise _DeniedError(f"{parameter.name}: ground.{key} is false")
         if kind != mav.REAL32:
             raise ConfigError(f"{parameter.name}: expected type REAL32 ({mav.REAL32}), got {kind}")
         agent = self._agent
         old = agent.settings
         new = parameters.changed(old, parameter, value)
         if new is not old:
+            if parameter.rebirth and not self._rebirths.take(now):
+                raise _DeniedError(f"{parameter.name}: too soon, try again in {REBIRTH_S:g} s")
             agent.take_over(new, now, rebirth=parameter.rebirth)
             parameters.remember(agent.store, self._configured, parameter, value)
             self._set_here[parameter.name] = value
@@ -294,7 +312,7 @@ class Ground:
                 if value is not None
             ]
         if message_id == mav.ONBOARD_COMPUTER_STATUS and self.computer is not None:
-            return [(message_id, mav.onboard_computer_status(self.computer(), max(0, int(now * 1e6))))]
+            return [(message_id, mav.onboard_computer_status(self.computer()))]
         return []
 
     def _own_values(self, now: float) -> tuple[float | None, ...]:
@@ -309,6 +327,13 @@ class Ground:
             node.risk.risk(now),
             None if capacity is None else len(node.holdings.custody) / capacity,
         )
+
+
+def _reason(index: int, error: ConfigError) -> int:
+    """Why a PARAM_SET was refused, as MAV_PARAM_ERROR."""
+    if not PARAMETERS[index].key:
+        return mav.READ_ONLY
+    return mav.PERMISSION_DENIED if isinstance(error, _DeniedError) else mav.VALUE_OUT_OF_RANGE
 
 
 def _whole(value: float) -> int:

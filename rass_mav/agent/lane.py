@@ -8,12 +8,16 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.duplicates import Duplicates
+from rass_mav.agent.floods import Flood
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.link.airtime import Budget, Pacer
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
 
+#: A radio says RADIO_STATUS about once a second. When more come in so many seconds, somebody forges them.
+MOST_RADIO_STATUS, WATCH_S = 30, 10.0
+_WARNING = 4
 # How `status` calls them, in the order of `Urgency`.
 _KINDS = ("vehicle", "beacons", "answers", "data")
 
@@ -42,6 +46,9 @@ class Lane:
         """Beacons of nodes that are not on the list `only`."""
         self.copies = 0
         """Frames that had been heard or said before."""
+        self.not_the_radio = 0
+        """RADIO_STATUS that were not believed."""
+        self._radio_flood = Flood(MOST_RADIO_STATUS, WATCH_S)
         self._stream = stream
         self._only = only
         self._generation = 0
@@ -52,7 +59,11 @@ class Lane:
         """Bytes from the link. Yields the answers to each frame, which go to the gate before the next one is taken: if
         that hits a fault, they are dropped. `on_beacon` is called with the node id of each neighbour heard."""
         for frame in self.reader.feed(data) if self._stream else self.reader.datagram(data):
-            yield self.frame(frame, now, on_beacon)
+            if frame.message_id == RADIO_STATUS and not self._stream:
+                # Datagrams are from neighbours: there is no radio whose serial port this could be.
+                self.not_the_radio += 1
+            else:
+                yield self.frame(frame, now, on_beacon)
 
     def opened(self, generation: int) -> None:
         """The port has been opened so often. Half a frame from before it was lost has no end any more."""
@@ -64,9 +75,7 @@ class Lane:
         """A frame from the link, of whatever kind."""
         pacer = self.pacer
         if frame.message_id == RADIO_STATUS:
-            txbuf = radio_txbuf(frame)
-            if pacer is not None and txbuf is not None:
-                pacer.radio_status(txbuf, now)
+            self._hear_radio(frame, now)
             return ()
         if pacer is not None:
             pacer.heard(now)
@@ -85,6 +94,18 @@ class Lane:
 
         return self.agent.peer_frame(frame, now, may_be_neighbour)
 
+    def _hear_radio(self, frame: Frame, now: float) -> None:
+        """A RADIO_STATUS: the radio's own, another radio's that was passed on, or a forged one."""
+        mavlink = self.agent.settings.mavlink
+        txbuf = radio_txbuf(frame, (mavlink.radio_system_id, mavlink.radio_component_id))
+        flood = self._radio_flood
+        if txbuf is not None and flood.hear(now):
+            self.agent.tell_ground(_WARNING, "RASS: forged RADIO_STATUS on the radio, ignored")
+        if txbuf is None or flood.active:
+            self.not_the_radio += 1
+        elif self.pacer is not None:
+            self.pacer.radio_status(txbuf, now)
+
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def push(self, outgoing: Outgoing, now: float, *, first: bool = False) -> None:
@@ -94,7 +115,7 @@ class Lane:
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
-        told: dict[str, Any] = {"copies": self.copies}
+        told: dict[str, Any] = {"copies": self.copies, "not_the_radio": self.not_the_radio}
         if self._only is not None:
             told["not_neighbours"] = self.not_neighbours
         pacer = self.pacer

@@ -38,15 +38,16 @@ class Outbox:
         "_size",
         "_to_list",
         "_turn",
-        "_way",
         "dropped",
         "rate",
+        "way",
         "writer",
     )
 
     def __init__(self, way: Way, writer: FrameWriter, listing: Callable[[int], tuple[int, bytes]], size: int) -> None:
         """:param listing: message id and payload of an entry of the list, 0..size - 1."""
-        self._way = way
+        self.way = way
+        """Where its frames go, and the questions come from."""
         self.writer = writer
         self._answers: deque[_Waiting] = deque()
         self._said: deque[_Waiting] = deque()
@@ -99,7 +100,7 @@ class Outbox:
                 message_id, payload, promises = message
                 frame = self.writer.frame(message_id, payload)
                 self._free_at = now + max(GAP_S, len(frame) / self.rate)
-                return aside(frame, self._way, promises=promises)
+                return aside(frame, self.way, promises=promises)
         return None
 
     def _next(self, source: int) -> _Waiting | None:

@@ -34,7 +34,9 @@ class GroundSettings(Section):
     """What a ground station is told, and may set."""
 
     may_set: bool = True
-    """Whether parameters can be set from the ground; they can be read in any case."""
+    """Whether a ground station that is connected directly can set parameters; they can be read in any case."""
+    may_set_by_radio: bool = False
+    """The same for what comes by the autopilot's port: anybody in range of its radio can say it."""
     values_s: NonNegative = 10.0
     """Seconds between two NAMED_VALUE_FLOATs of a kind: fitness, hops, risk, fill; 0: never."""
     computer_s: NonNegative = 30.0

@@ -39,6 +39,8 @@ class NodeSection(Section):
     forward: Forward = "immediate"
     """step: what came in after a step leaves at the next one at the earliest; immediate: at once, within the step's
     bandwidth."""
+    clock: Literal["auto", "trusted", "untrusted"] = "auto"
+    """Whether the computer's date is right, so that it tells how long the node was off; auto: if the kernel says so."""
 
 
 class AutopilotSection(Section):

@@ -15,7 +15,8 @@ import logging
 import os
 import socket
 import stat
-from collections.abc import AsyncIterator, Coroutine
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -26,7 +27,7 @@ from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError
 
 from .driver import Driver
 from .jsonlines import dump_line, load_bytes, load_line
-from .payloads import describe, parse_id, unpack_file
+from .payloads import age, describe, parse_id, unpack_file
 from .status import status
 
 log = logging.getLogger(__name__)
@@ -115,9 +116,10 @@ class _Client:
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
-    def __init__(self, driver: Driver, path: Path) -> None:
-        """`path`: of the socket's file."""
+    def __init__(self, driver: Driver, path: Path, wall: Callable[[], float] = time.time) -> None:
+        """`path`: of the socket's file. `wall`: the date, seconds since 1970."""
         self._driver = driver
+        self._wall = wall
         self._path = path
         self._started = driver.now()
         self._server: asyncio.Server | None = None
@@ -221,13 +223,11 @@ class ControlServer:
             raise ControlError(f"{id}: not here")
         if not datum.intact:
             raise ControlError(f"{id}: corrupt, its checksum does not fit")
-        now = self._driver.now()
         answer: dict[str, Any] = {
             "id": str(id),
             "kind": datum.kind,
             "hops": datum.hops,
-            "created": round(datum.created, 3),
-            "age_s": round(now - datum.created, 3),
+            **age(datum, self._driver.now(), self._wall()),
             "payload": datum.payload,
         }
         if datum.kind == Kind.FILE:
@@ -239,7 +239,7 @@ class ControlServer:
 
     async def _ls(self) -> AsyncIterator[dict[str, Any]]:
         store = self._driver.agent.store
-        now = self._driver.now()
+        now, wall = self._driver.now(), self._wall()
         page: list[dict[str, Any]] = []
         for info in store.held():
             if len(page) == LS_PAGE:
@@ -247,7 +247,7 @@ class ControlServer:
                 page = []
                 # Let a step come in between.
                 await asyncio.sleep(0)
-            page.append(describe(info, store, now))
+            page.append(describe(info, store, now, wall))
         yield {"data": page, "more": False}
 
 

@@ -29,6 +29,7 @@ from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL
 from rass_mav.sensor.base import Sensor
 
 from .channel import Channel
+from .clock import LivedClock
 from .notify import Notifier
 from .sensor_watch import SensorWatch
 from .writer import Writer
@@ -55,11 +56,13 @@ class Driver:
         *,
         ground: VehiclePort | None = None,
         mute: bool = False,
+        lived: LivedClock | None = None,
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
         `rng`: decides how long a node listens before it speaks on a shared radio. `sensor`: the node's own; None:
         readings are those of the autopilot. `ground`: straight to a ground station. `mute`: say nothing to neighbours.
+        `lived`: whose `now` it is, if the store keeps the time; None: it does not.
         """
         self.agent = agent
         self.vehicle = vehicle
@@ -71,6 +74,8 @@ class Driver:
         self.notifier = Notifier()
         """Hears that the loop goes round; the caller may set one that tells others."""
         self.now = now
+        self.lived = lived
+        """Notes the time with the commits."""
         self.duplicates = Duplicates()
         rng = rng or random.Random()
         self.channels = [
@@ -89,7 +94,7 @@ class Driver:
             agent.share_port()
         self._vehicle_generation = 0
         self._wake = asyncio.Event()
-        self.writer = Writer(agent.store, executor, self._wake.set, self._alarm)
+        self.writer = Writer(agent.store, executor, self._wake.set, self._alarm, None if lived is None else lived.note)
         agent.guard.use(self.writer.gate.roll_back)
         self._stopping = False
         self._bug: BaseException | None = None
@@ -141,6 +146,8 @@ class Driver:
                 if behind >= 0:
                     self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
+                    if self.lived is not None:
+                        self.lived.tend(bool(self.agent.node.holdings))
                     # On an absolute schedule: no drift. What was missed is skipped, for a burst would help nobody.
                     missed = int(behind / step_s)
                     self.skipped_steps += missed

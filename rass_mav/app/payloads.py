@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
+from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Kind
 from rass_mav.core.store import Store, StoredInfo
 from rass_mav.errors import DatumError, MalformedError
 from rass_mav.wire.measurement import decode_measurement
@@ -42,8 +42,22 @@ def unpack_file(payload: bytes) -> tuple[str, bytes]:
     return payload[1 : 1 + size].decode(errors="replace"), payload[1 + size :]
 
 
-def describe(info: StoredInfo, store: Store, now: float) -> dict[str, Any]:
-    """One datum of a list, as plain values; measurements and file names decoded."""
+def age(datum: Datum | StoredInfo, now: float, wall: float) -> dict[str, Any]:
+    """How old a datum is, as plain values: `age_s`, `created` as seconds since 1970, and `at_least` if it may be older.
+
+    `now`: on the node's timeline. `wall`: the same moment in seconds since 1970.
+    """
+    # A flipped bit on the disk must not look like a datum of tomorrow.
+    age_s = max(0.0, now - datum.created)
+    return {
+        "created": round(wall - age_s, 3),
+        "age_s": round(age_s, 3),
+        **({"at_least": True} if datum.at_least else {}),
+    }
+
+
+def describe(info: StoredInfo, store: Store, now: float, wall: float) -> dict[str, Any]:
+    """One datum of a list, as plain values; measurements and file names decoded. Times as in `age`."""
     try:
         kind: str | int = Kind(info.kind).name.lower()
     except ValueError:
@@ -53,8 +67,7 @@ def describe(info: StoredInfo, store: Store, now: float) -> dict[str, Any]:
         "kind": kind,
         "size": info.size,
         "hops": info.hops,
-        "created": round(info.created, 3),
-        "age_s": round(now - info.created, 3),
+        **age(info, now, wall),
     }
     if info.kind in (Kind.MEASUREMENT, Kind.FILE):
         datum = store.get(info.id)

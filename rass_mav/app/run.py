@@ -22,7 +22,7 @@ from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.store.sqlite import SqliteStore
 
-from .clock import Clock
+from .clock import LivedClock, TimeSources
 from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
@@ -44,7 +44,6 @@ class Runtime:
         """`ready`: called whenever the node has been started, with its id, role, epoch and control socket."""
         self._config = config
         self._ready = ready
-        self._clock = Clock()
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
@@ -63,11 +62,11 @@ class Runtime:
         suspect = False
         damages = 0
         while not self._stopped:
-            begun = self._clock.now()
+            begun = loop.time()
             try:
                 await self._live(suspect)
             except StoreDamagedError as error:
-                damages = damages + 1 if self._clock.now() - begun < LIFE_S else 1
+                damages = damages + 1 if loop.time() - begun < LIFE_S else 1
                 if damages >= MAX_DAMAGES:
                     raise
                 log.error("%s; opening the store anew", error)
@@ -95,6 +94,9 @@ class Runtime:
                 suspect=suspect,
             )
             stack.callback(store.abandon)  # does nothing after `close`
+            clock = LivedClock(store, _sources(config))
+            if not clock.off_known:
+                log.warning("nobody knows how long the node was switched off: ages of its data are lower bounds")
             vehicle, ground = (_opened(url, stack) for url in (config.autopilot.url, config.ground.url))
             links: list[Link] = []
             for section in config.links:
@@ -103,19 +105,19 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=self._clock.now(), forgiving=True)
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True)
             if store.report.set_aside is not None:
                 aside = store.report.set_aside
                 log.error("damaged store set aside as %s: %s", aside, store.report.reason)
                 agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
             if vehicle is not None and config.autopilot.messages:
                 agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
-            sensor = config.sensor.open(self._clock.now)
+            sensor = config.sensor.open(clock.now)
             if sensor is not None:
                 stack.callback(sensor.close)
             if agent.ground is not None:
                 agent.ground.computer = Machine(config.store_path).status
-            driver = Driver(agent, links, vehicle, self._clock.now, executor, rng, sensor, ground=ground)
+            driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
             control = ControlServer(driver, config.socket_path)
             await control.start()
@@ -141,9 +143,17 @@ class Runtime:
                 raise
             except BaseException:
                 # Whatever it was: what can be made durable is.
+                clock.note()
                 store.close()
                 raise
             store.close()
+
+
+def _sources(config: RunConfig) -> TimeSources:
+    """What this computer knows of the time, and whether its date is believed."""
+    if config.node.clock == "auto":
+        return TimeSources()
+    return TimeSources(trusted=lambda: config.node.clock == "trusted")
 
 
 def _opened(url: str | None, stack: AsyncExitStack) -> VehiclePort | None:

@@ -38,6 +38,9 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "uptime_s": round(now - started, 3),
         "steps": agent.steps,
         "skipped_steps": driver.skipped_steps,
+        "clock": None
+        if driver.lived is None
+        else {"lived_s": round(now, 3), "trusted": driver.lived.trusted, "off_known": driver.lived.off_known},
         "policy": settings.policy.name,
         "hop_count": None if routing.hops == NO_ROUTE else routing.hops,
         "next_hop": routing.next_hop,
@@ -92,6 +95,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             "link": None if driver.ground is None else _port(driver.ground),
             "parameters": agent.ground.in_force(),
             "parameters_refused": agent.ground.refused,
+            "requests_dropped": agent.ground.dropped,
             "texts_dropped": agent.ground.texts.dropped,
         },
         "malformed": agent.peers.malformed + sum(channel.lane.reader.malformed for channel in driver.channels),

@@ -22,9 +22,17 @@ class Writer:
     """Writes the batches of one store, on the event loop."""
 
     def __init__(
-        self, store: Store, executor: Executor, wake: Callable[[], None], failed: Callable[[StoreError], None]
+        self,
+        store: Store,
+        executor: Executor,
+        wake: Callable[[], None],
+        failed: Callable[[StoreError], None],
+        note: Callable[[], None] | None = None,
     ) -> None:
-        """`executor`: one thread. `wake`: called when a write has ended: then `drive`. `failed`: told why one has."""
+        """`executor`: one thread. `wake`: called when a write has ended: then `drive`. `failed`: told why one has.
+
+        `note`: sets in the store what every commit has to bring with it; never the reason for one.
+        """
         self.gate = CommitGate(store)
         """What waits for which commit."""
         self.retry_at: float | None = None
@@ -33,6 +41,7 @@ class Writer:
         self._executor = executor
         self._wake = wake
         self._failed = failed
+        self._note = note
         self._write: asyncio.Future[None] | None = None
 
     def drive(self, *, force: bool = False) -> Sequence[Outgoing]:
@@ -45,6 +54,8 @@ class Writer:
         loop = asyncio.get_running_loop()
         if self.retry_at is not None and loop.time() < self.retry_at and not force:
             return out
+        if self._note is not None and (force or self._store.unwritten):
+            self._note()
         batch = self.gate.begin(force=force)
         if batch is None:
             self.retry_at = None

@@ -69,7 +69,8 @@ def _standing(s: dict[str, Any]) -> str:
 
 def datum_line(entry: dict[str, Any]) -> str:
     """One datum of `ls`."""
-    line = f"{entry['id']} {entry['kind']} {entry['size']} B {entry['hops']} hops {entry['age_s']:.1f} s"
+    more = ">" if entry.get("at_least") else ""
+    line = f"{entry['id']} {entry['kind']} {entry['size']} B {entry['hops']} hops {more}{entry['age_s']:.1f} s"
     if "name" in entry:
         line += f" {entry['name']}"
     m = entry.get("measurement")

@@ -18,6 +18,8 @@ class StoredInfo(NamedTuple):
     crc: int
     size: int
     """Bytes of payload."""
+    at_least: bool = False
+    """As in `Datum`."""
 
 
 class Store(Protocol):

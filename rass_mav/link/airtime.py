@@ -32,9 +32,12 @@ STALE_TURNS = 2.0
 #: RADIO_STATUS.txbuf, percent of the radio's buffer that is free: below the first slow down a lot, below the second a
 #: little, above the third speed up (as the firmware of SiK radios recommends).
 TXBUF_LOW, TXBUF_MIDDLE, TXBUF_HIGH = 20, 50, 90
-#: The least that a full radio leaves of the rate, and for how long its word counts, seconds.
+#: The least that a full radio leaves of the rate.
 LEAST_THROTTLE = 0.05
-RADIO_STATUS_S = 30.0
+#: A radio tells about once a second. When it has been silent for so long, each second more counts as a word that all is
+#: free: what was said last may have been said by somebody else, or before the air was free again.
+RADIO_STATUS_S = 3.0
+_UP, _DOWN_A_LITTLE, _DOWN_A_LOT = 1.25, 0.8, 0.5
 
 
 class Budget(NamedTuple):
@@ -119,7 +122,7 @@ class Pacer:
         self._data = _Bucket(2 * FRAME_BYTES, 0.0, now)
         self._beacon_at = now
         self._clear_at = now
-        self._status_at: float | None = None
+        self._status_at = now
 
     # -- what the link can bear ----------------------------------------------------------------------------------------
 
@@ -188,9 +191,9 @@ class Pacer:
         return None if urgency is None else now + self._wait(urgency, now)
 
     def _settle(self, now: float) -> None:
-        if self._status_at is not None and now - self._status_at > RADIO_STATUS_S:
-            self._status_at = None
-            self.throttle = 1.0
+        while self.throttle < 1.0 and now - self._status_at > RADIO_STATUS_S:
+            self._status_at += 1.0
+            self.throttle = min(1.0, self.throttle * _UP)
         rate = self.rate
         self._bytes.fill(rate, now)
         self._frames.fill(self.budget.frames_s, now)
@@ -236,9 +239,9 @@ class Pacer:
         self._settle(now)
         self._status_at = now
         if txbuf < TXBUF_LOW:
-            self.throttle *= 0.5
+            self.throttle *= _DOWN_A_LOT
         elif txbuf < TXBUF_MIDDLE:
-            self.throttle *= 0.8
+            self.throttle *= _DOWN_A_LITTLE
         elif txbuf > TXBUF_HIGH:
-            self.throttle *= 1.25
+            self.throttle *= _UP
         self.throttle = min(1.0, max(LEAST_THROTTLE, self.throttle))

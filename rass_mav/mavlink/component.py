@@ -135,10 +135,10 @@ class ComputerStatus(NamedTuple):
     storage_total_mib: float | None = None
 
 
-def onboard_computer_status(status: ComputerStatus, time_us: int) -> bytes:
+def onboard_computer_status(status: ComputerStatus) -> bytes:
     """ONBOARD_COMPUTER_STATUS; values beyond their field's range are cut to it.
 
-    :param time_us: microseconds since 1970.
+    Its time is the one since the computer was started: the date may be wrong.
     """
     cores = [_within(value, 100, _UNKNOWN_U8) for value in status.cores_percent[:8]]
     temperature = _UNKNOWN_I8 if status.temperature_c is None else max(-127, min(126, round(status.temperature_c)))
@@ -147,7 +147,7 @@ def onboard_computer_status(status: ComputerStatus, time_us: int) -> bytes:
     used, total = ([_mib(size)] + [_UNKNOWN_U32] * 3 for size in (status.storage_used_mib, status.storage_total_mib))
     links = [[_UNKNOWN_U32] * 6] * 5
     message = common.MAVLink_onboard_computer_status_message(
-        time_us, uptime_ms, 0, _filled(cores, 8, _UNKNOWN_U8), [_UNKNOWN_U8] * 10, *gpu, _UNKNOWN_I8,
+        uptime_ms * 1000, uptime_ms, 0, _filled(cores, 8, _UNKNOWN_U8), [_UNKNOWN_U8] * 10, *gpu, _UNKNOWN_I8,
         _filled([temperature], 8, _UNKNOWN_I8), [_UNKNOWN_I16] * 4, _mib(status.ram_used_mib),
         _mib(status.ram_total_mib), [_UNKNOWN_U32] * 4, used, total, *links,
     )  # fmt: skip

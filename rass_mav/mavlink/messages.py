@@ -25,8 +25,6 @@ NAMED_VALUE_FLOAT: int = common.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
 STATUSTEXT: int = common.MAVLINK_MSG_ID_STATUSTEXT
 TUNNEL: int = common.MAVLINK_MSG_ID_TUNNEL
 
-#: System and component id of a SiK radio ('3', 'D').
-RADIO_SENDER = (51, 68)
 #: The longest name of a NAMED_VALUE_FLOAT, in bytes.
 NAME_SIZE = 10
 #: Bytes of text in one STATUSTEXT, and the most pieces with text that a longer one is cut into.
@@ -75,14 +73,15 @@ def parse(frame: Frame) -> MavlinkMessage:
     return message
 
 
-def radio_txbuf(frame: Frame) -> int | None:
+def radio_txbuf(frame: Frame, radio: tuple[int, int]) -> int | None:
     """How much of a telemetry radio's buffer is free, percent, from its RADIO_STATUS.
 
-    SiK radios say it as system 51, component 68 (https://mavlink.io/en/messages/common.html#RADIO_STATUS).
+    https://mavlink.io/en/messages/common.html#RADIO_STATUS
 
+    :param radio: the radio's system and component id; SiK radios have 51 and 68.
     :returns: 0..100; None if the frame is from somebody else: a radio of another vehicle, which somebody passed on.
     """
-    if (frame.system_id, frame.component_id) != RADIO_SENDER:
+    if (frame.system_id, frame.component_id) != radio:
         return None
     # On the wire: rxerrors and fixed (2 bytes each), rssi, remrssi, txbuf; trimmed zeros mean a full buffer.
     return min(100, frame.payload[6]) if len(frame.payload) > 6 else 0

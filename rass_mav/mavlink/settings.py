@@ -18,5 +18,9 @@ class MavlinkSettings(Section):
     """payload_type of our TUNNEL frames; above 32767 is for local use."""
     autopilot_id: Annotated[int, Meta(ge=0, le=255)] = 0
     """System id of the autopilot that readings and positions are taken from; 0: the first one heard."""
+    radio_system_id: Annotated[int, Meta(ge=1, le=255)] = 51
+    """System id that the telemetry radio says its RADIO_STATUS with; SiK and RFD: 51."""
+    radio_component_id: Annotated[int, Meta(ge=1, le=255)] = 68
+    """Its component id; SiK and RFD: 68."""
     reading_name: Annotated[str, Meta(min_length=1, max_length=10)] = "RAD"
     """Name of the NAMED_VALUE_FLOAT that carries the reading."""

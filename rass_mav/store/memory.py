@@ -138,8 +138,12 @@ class MemoryStore:
 
     def held(self) -> Iterator[StoredInfo]:
         """What is stored, least recently stored first."""
-        for id, kind, created, hops, crc, payload, _ in list(self._data.values()):
-            yield StoredInfo(id, kind, created, hops, crc, len(payload))
+        for id, kind, created, hops, crc, payload, at_least in list(self._data.values()):
+            yield StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
+
+    def mark_at_least(self) -> None:
+        """Every datum that is stored now is at least as old as it says."""
+        self._data = {id: datum._replace(at_least=True) for id, datum in self._data.items()}
 
     def ids(self) -> Iterable[DatumId]:
         """The ids of what is stored: a list, safe to keep while the store changes."""

@@ -249,6 +249,9 @@ class SqliteStore:
         if waiting is not None:
             self._buffered -= len(waiting.payload) + ROW_OVERHEAD
 
+    def mark_at_least(self) -> None:
+        """Every datum that is stored now is at least as old as it says. Durable with the next commit at the latest."""
+
     # -- what is stored ------------------------------------------------------------------------------------------------
 
     def get(self, id: DatumId) -> Datum | None:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from rass_mav.app.clock import date_offset
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.errors import InvariantError
@@ -61,13 +62,14 @@ class Census:
         return {fate.value: self._lost[fate] for fate in LOST}
 
     def look_at_bases(self, now: float) -> None:
-        """Note what has arrived since the last look. `now`: wall time in seconds, as the nodes keep it."""
+        """Note what has arrived since the last look. `now`: seconds since 1970."""
         for node_id in range(self._bases):
             with self._open(node_id) as store:
+                offset = date_offset(store.meta())
                 for info in store.held():
                     if info.id not in self.delays:
                         # It arrived up to one look earlier: rounding down makes up for that.
-                        self.delays[info.id] = max(0, int((now - info.created) / self._step_s))
+                        self.delays[info.id] = max(0, int((now - info.created - offset) / self._step_s))
                         self.hops[info.id] = info.hops
 
     def look_at_all(self, now: float) -> None:

@@ -179,7 +179,7 @@ class ProcessSwarm:
         self._step_s = scenario.node.step_s
         self._directory = directory
         self._children = children
-        self._clock = Clock()
+        self._clock = Clock(time.time())
         self._nodes = [self._node(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
         self._drones = self._nodes[scenario.bases :]
         self._census = Census([node.store for node in self._nodes], scenario.bases, self._step_s)

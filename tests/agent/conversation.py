@@ -35,7 +35,7 @@ class Conversation:
         raw |= {name: sections.get(name, {}) for name in SECTIONS}
         # Most parameters are weights of this policy.
         raw["policy"] = {"name": "rass", **raw["policy"]}
-        raw["ground"] = {**QUIET, **raw["ground"]}
+        raw["ground"] = {**QUIET, "may_set_by_radio": True, **raw["ground"]}
         self.now = 0.0
         self.store: Store = store or MemoryStore(1000 + node_id)
         about = convert(raw, AgentSettings, "test")
@@ -80,10 +80,10 @@ class Conversation:
         self.now = until
         return [m for m in out if m.get_msgId() != HEARTBEAT]
 
-    def set(self, name: str, value: float, kind: int = mav.REAL32) -> list[Any]:
-        self.ask(common.MAVLink_param_set_message(7, 191, name.encode(), value, kind))
+    def set(self, name: str, value: float, kind: int = mav.REAL32, *, direct: bool = False) -> list[Any]:
+        self.ask(common.MAVLink_param_set_message(7, 191, name.encode(), value, kind), direct=direct)
         self.commit()
-        return self.hear()
+        return self.hear(direct=direct)
 
     def command(self, command: int, *params: float, component: int = 191) -> list[Any]:
         filled = [*params, *[0.0] * (7 - len(params))]

@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rass_mav.agent.ground import MOST_LISTS_10S, MOST_SETS_S, REBIRTH_S
 from rass_mav.agent.parameters import INDEX, PARAMETERS
+from rass_mav.agent.settings import GroundSettings
 from rass_mav.core.messages import Beacon
 from rass_mav.core.routes.ranks import ByCost
 from rass_mav.mavlink import component as mav
@@ -96,10 +98,69 @@ def test_what_can_only_be_read() -> None:
     if mav.PARAM_ERROR is not None:
         assert [m.error for m in heard if m.get_type() == "PARAM_ERROR"] == [mav.READ_ONLY]
     locked = Conversation(ground={"may_set": False})
-    heard = locked.set("RASS_ALPHA", 3.0)
-    assert values(heard) == {"RASS_ALPHA": 1.0}
-    assert [m.text for m in heard if m.get_type() == "STATUSTEXT"] == ["RASS_ALPHA: ground.may_set is false"]
     assert locked.set("NOT_MINE", 3.0, 9)[:1] == [] or mav.PARAM_ERROR is not None
+
+
+@pytest.mark.parametrize(("key", "direct"), [("may_set", True), ("may_set_by_radio", False)])
+def test_each_way_has_its_own_key(key: str, direct: bool) -> None:
+    everything = {"may_set": True, "may_set_by_radio": True}
+    locked = Conversation(ground={**everything, key: False})
+    heard = locked.set("RASS_ALPHA", 3.0, direct=direct)
+    assert values(heard) == {"RASS_ALPHA": 1.0}
+    assert [m.text for m in heard if m.get_type() == "STATUSTEXT"] == [f"RASS_ALPHA: ground.{key} is false"]
+    if mav.PARAM_ERROR is not None:
+        assert [m.error for m in heard if m.get_type() == "PARAM_ERROR"] == [mav.PERMISSION_DENIED]
+    open_ = Conversation(ground={"may_set": False, "may_set_by_radio": False, key: True})
+    assert values(open_.set("RASS_ALPHA", 3.0, direct=direct)) == {"RASS_ALPHA": 3.0}
+
+
+def test_by_radio_nothing_can_be_set_unless_the_file_says_so() -> None:
+    assert not GroundSettings().may_set_by_radio
+    assert GroundSettings().may_set
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_a_flood_of_changes_leaves_the_node_its_routes(direct: bool) -> None:
+    c = Conversation()
+    ways = [1.0, 2.0]
+    nodes = {id(c.agent.node): c.agent.node}
+    for number in range(180 * 20):
+        c.now = number / 180
+        message = common.MAVLink_param_set_message(7, 191, b"RASS_STEP_S", ways[number % 2], mav.REAL32)
+        c.ask(message, direct=direct)
+        nodes[id(c.agent.node)] = c.agent.node
+    # The first one, and one in 5 s: 2.0 after 1.0 after ... .
+    assert 2 <= len(nodes) <= 1 + 20 / REBIRTH_S
+    assert c.ground.dropped >= (180 - MOST_SETS_S) * 19
+    assert c.ground.refused <= MOST_SETS_S * 20
+
+
+def test_what_comes_too_soon_after_a_new_beginning_is_refused_and_works_later() -> None:
+    c = Conversation()
+    assert values(c.set("RASS_STEP_S", 2.0)) == {"RASS_STEP_S": 2.0}
+    heard = c.set("RASS_POLICY", 1.0)
+    assert values(heard) == {"RASS_POLICY": 0.0}
+    assert "try again in 5 s" in " ".join(m.text for m in heard if m.get_type() == "STATUSTEXT")
+    assert values(c.set("RASS_ALPHA", 3.0)) == {"RASS_ALPHA": 3.0}, "weights need no new beginning"
+    c.hear(c.now + REBIRTH_S)
+    assert values(c.set("RASS_POLICY", 1.0))["RASS_POLICY"] == 1.0
+
+
+def test_one_way_that_is_flooded_leaves_the_other_free() -> None:
+    c = Conversation()
+    for _ in range(100):
+        c.ask(common.MAVLink_param_set_message(7, 191, b"RASS_T", -1.0, mav.REAL32))
+    assert values(c.set("RASS_ALPHA", 3.0, direct=True)) == {"RASS_ALPHA": 3.0}
+
+
+def test_a_flood_of_listings_leaves_room_on_the_air() -> None:
+    c = Conversation()
+    said = 0
+    for number in range(60 * 20):
+        c.ask(common.MAVLink_param_request_list_message(7, 191))
+        said += len(c.hear((number + 1) / 20))
+    assert said <= (60 / 10 + 1) * MOST_LISTS_10S * len(PARAMETERS)
+    assert c.ground.dropped >= 60 * 20 - (60 / 10 + 1) * MOST_LISTS_10S
 
 
 def test_what_changes_with_the_policy_is_said_too() -> None:

@@ -75,7 +75,7 @@ def proxy(tmp_path: Path) -> Iterator[MavProxy]:
         7,
         autopilot={"url": f"udpin:127.0.0.1:{vehicle}"},
         links=[{"listen": f"127.0.0.1:{link}", "peers": [{"address": f"127.0.0.1:{ground}"}]}],
-        ground={"values_s": 1.0},
+        ground={"values_s": 1.0, "may_set_by_radio": True},
         policy={"name": "rass"},
         mavlink={"system_id": SYSTEM},
     )

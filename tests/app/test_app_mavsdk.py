@@ -40,7 +40,7 @@ def ground_port(tmp_path: Path) -> Iterator[int]:
         autopilot={"url": f"udpin:127.0.0.1:{vehicle}"},
         # The ground station hears the swarm's frames as well.
         links=[{"listen": f"127.0.0.1:{link}", "peers": [{"address": f"127.0.0.1:{ground}"}]}],
-        ground={"values_s": 1.0},
+        ground={"values_s": 1.0, "may_set_by_radio": True},
         policy={"name": "rass"},
     ).start()
     try:

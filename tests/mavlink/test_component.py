@@ -63,7 +63,7 @@ def test_the_version_says_one_encoding_of_parameters() -> None:
 
 
 def test_a_computer_that_tells_nothing_is_unknown_all_over() -> None:
-    status = heard(mav.ONBOARD_COMPUTER_STATUS, mav.onboard_computer_status(mav.ComputerStatus(0.0), 0))
+    status = heard(mav.ONBOARD_COMPUTER_STATUS, mav.onboard_computer_status(mav.ComputerStatus(0.0)))
     assert (status.ram_usage, status.ram_total) == (2**32 - 1,) * 2
     assert set(status.storage_usage + status.storage_total) == {2**32 - 1}
     assert set(status.cpu_cores) == {255}
@@ -79,14 +79,14 @@ def test_a_computer_that_tells_nothing_is_unknown_all_over() -> None:
     )
 )
 def test_any_state_of_the_computer_fits_its_message(status: mav.ComputerStatus) -> None:
-    message = heard(mav.ONBOARD_COMPUTER_STATUS, mav.onboard_computer_status(status, 1))
+    message = heard(mav.ONBOARD_COMPUTER_STATUS, mav.onboard_computer_status(status))
     assert len(message.cpu_cores) == 8
     assert all(0 <= core <= 100 or core == 255 for core in message.cpu_cores)
 
 
 def test_a_computer_as_it_is() -> None:
     about = mav.ComputerStatus(12.5, (3.4, 99.6), 48.7, 200.2, 430.0, 1000.0, 30000.0)
-    status = heard(mav.ONBOARD_COMPUTER_STATUS, mav.onboard_computer_status(about, 7))
-    assert (status.time_usec, status.uptime, status.cpu_cores[:3]) == (7, 12500, [3, 100, 255])
+    status = heard(mav.ONBOARD_COMPUTER_STATUS, mav.onboard_computer_status(about))
+    assert (status.time_usec, status.uptime, status.cpu_cores[:3]) == (12_500_000, 12500, [3, 100, 255])
     assert (status.temperature_core[0], status.ram_usage, status.ram_total) == (49, 200, 430)
     assert (status.storage_usage[0], status.storage_total[0]) == (1000, 30000)

@@ -194,7 +194,7 @@ class Stores(RuleBasedStateMachine):
         model = self.model
         for store in (self.sqlite, self.memory):
             assert [info.id for info in store.held()] == list(model.data)
-            for id, kind, created, hops, crc, size in store.held():
+            for id, kind, created, hops, crc, size, _ in store.held():
                 datum = model.data[id]
                 assert (id, kind, created, hops, crc, size) == (*datum[:5], len(datum.payload))
             assert set(store.ids()) == set(model.data)

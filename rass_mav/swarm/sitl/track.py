@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from rass_mav.app.clock import date_offset
 from rass_mav.core.datum import Kind
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.neighbours import Position
@@ -47,6 +48,7 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
     errors: list[float] = []
     for path in stores:
         with SqliteReader(path) as store:
+            offset = date_offset(store.meta())
             for info in store.held():
                 datum = store.get(info.id)
                 if datum is None or datum.kind != Kind.MEASUREMENT or info.id in seen:
@@ -58,7 +60,7 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
                 if m.latitude is None or m.longitude is None:
                     continue
                 with_position += 1
-                truth = track.place(info.id.origin, info.created)
+                truth = track.place(info.id.origin, info.created + offset)
                 if truth is not None:
                     errors.append(math.dist(truth, to_arena(m.latitude, m.longitude)))
     return {

@@ -1,0 +1,111 @@
+"""A lane believes its radio, and nobody else who says that the radio's buffer is full."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.duplicates import Duplicates
+from rass_mav.agent.lane import Lane
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.config.loading import convert
+from rass_mav.link.airtime import LEAST_THROTTLE, Budget
+from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import STATUSTEXT
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.store.memory import MemoryStore
+
+from .conversation import SECTIONS
+
+SIK = (51, 68)
+
+
+class Radio:
+    """A lane with a radio, and who else says RADIO_STATUS."""
+
+    now = 0.0
+
+    def __init__(self, mavlink: dict[str, Any] | None = None, *, stream: bool = True) -> None:
+        raw = {"node_id": 7, "base": False, "step_s": 1.0, **{name: {} for name in SECTIONS}, "mavlink": mavlink or {}}
+        self.agent = Agent(convert(raw, AgentSettings, "test"), MemoryStore(1), random.Random(1), now=0.0)
+        self.lane = Lane(
+            self.agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=stream, rng=random.Random(1), now=0.0
+        )
+
+    def says(self, txbuf: int, now: float, sender: tuple[int, int] = SIK) -> None:
+        message = common.MAVLink_radio_status_message(100, 100, txbuf, 10, 10, 0, 0)
+        assert not any(self.lane.take(FrameWriter(*sender).message(message), now, lambda _: None))
+
+    @property
+    def throttle(self) -> float:
+        assert self.lane.pacer is not None
+        self.lane.pacer.next_at(self.now)
+        return self.lane.pacer.throttle
+
+    def texts(self) -> list[str]:
+        """What the ground is told."""
+        reader = FrameReader()
+        heard = []
+        until = self.now + 3.0
+        while self.now < until:
+            frames, self.now = self.agent.tend(self.now)
+            heard += [f.payload[1:] for out in frames for f in reader.feed(out.frame) if f.message_id == STATUSTEXT]
+        return [text.decode(errors="replace") for text in heard]
+
+
+@pytest.mark.parametrize(
+    ("sender", "settings", "believed"),
+    [
+        (SIK, {}, True),
+        ((51, 69), {}, False),
+        ((7, 68), {}, False),
+        ((7, 68), {"radio_system_id": 7}, True),
+        (SIK, {"radio_system_id": 7}, False),
+        ((3, 4), {"radio_system_id": 3, "radio_component_id": 4}, True),
+    ],
+)
+def test_only_the_radio_is_believed(sender: tuple[int, int], settings: dict[str, int], believed: bool) -> None:
+    radio = Radio(settings)
+    radio.says(0, 0.0, sender)
+    assert (radio.throttle == 0.5) is believed
+    assert radio.lane.not_the_radio == (not believed)
+
+
+def test_no_datagram_of_a_neighbour_is_the_radio() -> None:
+    radio = Radio(stream=False)
+    for n in range(5):
+        radio.says(0, float(n))
+    assert radio.throttle == 1.0
+    assert radio.lane.report()["not_the_radio"] == 5
+
+
+def test_a_radio_that_is_really_full_is_believed_for_as_long_as_it_says_so() -> None:
+    radio = Radio()
+    for n in range(300):
+        radio.now = n * 0.5
+        radio.says(10, radio.now)
+    assert radio.throttle == LEAST_THROTTLE
+    assert radio.lane.not_the_radio == 0
+
+
+def test_forged_ones_slow_the_node_down_for_a_moment_only_and_the_ground_is_told() -> None:
+    radio = Radio()
+    slow = 0
+    for n in range(60 * 20):
+        radio.now = n / 20
+        radio.says(0, radio.now)
+        slow += radio.throttle < 1.0
+    assert radio.throttle == 1.0, "while they still come"
+    assert slow / 20 < 25.0
+    assert any("forged" in text for text in radio.texts())
+    radio.now += 11.0
+    before = radio.lane.not_the_radio
+    for _ in range(5):
+        radio.now += 1.0
+        radio.says(10, radio.now)
+    assert radio.lane.not_the_radio == before, "it is quiet again: the radio is believed"
+    assert radio.throttle < 0.1
