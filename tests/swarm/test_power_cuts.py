@@ -215,7 +215,8 @@ def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
             died += lost(world).get("died", 0)
             assert len(world.ledger.arrived) > 20
     assert set_aside > 5
-    assert died > 0
+    # What can still be read is salvaged, and there are spare copies.
+    assert died < 5
 
 
 def test_a_synced_datum_that_is_gone_without_a_flip_is_our_bug() -> None:
