@@ -184,16 +184,17 @@ class Opening(NamedTuple):
         written = known.get(WRITTEN, 0)
         log = read_log(beside(path, LOG_ENDINGS[0]))
         behind = 0 if log.intact else max(len(log.frames) - log.committed, 1) * (log.page_bytes or 4096)
-        repairs.lost = behind // MIN_ROW_BYTES
+        repairs.missing = behind // MIN_ROW_BYTES
         if mark is not None:
             closed[mark.epoch] = max(mark.given, closed.get(mark.epoch, 0))
             if mark.life != life:
-                repairs.lost += mark.rows
+                repairs.missing += mark.rows
             elif WRITTEN not in known:
                 written = mark.written
-            elif written < mark.written:
-                missing = min(mark.rows, mark.written - written)
-                repairs.lost = missing if mark.exact else missing + repairs.lost
+            elif mark.exact:
+                repairs.missing, repairs.held = max(mark.written - written, 0), mark.rows
+            else:
+                repairs.missing += max(mark.written - written, 0)
         taken = (life, *closed, *(() if mark is None else (mark.life,)))
         written = max(written, 0 if mark is None or mark.life != life else mark.written)
         repairs.own = OwnNumbers(life, draw(self.draw_epoch, *taken), 0, written, 0 if own is None else own.lost)

@@ -41,8 +41,10 @@ class Repairs:
     """Epochs that end, each with the numbers known to be given."""
     log: list[Datum] = field(default_factory=list)
     """Data that stood in a part of the log that SQLite did not go by."""
-    lost: int = 0
-    """Data that are missing, at most, before those of the `log` are found."""
+    missing: int = 0
+    """Rows that were written and are not there, at most, before those of the `log` are found."""
+    held: int | None = None
+    """Rows that were held in the end, at most: no more can be lost, for what was passed on is not. None: unknown."""
     reason: str = ""
 
     def __bool__(self) -> bool:
@@ -93,7 +95,8 @@ def _apply(connection: sqlite3.Connection, repairs: Repairs, own: OwnNumbers, no
     salvaged = 0
     for datum in repairs.log:
         salvaged += _add(connection, datum)
-    lost += max(repairs.lost - salvaged, 0)
+    missing = max(repairs.missing - salvaged, 0)
+    lost += missing if repairs.held is None else min(missing, repairs.held)
     own = close_epochs(connection, own, node_id, repairs.closed, lost, losses)
     own = own._replace(written=own.written + salvaged)
     write_own(connection, own)

@@ -390,7 +390,10 @@ class SqliteStore:
         Removals and counters alone wait for something that is told to others (`Changes.urgent`), unless `force` is set
         or `MAX_WAITING_REMOVALS` removals have come together. A batch whose write has failed is handed out
         again, together with the changes since. RuntimeError while the last batch is neither written nor given back.
+        Where nothing can be written there is never anything to write.
         """
+        if self._committer is None:
+            return None
         self._in_flight()
         if self._out is not None:
             if self._out.state is not BatchState.FAILED:
