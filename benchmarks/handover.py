@@ -61,7 +61,7 @@ def _agent_settings(side: str, scrub_items: int | None) -> Any:
 def _open(directory: Path, side: str) -> Any:
     from rass_mav.store import SqliteStore
 
-    return SqliteStore.open(directory / f"{side}.db", draw_epoch=lambda: SIDES[side])
+    return SqliteStore.open(directory / f"{side}.db", node_id=7, draw_epoch=lambda: SIDES[side])
 
 
 def fill(directory: Path, count: int) -> None:

@@ -81,7 +81,7 @@ def main() -> None:
     first = 0.0
     with (
         tempfile.TemporaryDirectory(dir=options.directory) as directory,
-        SqliteStore.open(Path(directory) / "node.db", draw_epoch=lambda: 1) as store,
+        SqliteStore.open(Path(directory) / "node.db", node_id=7, draw_epoch=lambda: 1) as store,
     ):
         for group in (1, 10, 100):
             speed = rate(in_groups(store, group), options.seconds)

@@ -89,6 +89,7 @@ class Runtime:
         async with AsyncExitStack() as stack:
             store = SqliteStore.open(
                 config.store_path,
+                node_id=settings.node_id,
                 draw_epoch=lambda: secrets.randbits(32),
                 quota_bytes=settings.store.quota_bytes,
                 suspect=suspect,
@@ -106,10 +107,10 @@ class Runtime:
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
             agent = Agent(settings, store, rng, now=clock.now(), forgiving=True)
-            if store.report.set_aside is not None:
-                aside = store.report.set_aside
-                log.error("damaged store set aside as %s: %s", aside, store.report.reason)
-                agent.tell_ground(_CRITICAL, f"RASS: damaged store set aside ({aside.name}), began anew")
+            if store.report.reason:
+                log.error("%s: %s", config.store_path, store.report.reason)
+            for remark in store.report.remarks:
+                agent.tell_ground(_CRITICAL, f"RASS: {remark}")
             if vehicle is not None and config.autopilot.messages:
                 agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
             sensor = config.sensor.open(clock.now)

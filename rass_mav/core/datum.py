@@ -55,6 +55,10 @@ class Fate(enum.Enum):
     """All copies were on drones that died for good or were wiped."""
     VANISHED = "vanished"
     """Sent without custody and never received."""
+    UNKNOWN = "unknown"
+    """Of an epoch that ended uncleanly: numbers below the one in this id are known, the others may have been given."""
+    DAMAGED = "damaged"
+    """Of a life (in the place of the epoch): at most so many data (the number) were lost with a damaged store."""
 
 
 class Datum(NamedTuple):

@@ -7,6 +7,10 @@ from typing import NamedTuple, Protocol
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 
+#: How many second contents a store keeps apart in all, and under one id.
+MAX_APART = 1024
+MAX_APART_OF_ONE = 8
+
 
 class StoredInfo(NamedTuple):
     """What the node keeps in memory about a datum whose bytes lie in the store."""
@@ -20,6 +24,12 @@ class StoredInfo(NamedTuple):
     """Bytes of payload."""
     at_least: bool = False
     """As in `Datum`."""
+
+
+def info_of(datum: Datum) -> StoredInfo:
+    """Of a datum whose bytes are at hand."""
+    id, kind, created, hops, crc, payload, at_least = datum
+    return StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
 
 
 class Store(Protocol):
@@ -63,6 +73,15 @@ class Store(Protocol):
 
     def put(self, datum: Datum) -> None:
         """Store a datum, or replace the one with its id. Raises `StoreFullError` over quota; nothing changes then."""
+
+    def keep_apart(self, datum: Datum) -> bool:
+        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no room."""
+
+    def apart(self) -> Iterable[StoredInfo]:
+        """What is kept apart; told from what is stored by its CRC."""
+
+    def get_apart(self, id: DatumId, crc: int) -> Datum | None:
+        """One content that is kept apart, or None."""
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""

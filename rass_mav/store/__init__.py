@@ -5,8 +5,8 @@ that owns it is running.
 """
 
 from .memory import MemoryStore
-from .opening import OpenReport
 from .reader import SqliteReader
+from .report import OpenReport
 from .sqlite import SqliteStore
 
 __all__ = ["MemoryStore", "OpenReport", "SqliteReader", "SqliteStore"]

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 
+from .quota import ROW_OVERHEAD
+
 
 @dataclass(slots=True)
 class Changes:
@@ -19,6 +21,8 @@ class Changes:
 
     puts: dict[DatumId, Datum] = field(default_factory=dict)
     """Data to store, in the order of arrival."""
+    apart: dict[tuple[DatumId, int], Datum] = field(default_factory=dict)
+    """Further contents of an id, by their CRC; one that is kept already stays as it is."""
     removes: dict[DatumId, None] = field(default_factory=dict)
     """Older rows to delete (a set that keeps its order)."""
     losses: dict[DatumId, Fate] = field(default_factory=dict)
@@ -31,6 +35,8 @@ class Changes:
     """New values of the meta numbers that changed."""
     sequence: int | None = None
     """The next sequence number, if one has been claimed."""
+    aged: bool = False
+    """Before all else: every datum on disk is at least as old as it says."""
 
     def __bool__(self) -> bool:
         return self.urgent or bool(self.removes or self.founds or self.counters)
@@ -44,7 +50,17 @@ class Changes:
         spare copy, tells a loss twice, or counts a little less.
         """
         # A number may stand alone: its datum was sent without custody, and removed.
-        return bool(self.puts or self.losses or self.meta) or self.sequence is not None
+        return bool(self.puts or self.apart or self.losses or self.meta or self.aged) or self.sequence is not None
+
+    @property
+    def rows(self) -> int:
+        """Rows that come."""
+        return len(self.puts) + len(self.apart) + len(self.losses)
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of payload and `ROW_OVERHEAD` that wait in memory."""
+        return sum(len(d.payload) + ROW_OVERHEAD for data in (self.puts, self.apart) for d in data.values())
 
     def put(self, datum: Datum, older: bool) -> None:
         """Store a datum. `older`: a datum with its id is stored already, in here or before."""
@@ -73,12 +89,14 @@ class Changes:
         puts = {id: datum for id, datum in self.puts.items() if id not in later.removes}
         return Changes(
             puts={**puts, **later.puts},
+            apart={**self.apart, **later.apart},
             removes={**self.removes, **later.removes},
             losses={**later.losses, **{id: fate for id, fate in self.losses.items() if id not in later.founds}},
             founds={**self.founds, **later.founds},
             counters={**self.counters, **later.counters},
             meta={**self.meta, **later.meta},
             sequence=self.sequence if later.sequence is None else later.sequence,
+            aged=self.aged or later.aged,
         )
 
 

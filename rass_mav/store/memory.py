@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
 from rass_mav.errors import StoreFullError
 
 from .quota import ROW_OVERHEAD, charge
@@ -21,8 +21,7 @@ class MemoryStore:
     """
 
     __slots__ = (
-        "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used", "epoch",
-"life",
+        "_apart", "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used", "epoch", "life",
     )  # fmt: skip
     accepting = True
     """Always."""
@@ -38,6 +37,7 @@ class MemoryStore:
         self._sequence = 0
         # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum goes to the end.
         self._data: dict[DatumId, Datum] = {}
+        self._apart: dict[tuple[DatumId, int], Datum] = {}
         self._struck: set[DatumId] = set()
         """What may not fit its checksum: bytes in memory change by `flip_bit` only."""
         self._losses: dict[DatumId, Fate] = {}
@@ -49,7 +49,8 @@ class MemoryStore:
     @property
     def used_bytes(self) -> int:
         """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
-        return sum(len(datum.payload) + ROW_OVERHEAD for datum in self._data.values())
+        data = (*self._data.values(), *self._apart.values())
+        return sum(len(datum.payload) + ROW_OVERHEAD for datum in data)
 
     @property
     def given(self) -> int:
@@ -80,6 +81,28 @@ class MemoryStore:
             del data[id]
             self._struck.discard(id)
         data[id] = datum
+
+    def keep_apart(self, datum: Datum) -> bool:
+        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no room."""
+        id, size = datum.id, len(datum.payload)
+        stored = self._data.get(id)
+        if (id, datum.crc) in self._apart or (stored is not None and stored.crc == datum.crc):
+            return True
+        of_this_id = sum(other == id for other, _ in self._apart)
+        if len(self._apart) >= MAX_APART or of_this_id >= MAX_APART_OF_ONE or not self.room_for(size):
+            return False
+        if self._quota is not None:
+            self._used += size + ROW_OVERHEAD
+        self._apart[id, datum.crc] = datum
+        return True
+
+    def apart(self) -> Iterable[StoredInfo]:
+        """What is kept apart: a list, safe to keep while the store changes."""
+        return list(map(info_of, self._apart.values()))
+
+    def get_apart(self, id: DatumId, crc: int) -> Datum | None:
+        """One content that is kept apart, or None."""
+        return self._apart.get((id, crc))
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now, or None."""
@@ -144,6 +167,7 @@ class MemoryStore:
     def mark_at_least(self) -> None:
         """Every datum that is stored now is at least as old as it says."""
         self._data = {id: datum._replace(at_least=True) for id, datum in self._data.items()}
+        self._apart = {key: datum._replace(at_least=True) for key, datum in self._apart.items()}
 
     def ids(self) -> Iterable[DatumId]:
         """The ids of what is stored: a list, safe to keep while the store changes."""

@@ -1,211 +1,238 @@
-"""Opening a store file: whose it is, whether it is sound, and what to do if it is not.
+"""Opening a store file: whose it is, whether it is sound, what it may have lost, and what to do then.
 
-A store is four files: `node.db`, the write-ahead log `node.db-wal` and its index `node.db-shm` while it is open, and
-`node.db.lock`, which stays. A file that is no sound store of ours is never deleted or overwritten: it is set aside as
-`node.db.damaged-1`, and the node goes on with a new, empty store.
+A file that is no sound store of ours is never deleted or overwritten: what it still holds is salvaged into a new store,
+and it is set aside as `node.db.damaged-1`.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from rass_mav.errors import StoreDamagedError, StoreError
 
+from .conversion import OLD_VERSION, check_old, convert
+from .drafts import connect, drafted, draw, finish, free_name
 from .errors import Unsound, explained
-from .schema import APPLICATION_ID, SCHEMA_VERSION, TABLES, check_all, create_tables
+from .files import LOG_ENDINGS, MARK, beside, tighten
+from .log import read_log
+from .mark import Mark, read_mark
+from .repairs import Repairs, close_epochs, find_unsound
+from .report import OpenReport
+from .salvage import MIN_ROW_BYTES, salvage, salvage_log
+from .schema import (
+    APPLICATION_ID,
+    EPOCH,
+    LIFE,
+    NEXT_SEQUENCE,
+    SCHEMA_VERSION,
+    TABLES,
+    WRITTEN,
+    OwnNumbers,
+    count_rows,
+    sound_numbers,
+    take_own,
+    write_own,
+)  # fmt: skip
 
 #: Files up to this size (the log included) are checked from end to end at every start: 0.15 s on a desktop, and on a
 #: small board the time to read the file from its card. In larger ones damage shows when it is read, and then the store
 #: is opened as suspect.
 CHECK_LIMIT = 32 << 20
 
-_LOG_ENDINGS = ("-wal", "-shm")
-_MAGIC = b"SQLite format 3\x00"
+_SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
-class OpenReport(NamedTuple):
-    """What opening a store found."""
+class Opening(NamedTuple):
+    """How a store is to be opened."""
 
-    created: bool
-    """A new store was made, with a new epoch."""
-    set_aside: Path | None
-    """Where the damaged file lies that was found in its place."""
-    reason: str
-    """What was wrong with it; empty if nothing was."""
+    path: Path
+    node_id: int
+    draw_epoch: Callable[[], int]
+    vfs: str | None
+    suspect: bool
+    """Check all of it, whatever its size."""
+    check_limit: int
 
+    def prepare(self) -> tuple[OpenReport, Repairs]:
+        """See to it that there is a store, and no damage that can be found beforehand but what is to be repaired.
 
-class Lock:
-    """The right to use a store: one process at a time, given back by the system however the process ends."""
+        The caller holds the lock.
+        """
+        path = self.path
+        with explained(path, "opening the store"):
+            finish(path)
+            tighten(path)
+            if path.exists():
+                if not path.is_file():
+                    raise StoreError(f"{path}: not a file")
+                if not os.access(path, os.W_OK):
+                    # SQLite would open it all the same, and fail at the first commit.
+                    mounted_so = os.statvfs(path).f_flag & os.ST_RDONLY
+                    code = errno.EROFS if mounted_so else errno.EACCES
+                    raise OSError(code, os.strerror(code))
+                damage, repairs = self._examine()
+                if repairs is None and not damage:
+                    aside = free_name(path, "version")
+                    return self._convert(aside), Repairs()
+            else:
+                damage, repairs = self._find_remains(), None
+                if not damage:
+                    epoch = draw(self.draw_epoch)
+                    with drafted(path, draw(self.draw_epoch, epoch), epoch, self.vfs):
+                        pass
+                    return OpenReport(created=True), Repairs()
+        if damage or repairs is None:
+            return self.begin_anew(damage), Repairs()
+        return OpenReport(), repairs
 
-    def __init__(self, path: Path) -> None:
-        """Raises `StoreError` if another process, or another store in this one, has the lock."""
-        lock = _beside(path, ".lock")
-        with explained(lock, "locking the store"):
-            self._file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            with explained(lock, "locking the store"):
-                try:
-                    fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    holder = os.read(self._file, 32).decode("ascii", "replace").strip() or "unknown"
-                    raise StoreError(f"{path}: in use by another node (process {holder})") from None
-                os.ftruncate(self._file, 0)
-                os.pwrite(self._file, b"%d\n" % os.getpid(), 0)
-        except BaseException:
-            self.release()
-            raise
+    def begin_anew(self, damage: str) -> OpenReport:
+        """Make a new store of what a damaged one still holds, and set that aside. The caller has no connection."""
+        path = self.path
+        with explained(path, "setting a damaged store aside"):
+            mark = read_mark(beside(path, MARK))
+            aside = free_name(path, "damaged")
+            epoch = draw(self.draw_epoch)
+            life = draw(self.draw_epoch, epoch)
+            with drafted(path, life, epoch, self.vfs, aside) as connection:
+                found = salvage(path, mark, self.node_id, connection)
+                epochs = found.epochs
+                taken = (epoch, *epochs, *(() if mark is None else (mark.life, mark.epoch)))
+                life = draw(lambda: life, *taken)
+                if epoch in epochs:
+                    epoch = draw(lambda: epoch, life, *taken)
+                own = OwnNumbers(life, epoch, 0, 0, 0)
+                own = close_epochs(connection, own, self.node_id, epochs, found.lost)
+                write_own(connection, own._replace(written=count_rows(connection)))
+        return OpenReport(
+            created=True, set_aside=aside, reason=damage, closed=tuple(epochs.items()), salvaged=found.data,
+            lost=found.lost,
+        )  # fmt: skip
 
-    def release(self) -> None:
-        """Give the lock back. The file stays: deleting it could take it from under somebody who just opened it."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+    def _convert(self, aside: Path) -> OpenReport:
+        with explained(self.path, "converting the store of the last version"):
+            return convert(self.path, aside, self.draw_epoch, self.node_id, self.vfs)
 
-
-def prepare(
-    path: Path, draw_epoch: Callable[[], int], *, suspect: bool, check_limit: int, vfs: str | None
-) -> OpenReport:
-    """See to it that there is a store at `path`, and no damage that can be found beforehand.
-
-    The caller holds the `Lock`. What `suspect`, `check_limit` and `vfs` mean: see `SqliteStore.open`.
-    """
-    with explained(path, "opening the store"):
-        if path.exists():
-            if not path.is_file():
-                raise StoreError(f"{path}: not a file")
-            if not os.access(path, os.W_OK):
-                # SQLite would open it all the same, and fail at the first commit.
-                raise StoreError(f"{path}: no permission to write")
-            damage = _find_damage(path, suspect, check_limit, vfs)
-            if not damage:
-                return OpenReport(False, None, "")
-        elif any(_beside(path, ending).exists() for ending in _LOG_ENDINGS):
+    def _find_remains(self) -> str:
+        """What is left of a store whose database is not there; empty: nothing that matters."""
+        if any(beside(self.path, ending).exists() for ending in LOG_ENDINGS):
             # Must go: SQLite would play it into the new database.
-            damage = "a write-ahead log without its database"
+            return "a write-ahead log without its database"
+        mark = read_mark(beside(self.path, MARK))
+        return "the database is gone" if mark is not None and (mark.given or mark.rows) else ""
+
+    def _examine(self) -> tuple[str, Repairs | None]:
+        """What is wrong with the file; if it is empty, what is to be repaired. Neither: it is of the last version."""
+        path = self.path
+        with path.open("rb") as file:
+            header = file.read(100)
+        # Looked at before SQLite sees it: in another program's database, even opening could change something.
+        if len(header) < 100 or not header.startswith(_SQLITE_MAGIC):
+            return "not a database", None
+        if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
+            return "another program's database", None
+        if header[18:20] != b"\x02\x02":
+            # SQLite would ignore the log then, or refuse to write.
+            return "not in write-ahead mode", None
+        size = sum(file.stat().st_size for file in (path, beside(path, LOG_ENDINGS[0])) if file.exists())
+        thorough = self.suspect or size <= self.check_limit
+        try:
+            with explained(path, "checking the store"):
+                # Read-only: closing an ordinary connection would move the log into a database that may be beyond
+                # repair.
+                connection = connect(path, "ro", vfs=self.vfs)
+                try:
+                    version = version_of(connection, path)
+                    if thorough:
+                        check_structure(connection)
+                    if version == OLD_VERSION:
+                        return check_old(connection), None
+                    tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
+                    if any(tables.get(name) != statement for name, statement in TABLES.items()):
+                        return "its tables are not ours", None
+                    repairs = Repairs()
+                    find_unsound(connection, repairs, rows=thorough)
+                    self._compare(sound_numbers(connection, "meta")[0], repairs)
+                    return "", repairs
+                finally:
+                    connection.close()
+        except StoreDamagedError as error:
+            return str(error.__cause__), None
+
+    def _compare(self, meta: dict[str, int], repairs: Repairs) -> None:
+        """Find out whether the store is what it was when it was last heard of; if not, a new epoch is due."""
+        path = self.path
+        mark = read_mark(beside(path, MARK))
+        known = {name: meta[name] for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN) if meta.get(name, -1) >= 0}
+        own = take_own(meta)
+        if own is None:
+            repairs.reason = "a number of the store's own in table meta is damaged or missing"
         else:
-            _create(path, draw_epoch(), vfs)
-            return OpenReport(True, None, "")
-    return begin_anew(path, draw_epoch, damage, vfs)
+            repairs.reason = _disagreement(path, own, mark)
+        if not repairs.reason:
+            return
+        life = known.get(LIFE, -1 if mark is None else mark.life)
+        if not 0 <= life < 1 << 32:
+            life = draw(self.draw_epoch)
+        closed = {}
+        if 0 <= known.get(EPOCH, -1) < 1 << 32:
+            closed[known[EPOCH]] = min(known.get(NEXT_SEQUENCE, 0), 1 << 32)
+        written = known.get(WRITTEN, 0)
+        log = read_log(beside(path, LOG_ENDINGS[0]))
+        behind = 0 if log.intact else max(len(log.frames) - log.committed, 1) * (log.page_bytes or 4096)
+        repairs.missing = behind // MIN_ROW_BYTES
+        if mark is not None:
+            closed[mark.epoch] = max(mark.given, closed.get(mark.epoch, 0))
+            if mark.life != life:
+                repairs.missing += mark.rows
+            elif WRITTEN not in known:
+                written = mark.written
+            elif mark.exact:
+                repairs.missing, repairs.held = max(mark.written - written, 0), mark.rows
+            else:
+                repairs.missing += max(mark.written - written, 0)
+        taken = (life, *closed, *(() if mark is None else (mark.life,)))
+        written = max(written, 0 if mark is None or mark.life != life else mark.written)
+        repairs.own = OwnNumbers(life, draw(self.draw_epoch, *taken), 0, written, 0 if own is None else own.lost)
+        repairs.closed = closed
+        repairs.log = salvage_log(path)
 
 
-def begin_anew(path: Path, draw_epoch: Callable[[], int], damage: str, vfs: str | None) -> OpenReport:
-    """Set a damaged store aside and make a new one. The caller holds the `Lock`, and no connection."""
-    with explained(path, "setting a damaged store aside"):
-        aside = _set_aside(path)
-        _create(path, draw_epoch(), vfs)
-        return OpenReport(True, aside, damage)
-
-
-def connect(
-    path: Path, mode: Literal["ro", "rw", "rwc"] = "rw", *, vfs: str | None = None, busy_timeout: float = 5.0
-) -> sqlite3.Connection:
-    """A connection to a database, in which transactions are begun by hand.
-
-    It may be used on any thread, by one at a time. `mode`: "ro" does not change the database, not even by moving the
-    log into it when the connection is closed; "rwc" makes one if there is none.
-    """
-    options = f"mode={mode}"
-    if vfs is not None:
-        options += f"&vfs={vfs}"
-    if mode == "ro" and not os.access(path.absolute().parent, os.W_OK) and not _beside(path, "-wal").exists():
-        # A card mounted read-only, or another user's store at rest: SQLite could not make the index of a log there, and
-        # without a log it needs none.
-        options += "&immutable=1"
-    name = f"{path.absolute().as_uri()}?{options}"
-    return sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=busy_timeout)
-
-
-def check_version(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise `StoreError` for a store that a later version of this program made, `Unsound` for no version at all."""
-    version = connection.execute("PRAGMA user_version").fetchall()[0][0]
+def version_of(connection: sqlite3.Connection, path: Path) -> int:
+    """The version of a store. `StoreError`: a later version of this program made it; `Unsound`: none did."""
+    version = int(connection.execute("PRAGMA user_version").fetchall()[0][0])
     if version > SCHEMA_VERSION:
         # Not damage: whoever went back to an older program wants these data, so we refuse to start without them.
         raise StoreError(f"{path}: made by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
-    if version != SCHEMA_VERSION:
+    if version not in (OLD_VERSION, SCHEMA_VERSION):
         raise Unsound(f"schema version {version}")
+    return version
 
 
-def _find_damage(path: Path, suspect: bool, check_limit: int, vfs: str | None) -> str:
-    """What is wrong with the file; empty: nothing was found. Changes nothing."""
-    with path.open("rb") as file:
-        header = file.read(100)
-    # Looked at before SQLite sees it: in another program's database, even opening could change something.
-    if len(header) < 100 or not header.startswith(_MAGIC):
-        return "not a database"
-    if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
-        return "another program's database"
-    if header[18:20] != b"\x02\x02":
-        # SQLite would ignore the log then, or refuse to write.
-        return "not in write-ahead mode"
-    size = sum(file.stat().st_size for file in (path, _beside(path, "-wal")) if file.exists())
-    try:
-        with explained(path, "checking the store"):
-            # Read-only: closing an ordinary connection would move the log into a database that may be beyond repair.
-            connection = connect(path, "ro", vfs=vfs)
-            try:
-                check_version(connection, path)
-                tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
-                if any(tables.get(name) != statement for name, statement in TABLES.items()):
-                    return "its tables are not ours"
-                if suspect or size <= check_limit:
-                    check_all(connection)
-            finally:
-                connection.close()
-    except StoreDamagedError as error:
-        return str(error.__cause__)
+def check_structure(connection: sqlite3.Connection) -> None:
+    """Check the structure of the whole database, and its indexes. Takes time in proportion to its size."""
+    # It ends at the first fault, and a value that breaks a CHECK or NOT NULL is one: those are repaired.
+    for (verdict,) in connection.execute("PRAGMA integrity_check(1000)").fetchall():
+        verdict = str(verdict)
+        if "unable to get the page" in verdict or "failed to get page" in verdict:
+            # It takes a page that the disk does not give for a damaged one.
+            raise OSError(errno.EIO, verdict)
+        if verdict != "ok" and not verdict.startswith(("CHECK constraint failed", "NULL value in")):
+            raise Unsound(verdict)
+
+
+def _disagreement(path: Path, own: OwnNumbers, mark: Mark | None) -> str:
+    """Why numbers may have been given, or data taken, that the database does not know; empty: none have."""
+    if mark is None:
+        return "no high-water mark, or a damaged one"
+    if (mark.life, mark.epoch) != (own.life, own.epoch):
+        return "the high-water mark is another store's"
+    if own.given < mark.given or own.written < mark.written:
+        return "the database is older than its high-water mark"
+    if not mark.exact and not read_log(beside(path, LOG_ENDINGS[0])).intact:
+        return "the write-ahead log is damaged"
     return ""
-
-
-def _set_aside(path: Path) -> Path:
-    """Rename the files of a damaged store, without overwriting those of an earlier one."""
-    number = 1
-    while any(_beside(path, f".damaged-{number}{ending}").exists() for ending in ("", *_LOG_ENDINGS)):
-        number += 1
-    aside = _beside(path, f".damaged-{number}")
-    # The database goes first: after a crash in between, a log alone is found and set aside, whereas a database without
-    # its log might pass for sound with its latest data missing.
-    for ending in ("", *_LOG_ENDINGS):
-        if _beside(path, ending).exists():
-            _beside(path, ending).rename(_beside(aside, ending))
-    _sync_directory(path)
-    return aside
-
-
-def _create(path: Path, epoch: int, vfs: str | None) -> None:
-    """Make an empty store. It appears under its name complete or not at all."""
-    if not 0 <= epoch < 1 << 32:
-        raise ValueError(f"an epoch has 32 bits, got {epoch}")
-    draft = _beside(path, ".new")
-    for ending in ("", "-journal", *_LOG_ENDINGS):
-        _beside(draft, ending).unlink(missing_ok=True)
-    connection = connect(draft, "rwc", vfs=vfs)
-    try:
-        connection.execute("PRAGMA synchronous = FULL")
-        create_tables(connection, epoch)
-        # Last: closing does not tell if moving a log into the database fails. Fetched to the end, where the change is
-        # committed; where the mode is not to be had, the answer is the old one.
-        if connection.execute("PRAGMA journal_mode = WAL").fetchall() != [("wal",)]:
-            raise OSError(errno.ENOTSUP, "no write-ahead mode here")
-    finally:
-        connection.close()
-    draft.rename(path)
-    _sync_directory(path)
-
-
-def _sync_directory(path: Path) -> None:
-    """Make a rename durable."""
-    directory = os.open(path.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
-
-
-def _beside(path: Path, ending: str) -> Path:
-    return path.with_name(path.name + ending)

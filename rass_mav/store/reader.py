@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
+from rass_mav.errors import StoreError
 
 from . import schema
+from .drafts import connect
 from .errors import Unsound, explained
-from .opening import check_version, connect
+from .files import LOG_ENDINGS, beside, checked_path
+from .opening import version_of
 
 
 class SqliteReader:
@@ -23,18 +25,25 @@ class SqliteReader:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one."""
-        self._path = Path(path)
+        self._path = checked_path(path)
         with explained(self._path, "opening the store to read"):
-            self._connection = connect(self._path, "ro")
+            # A card mounted read-only, or another user's store at rest: SQLite could not make the index of a log there,
+            # and without a log it needs none.
+            folder = self._path.absolute().parent
+            at_rest = not os.access(folder, os.W_OK) and not beside(self._path, LOG_ENDINGS[0]).exists()
+            self._connection = connect(self._path, "ro", immutable=at_rest)
             try:
                 self._connection.execute("BEGIN")
                 # The first read fixes the moment that all the others see.
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
-                check_version(self._connection, self._path)
+                if version_of(self._connection, self._path) != schema.SCHEMA_VERSION:
+                    raise StoreError(f"{self._path}: made by the last version, and not converted yet: start the node")
                 self._meta = schema.read_numbers(self._connection, "meta")
-                self.epoch, self.next_sequence = schema.read_own(self._meta)
-                """32 bits, drawn when the store was created; and the sequence number of its next own datum."""
+                own = schema.read_own(self._meta)
+                self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given
+                """32 bits each: the store's life and the epoch of its data; and the sequence number of its next own
+                datum."""
             except BaseException:
                 self._connection.close()
                 raise
@@ -56,6 +65,13 @@ class SqliteReader:
         """A datum as its bytes are (its checksum is not verified here), or None."""
         with explained(self._path, "reading a datum"):
             return schema.read_datum(self._connection, id)
+
+    def apart(self) -> list[Datum]:
+        """Further contents of ids, in the order of arrival."""
+        with explained(self._path, "reading a datum"):
+            infos = list(schema.read_infos(self._connection, "apart"))
+            data = [schema.read_datum(self._connection, info.id, info.crc) for info in infos]
+        return [datum for datum in data if datum is not None]
 
     def losses(self) -> list[tuple[DatumId, Fate]]:
         """The table of losses."""

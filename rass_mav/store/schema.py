@@ -1,16 +1,18 @@
 """The tables of a store on disk, and how their rows are read.
 
 Radiation flips bits on the way to the disk and back. SQLite notices a broken structure, not a changed value. So the
-payloads have their CRC, the numbers in `meta` and `counter` are stored with their bitwise complement (a sequence number
-that fell back would be used twice), and every column of a row is checked for its type when it is read. What does not
-fit raises `Unsound`, which `explained` turns into `StoreDamagedError`.
+payloads have their CRC, and so have losses; the numbers in `meta` and `counter` are stored with their bitwise
+complement (a sequence number that fell back would be used twice), and every column of a row is checked for its type
+when it is read. What does not fit raises `Unsound`, which `explained` turns into `StoreDamagedError`.
 """
 
 from __future__ import annotations
 
-import errno
 import sqlite3
-from collections.abc import Iterator
+import struct
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+from zlib import crc32
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
@@ -20,64 +22,96 @@ from .errors import Unsound
 #: `PRAGMA application_id`: "RASS" in ASCII. Tells our files from other programs' databases.
 APPLICATION_ID = 0x52415353
 #: `PRAGMA user_version`: the version of the tables below.
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 # Names in `meta` that belong to the store itself.
 OWN_PREFIX = "store."
+LIFE = "store.life"
 EPOCH = "store.epoch"
 NEXT_SEQUENCE = "store.next_sequence"
+WRITTEN = "store.written"
+LOST = "store.lost"
 
 _NUMBERS = "CREATE TABLE {} (name TEXT PRIMARY KEY, value INTEGER NOT NULL, inverse INTEGER NOT NULL) WITHOUT ROWID"
 
 _SOUND_ROW = (
     "typeof(origin) = 'integer' AND typeof(epoch) = 'integer' AND typeof(sequence) = 'integer' "
     "AND typeof(kind) = 'integer' AND typeof(created) = 'real' AND typeof(hops) = 'integer' "
-    "AND typeof(crc) = 'integer' AND typeof(payload) = 'blob' AND length(payload) = size"
+    "AND typeof(crc) = 'integer' AND at_least IN (0, 1) AND typeof(payload) = 'blob' AND length(payload) = size"
+)
+_DATA = (
+    "CREATE TABLE {} (arrival INTEGER PRIMARY KEY, origin INTEGER NOT NULL, epoch INTEGER NOT NULL, "
+    "sequence INTEGER NOT NULL, kind INTEGER NOT NULL, created REAL NOT NULL, hops INTEGER NOT NULL, "
+    "crc INTEGER NOT NULL, size INTEGER NOT NULL, at_least INTEGER NOT NULL, payload BLOB NOT NULL, "
+    f"UNIQUE ({{}}), CHECK ({_SOUND_ROW}))"
 )
 
 #: Name -> the statement that makes the table; SQLite keeps the text as it is, so that it can be compared.
-#: In `datum` the payload stands last, so that the rest can be read without the pages that it overflows into.
+#: Of data the payload stands last, so that the rest can be read without the pages that it overflows into.
 TABLES = {
     "meta": _NUMBERS.format("meta"),
     "counter": _NUMBERS.format("counter"),
-    "datum": (
-        "CREATE TABLE datum (arrival INTEGER PRIMARY KEY, origin INTEGER NOT NULL, epoch INTEGER NOT NULL, "
-        "sequence INTEGER NOT NULL, kind INTEGER NOT NULL, created REAL NOT NULL, hops INTEGER NOT NULL, "
-        "crc INTEGER NOT NULL, size INTEGER NOT NULL, payload BLOB NOT NULL, UNIQUE (origin, epoch, sequence), "
-        f"CHECK ({_SOUND_ROW}))"
-    ),
+    "datum": _DATA.format("datum", "origin, epoch, sequence"),
+    "apart": _DATA.format("apart", "origin, epoch, sequence, crc"),
     "loss": (
         "CREATE TABLE loss (origin INTEGER NOT NULL, epoch INTEGER NOT NULL, sequence INTEGER NOT NULL, "
-        "fate TEXT NOT NULL, PRIMARY KEY (origin, epoch, sequence)) WITHOUT ROWID"
+        "fate TEXT NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY (origin, epoch, sequence)) WITHOUT ROWID"
     ),
 }
 
-INSERT_DATUM = (
-    "INSERT OR REPLACE INTO datum (origin, epoch, sequence, kind, created, hops, crc, size, payload) "
-    "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
-)
+_COLUMNS = "origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload"
+INSERT_DATUM = f"INSERT OR REPLACE INTO datum ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+INSERT_APART = f"INSERT OR IGNORE INTO apart ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+#: As long as the row was, so it is written over where it stands.
+MARK_AT_LEAST = tuple(f"UPDATE {table} SET at_least = 1 WHERE at_least = 0" for table in ("datum", "apart"))
 DELETE_DATUM = "DELETE FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
 DELETE_LOSS = "DELETE FROM loss WHERE origin = ? AND epoch = ? AND sequence = ?"
-INSERT_LOSS = "INSERT OR IGNORE INTO loss (origin, epoch, sequence, fate) VALUES (?, ?, ?, ?)"
-_SELECT_DATUM = "SELECT kind, created, hops, crc, payload FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
+INSERT_LOSS = "INSERT OR IGNORE INTO loss (origin, epoch, sequence, fate, crc) VALUES (?, ?, ?, ?, ?)"
+_SELECT_DATUM = (
+    "SELECT kind, created, hops, crc, payload, at_least FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
+)
+_SELECT_APART = (
+    "SELECT kind, created, hops, crc, payload, at_least FROM apart "
+    "WHERE origin = ? AND epoch = ? AND sequence = ? AND crc = ?"
+)
 _SELECT_INFOS = (
-    "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size FROM datum "
+    "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least FROM {} "
     "WHERE arrival > ? ORDER BY arrival LIMIT 512"
 )
-# Of the columns that these two select.
-_DATUM_TYPES = (int, float, int, int, bytes)
-_INFO_TYPES = (int, int, int, int, int, float, int, int, int)
+# Of the columns that these select.
+_DATUM_TYPES = (int, float, int, int, bytes, int)
+_INFO_TYPES = (int, int, int, int, int, float, int, int, int, int)
 
 
-def create_tables(connection: sqlite3.Connection, epoch: int) -> None:
+class OwnNumbers(NamedTuple):
+    """The store's own numbers, all in `meta`."""
+
+    life: int
+    """32 bits."""
+    epoch: int
+    """32 bits, another number than the life."""
+    given: int
+    """Numbers given in this epoch, 0 to 2^32."""
+    written: int
+    """Rows ever written in this life."""
+    lost: int
+    """Data that may have been lost in this life with a damaged store, at most."""
+
+
+def create_tables(connection: sqlite3.Connection, life: int, epoch: int) -> None:
     """Make the tables of a new store, in one transaction."""
     connection.execute("BEGIN IMMEDIATE")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     for statement in TABLES.values():
         connection.execute(statement)
-    write_numbers(connection, "meta", {EPOCH: epoch, NEXT_SEQUENCE: 0})
+    write_own(connection, OwnNumbers(life, epoch, 0, 0, 0))
     connection.execute("COMMIT")
+
+
+def write_own(connection: sqlite3.Connection, own: OwnNumbers) -> None:
+    """Set the store's own numbers."""
+    write_numbers(connection, "meta", dict(zip((LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN, LOST), own, strict=True)))
 
 
 def write_numbers(connection: sqlite3.Connection, table: str, numbers: dict[str, int]) -> None:
@@ -90,80 +124,142 @@ def write_numbers(connection: sqlite3.Connection, table: str, numbers: dict[str,
 
 def read_numbers(connection: sqlite3.Connection, table: str) -> dict[str, int]:
     """All numbers in `meta` or `counter`, the store's own included."""
-    numbers = {}
-    for name, value, inverse in connection.execute(f"SELECT name, value, inverse FROM {table}").fetchall():
-        if type(name) is not str or type(value) is not int or type(inverse) is not int or value != ~inverse:
-            raise Unsound(f"the number {name!r} in table {table} does not fit its complement")
-        numbers[name] = value
+    numbers, unsound = sound_numbers(connection, table)
+    if unsound:
+        raise Unsound(f"the number {unsound[0]!r} in table {table} does not fit its complement, or is no number")
     return numbers
 
 
-def read_own(meta: dict[str, int]) -> tuple[int, int]:
-    """Take the store's own numbers, epoch and next sequence, out of `meta`."""
-    try:
-        epoch, sequence = meta.pop(EPOCH), meta.pop(NEXT_SEQUENCE)
-    except KeyError as error:
-        raise Unsound(f"the number {error} is missing in table meta") from error
-    if not 0 <= epoch < 1 << 32 or not 0 <= sequence <= 1 << 32:
-        raise Unsound(f"epoch {epoch} or next sequence number {sequence} is out of range")
-    return epoch, sequence
+def sound_numbers(connection: sqlite3.Connection, table: str) -> tuple[dict[str, int], list[bytes]]:
+    """The numbers in `meta` or `counter` that fit their complement, and the names of the others as they lie there."""
+    numbers, unsound = {}, []
+    rows = connection.execute(f"SELECT CAST(name AS BLOB), value, inverse FROM {table}").fetchall()
+    for raw, value, inverse in rows:
+        try:
+            if type(value) is not int or type(inverse) is not int or value != ~inverse:
+                raise ValueError
+            numbers[raw.decode()] = value
+        except ValueError:
+            unsound.append(raw)
+    return numbers, unsound
 
 
-def check_all(connection: sqlite3.Connection) -> None:
-    """Check the whole database: its structure, its indexes and every row. Takes time in proportion to its size."""
-    verdict = str(connection.execute("PRAGMA integrity_check(1)").fetchall()[0][0])
-    if "unable to get the page" in verdict or "failed to get page" in verdict:
-        # It takes a page that the disk does not give for a damaged one.
-        raise OSError(errno.EIO, verdict)
-    if verdict != "ok":
-        raise Unsound(verdict)
+def read_own(meta: dict[str, int]) -> OwnNumbers:
+    """Take the store's own numbers out of `meta`."""
+    own = take_own(meta)
+    if own is None:
+        raise Unsound("a number of the store's own in table meta is missing, or out of range")
+    return own
+
+
+def take_own(meta: dict[str, int]) -> OwnNumbers | None:
+    """The store's own numbers, taken out of `meta`; None: they cannot be trusted."""
+    numbers = [meta.pop(name, -1) for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN, LOST)]
+    own = OwnNumbers(*numbers)
+    in_range = own.life < 1 << 32 and own.epoch < 1 << 32 and own.given <= 1 << 32
+    return own if in_range and min(own) >= 0 else None
+
+
+def datum_row(datum: Datum) -> tuple[Any, ...]:
+    """The columns of `INSERT_DATUM` and `INSERT_APART`."""
+    id, kind, created, hops, crc, payload, at_least = datum
+    return (*id, kind, created, hops, crc, len(payload), int(at_least), payload)
+
+
+def loss_row(id: DatumId, fate: Fate) -> tuple[Any, ...]:
+    """The columns of `INSERT_LOSS`."""
+    return (*id, fate.value, loss_crc(id, fate.value))
+
+
+def loss_crc(id: Iterable[int], fate: str) -> int:
+    """What a row of the table of losses must fit."""
+    return crc32(fate.encode(), crc32(struct.pack("<3q", *id)))
+
+
+def unsound_rows(connection: sqlite3.Connection, table: str = "datum") -> list[tuple[Any, ...]]:
+    """Of all rows of data that do not hold what they should: arrival, and the three parts of the id."""
     # On a read-only connection integrity_check does not look at CHECK constraints.
-    rows = connection.execute(f"SELECT arrival FROM datum WHERE ({_SOUND_ROW}) IS NOT 1 LIMIT 1").fetchall()
-    if rows:
-        raise Unsound(f"row {rows[0][0]} of table datum does not hold what it should")
-    read_losses(connection)
+    return connection.execute(
+        f"SELECT arrival, origin, epoch, sequence FROM {table} WHERE ({_SOUND_ROW}) IS NOT 1"
+    ).fetchall()
 
 
-def read_datum(connection: sqlite3.Connection, id: DatumId) -> Datum | None:
-    """One datum by its id."""
+def read_datum(connection: sqlite3.Connection, id: DatumId, apart_crc: int | None = None) -> Datum | None:
+    """One datum by its id; or one that is kept apart, by its CRC too."""
     # fetchall, not fetchone: a statement that is not run to its end keeps a read transaction open.
-    rows = connection.execute(_SELECT_DATUM, id).fetchall()
+    if apart_crc is None:
+        rows = connection.execute(_SELECT_DATUM, id).fetchall()
+    else:
+        rows = connection.execute(_SELECT_APART, (*id, apart_crc)).fetchall()
     if not rows:
         return None
     if tuple(map(type, rows[0])) != _DATUM_TYPES:
         raise Unsound(f"the row of datum {id} holds values of a wrong type")
-    return Datum(id, *rows[0])
+    kind, created, hops, crc, payload, at_least = rows[0]
+    return Datum(id, kind, created, hops, crc, payload, bool(at_least))
 
 
-def read_infos(connection: sqlite3.Connection) -> Iterator[StoredInfo]:
-    """All data without their payloads, in the order of arrival.
+def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator[StoredInfo]:
+    """All data (or all that is kept `apart`) without their payloads, in the order of arrival.
 
     Reads page by page, so that no read transaction stays open between two of them: a row that is written or deleted
     meanwhile may be seen or not.
     """
     after = -1
     while True:
-        rows = connection.execute(_SELECT_INFOS, (after,)).fetchall()
+        rows = connection.execute(_SELECT_INFOS.format(table), (after,)).fetchall()
         for row in rows:
             if tuple(map(type, row)) != _INFO_TYPES:
-                raise Unsound(f"row {row[0]} of table datum holds values of a wrong type")
-            yield StoredInfo(DatumId(*row[1:4]), *row[4:])
+                raise Unsound(f"row {row[0]} of table {table} holds values of a wrong type")
+            _, origin, epoch, sequence, kind, created, hops, crc, size, at_least = row
+            yield StoredInfo(DatumId(origin, epoch, sequence), kind, created, hops, crc, size, bool(at_least))
         if not rows:
             return
         if rows[-1][0] <= after:
-            raise Unsound("the rows of table datum are out of order")
+            raise Unsound(f"the rows of table {table} are out of order")
         after = rows[-1][0]
 
 
 def read_losses(connection: sqlite3.Connection) -> dict[DatumId, Fate]:
     """The table of losses."""
-    losses = {}
-    rows = connection.execute("SELECT origin, epoch, sequence, fate FROM loss").fetchall()
-    for origin, epoch, sequence, fate in rows:
-        if type(origin) is not int or type(epoch) is not int or type(sequence) is not int or fate not in _FATES:
-            raise Unsound(f"table loss: {fate!r} is not a fate, or an id is not a number")
-        losses[DatumId(origin, epoch, sequence)] = _FATES[fate]
+    losses, unsound = sound_losses(connection)
+    if unsound:
+        raise Unsound(f"{len(unsound)} rows of table loss do not fit their checksum")
     return losses
 
 
-_FATES: dict[object, Fate] = {fate.value: fate for fate in Fate}
+def sound_losses(connection: sqlite3.Connection) -> tuple[dict[DatumId, Fate], list[tuple[Any, ...]]]:
+    """The losses that fit their checksum, and the ids of the other rows, whatever stands there."""
+    losses: dict[DatumId, Fate] = {}
+    unsound = []
+    # As a blob, for it may not be UTF-8 any more.
+    rows = connection.execute("SELECT origin, epoch, sequence, CAST(fate AS BLOB), crc FROM loss").fetchall()
+    for origin, epoch, sequence, fate, crc in rows:
+        id = (origin, epoch, sequence)
+        if (found := sound_loss(id, fate, crc)) is None:
+            unsound.append(id)
+        else:
+            losses[DatumId(*id)] = found
+    return losses, unsound
+
+
+def sound_loss(id: tuple[Any, ...], fate: Any, crc: Any) -> Fate | None:
+    """The fate that a row of the table of losses tells, with the text as bytes; None: the row is not sound."""
+    if type(fate) is not bytes or any(type(part) is not int for part in id):
+        return None
+    if any(not -(1 << 63) <= part < 1 << 63 for part in id):
+        return None
+    found = _FATES.get(fate)
+    return found if found is not None and loss_crc(id, found.value) == crc else None
+
+
+def count_rows(connection: sqlite3.Connection) -> int:
+    """Rows held: data, contents kept apart, losses."""
+    return int(
+        connection.execute(
+            "SELECT (SELECT count(*) FROM datum) + (SELECT count(*) FROM apart) + (SELECT count(*) FROM loss)"
+        ).fetchall()[0][0]
+    )
+
+
+_FATES = {fate.value.encode(): fate for fate in Fate}

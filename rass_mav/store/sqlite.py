@@ -14,20 +14,30 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo
-from rass_mav.errors import StoreDamagedError, StoreFullError
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
+from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 from . import schema
 from .changes import Batch, BatchState, Changes
+from .committing import Committer
+from .drafts import connect
 from .errors import Unsound, explained
-from .opening import CHECK_LIMIT, Lock, OpenReport, begin_anew, connect, prepare
+from .files import checked_path
+from .lock import Lock
+from .opening import CHECK_LIMIT, Opening
 from .quota import ROW_OVERHEAD, charge
+from .reading import open_to_read, why_unwritable
+from .repairs import Repairs
+from .repairs import apply as repair
+from .report import OpenReport
 
 #: Removals that wait for company before `take` hands them out alone.
 MAX_WAITING_REMOVALS = 512
 #: Bytes (payload and `ROW_OVERHEAD`) that may wait in memory for the next commit. It is reached when the disk fails or
 #: does not keep up; then `put` refuses. A batch on its way to the disk is not counted, so twice as much may wait.
 MAX_BUFFERED_BYTES = 16 << 20
+#: Losses that a store which cannot be written keeps in memory.
+MAX_UNWRITTEN_LOSSES = 4096
 
 _RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
@@ -52,42 +62,45 @@ class SqliteStore:
         path: Path,
         lock: Lock,
         reader: sqlite3.Connection,
-        writer: sqlite3.Connection,
+        committer: Committer | None,
         report: OpenReport,
         quota_bytes: int | None,
     ) -> None:
-        """Not to be called: see `open`."""
+        """Not to be called: see `open`. `committer`: None: nothing can be written."""
         self._path = path
         self._lock = lock
         self._reader = reader
-        self._writer = writer
+        self._committer = committer
         self._writing = threading.Lock()
         self._closed = False
         self.report = report
-        """What opening the store found: whether it was created, and what was set aside for being damaged."""
+        """What opening the store found, and what became of it."""
         self._quota = quota_bytes
         self._changes = Changes()
         self._buffered = 0
         self._out: Batch | None = None
         self._failing = False
         self._load(_NOTHING)
-        self.life = self.epoch
 
     def _load(self, waiting: Changes) -> None:
         """Take into memory what the disk has and will have: some changes are `waiting` for it."""
         self._meta = schema.read_numbers(self._reader, "meta")
-        self.epoch, self._sequence = schema.read_own(self._meta)
-        """32 bits, drawn when the store was created; and the sequence number of the next own datum."""
+        own = schema.read_own(self._meta)
+        self.life, self.epoch = own.life, own.epoch
+        """32 bits each. The life is drawn when the store is made; the epoch, of the ids that are given, then and
+        whenever numbers may have been lost."""
         self._meta.update(waiting.meta)
-        if waiting.sequence is not None:
-            self._sequence = waiting.sequence
+        self._sequence = own.given if waiting.sequence is None else waiting.sequence
         self._counters = {**schema.read_numbers(self._reader, "counter"), **waiting.counters}
         # Id -> size of all that is stored, buffered changes included, in the order of arrival.
         self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(self._reader)}
         for id in (*waiting.removes, *waiting.puts):
             self._sizes.pop(id, None)
         self._sizes.update({id: len(datum.payload) for id, datum in waiting.puts.items()})
-        self.used_bytes = sum(self._sizes.values()) + ROW_OVERHEAD * len(self._sizes)
+        self._apart = {(info.id, info.crc): info for info in schema.read_infos(self._reader, "apart")}
+        self._apart.update({key: info_of(datum) for key, datum in waiting.apart.items()})
+        self.used_bytes = sum(info.size for info in self._apart.values()) + sum(self._sizes.values())
+        self.used_bytes += ROW_OVERHEAD * (len(self._sizes) + len(self._apart))
         """Bytes of payload plus `ROW_OVERHEAD` for each datum, buffered ones included: what the quota bounds."""
 
     @classmethod
@@ -95,6 +108,7 @@ class SqliteStore:
         cls,
         path: str | os.PathLike[str],
         *,
+        node_id: int,
         draw_epoch: Callable[[], int],
         quota_bytes: int | None = None,
         file_limit: int | None = None,
@@ -105,7 +119,8 @@ class SqliteStore:
     ) -> SqliteStore:
         """Open the store at `path`, or make a new one. Blocking; up to seconds for a large file.
 
-        `draw_epoch`: called for the epoch (32 bits) if a store is made.
+        `node_id`: whose store it is; what may have been lost is noted under it.
+        `draw_epoch`: called for a life or an epoch (32 bits) when a new one is due.
         `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound.
         `file_limit`: bound of the database file in bytes, rounded down to pages; a commit beyond it fails as on a full
         disk. None: no bound.
@@ -114,42 +129,65 @@ class SqliteStore:
         `busy_timeout`: seconds that a commit waits for another program that has locked the database.
         `vfs`: SQLite's name of what it reads and writes files with, letters, digits and _ - only; None: its default.
 
-        A file that is damaged or no store is set aside under a new name; `report` tells. Raises `StoreError` naming
-        the path if the directory is missing or not writable, if another node uses the store, or if a newer
-        version of this program made it.
+        What is damaged is repaired, or set aside under a new name and what it still holds salvaged; where nothing can
+        be written, what is there is read and nothing is taken. `report` tells. Raises `StoreError` naming the path if
+        the directory is missing, if another node uses the store, if a newer version of this program made it, or if one
+        of the last version cannot be converted.
         """
-        path = Path(path)
-        lock = Lock(path)
+        path = checked_path(path)
+        opening = Opening(path, node_id, draw_epoch, vfs, suspect, check_limit)
 
-        def load(report: OpenReport) -> SqliteStore:
-            connections: list[sqlite3.Connection] = []
+        def load(lock: Lock, report: OpenReport, repairs: Repairs) -> SqliteStore:
+            reader: sqlite3.Connection | None = None
+            committer: Committer | None = None
             try:
                 with explained(path, "opening the store"):
-                    for _ in range(2):
-                        connections.append(connect(path, vfs=vfs, busy_timeout=busy_timeout))
-                    reader, writer = connections
+                    committer = Committer(path, vfs=vfs, busy_timeout=busy_timeout, file_limit=file_limit)
+                    writer = committer.connection
+                    if repairs:
+                        own = repairs.own or schema.read_own(schema.sound_numbers(writer, "meta")[0])
+                        report = repair(writer, repairs, own, node_id)
+                    reader = connect(path, vfs=vfs, busy_timeout=busy_timeout)
                     reader.execute("PRAGMA query_only = ON")
-                    writer.execute("PRAGMA synchronous = FULL")
-                    if file_limit is not None:
-                        page = writer.execute("PRAGMA page_size").fetchall()[0][0]
-                        writer.execute(f"PRAGMA max_page_count = {max(file_limit // page, 1)}")
-                    return cls(path, lock, reader, writer, report, quota_bytes)
+                    store = cls(path, lock, reader, committer, report, quota_bytes)
+                    committer.begin(schema.read_own(schema.read_numbers(writer, "meta")))
+                    return store
             except BaseException:
-                for connection in connections:
-                    connection.close()
+                if reader is not None:
+                    reader.close()
+                if committer is not None:
+                    committer.close(clean=False)
                 raise
 
-        try:
-            report = prepare(path, draw_epoch, suspect=suspect, check_limit=check_limit, vfs=vfs)
+        def load_repaired(lock: Lock) -> SqliteStore:
             try:
-                return load(report)
+                return load(lock, *opening.prepare())
+            except StoreDamagedError:
+                # It was not looked at closely enough.
+                report, repairs = opening._replace(suspect=True).prepare()
+            try:
+                return load(lock, report, repairs)
             except StoreDamagedError as error:
-                return load(begin_anew(path, draw_epoch, str(error.__cause__), vfs))
+                return load(lock, opening.begin_anew(str(error.__cause__)), Repairs())
+
+        try:
+            lock = Lock(path)
+            try:
+                return load_repaired(lock)
+            except BaseException:
+                lock.release()
+                raise
+        except StoreError as error:
+            reason = why_unwritable(error, path)
+            if not reason:
+                raise
+        lock = Lock(path, readable_only=True)
+        try:
+            reader = open_to_read(path, draw_epoch, vfs)
+            return cls(path, lock, reader, None, OpenReport(unwritable=reason), quota_bytes)
         except BaseException:
             lock.release()
             raise
-
-    # -- what the store is ---------------------------------------------------------------------------------------------
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
@@ -161,6 +199,8 @@ class SqliteStore:
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
         sequence = self._sequence
+        if self._committer is None:
+            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}), so no number is given")
         if sequence == 1 << 32:
             raise StoreFullError(f"{self._path}: all sequence numbers of this epoch are used up")
         self._sequence = self._changes.sequence = sequence + 1
@@ -168,16 +208,20 @@ class SqliteStore:
 
     @property
     def accepting(self) -> bool:
-        """False from a failed write until one succeeds."""
-        return not self._failing
+        """False from a failed write until one succeeds; and where nothing can be written, for good."""
+        return self._committer is not None and not self._failing
 
     @property
     def unwritten(self) -> bool:
-        """Whether a batch is not known to be durable, or one is due."""
+        """Whether a batch is not known to be durable, or one is due. Where nothing can be written nothing waits."""
+        if self._committer is None:
+            return False
         return self._changes.urgent or self._in_flight() is not _NOTHING
 
     def room_for(self, size: int) -> bool:
         """Whether a new datum of `size` bytes of payload fits the quota, and what may wait for a commit."""
+        if self._committer is None:
+            return False
         cost = size + ROW_OVERHEAD
         within_quota = self._quota is None or self.used_bytes + cost <= self._quota
         return within_quota and self._buffered + cost <= MAX_BUFFERED_BYTES
@@ -185,8 +229,11 @@ class SqliteStore:
     def put(self, datum: Datum) -> None:
         """Store a datum as the latest, or replace the one with its id.
 
-        Raises `StoreFullError` over the quota, or when too much waits for a commit; then nothing changes.
+        Raises `StoreFullError` over the quota, when too much waits for a commit, or when nothing can be written; then
+        nothing changes.
         """
+        if self._committer is None:
+            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable})")
         id, size = datum.id, len(datum.payload)
         old = self._sizes.get(id)
         used = charge(self.used_bytes, 0 if old is None else old + ROW_OVERHEAD, size, self._quota)
@@ -198,6 +245,21 @@ class SqliteStore:
         self._sizes[id] = size
         self.used_bytes = used
         self._buffered += size + ROW_OVERHEAD
+
+    def keep_apart(self, datum: Datum) -> bool:
+        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no room."""
+        id, size = datum.id, len(datum.payload)
+        stored = self.get(id)
+        if (id, datum.crc) in self._apart or (stored is not None and stored.crc == datum.crc):
+            return True
+        of_this_id = sum(other == id for other, _ in self._apart)
+        if len(self._apart) >= MAX_APART or of_this_id >= MAX_APART_OF_ONE or not self.room_for(size):
+            return False
+        self._changes.apart[id, datum.crc] = datum
+        self._apart[id, datum.crc] = info_of(datum)
+        self._buffered += size + ROW_OVERHEAD
+        self.used_bytes += size + ROW_OVERHEAD
+        return True
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
         """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
@@ -220,7 +282,8 @@ class SqliteStore:
 
     def lose(self, id: DatumId, fate: Fate) -> None:
         """Note a loss elsewhere. The first fate that is noted for an id stays."""
-        self._changes.lose(id, fate)
+        if self._committer is not None or len(self._changes.losses) < MAX_UNWRITTEN_LOSSES:
+            self._changes.lose(id, fate)
 
     def found(self, id: DatumId) -> None:
         """Take an entry out of the table of losses; need not be durable soon. Unknown ids are ignored."""
@@ -250,7 +313,17 @@ class SqliteStore:
             self._buffered -= len(waiting.payload) + ROW_OVERHEAD
 
     def mark_at_least(self) -> None:
-        """Every datum that is stored now is at least as old as it says. Durable with the next commit at the latest."""
+        """Every datum that is stored now is at least as old as it says; durable with the next commit.
+
+        To be called before anything is put.
+        """
+        self._changes.aged = True
+        self._apart = {key: info._replace(at_least=True) for key, info in self._apart.items()}
+
+    @property
+    def _aged(self) -> bool:
+        """Whether what is read from the disk does not say yet that it is older. Asked before it is read."""
+        return self._changes.aged or self._in_flight().aged
 
     # -- what is stored ------------------------------------------------------------------------------------------------
 
@@ -261,11 +334,28 @@ class SqliteStore:
         datum = self._changes.puts.get(id) or self._in_flight().puts.get(id)
         if datum is not None:
             return datum
+        aged = self._aged
         with explained(self._path, "reading a datum"):
             datum = schema.read_datum(self._reader, id)
             if datum is None:
                 raise Unsound(f"datum {id} is stored, but not found")
-        return datum
+        return datum._replace(at_least=True) if aged else datum
+
+    def apart(self) -> Iterable[StoredInfo]:
+        """What is kept apart: a list, safe to keep while the store changes."""
+        return list(self._apart.values())
+
+    def get_apart(self, id: DatumId, crc: int) -> Datum | None:
+        """One content that is kept apart, or None."""
+        if (id, crc) not in self._apart:
+            return None
+        datum = self._changes.apart.get((id, crc)) or self._in_flight().apart.get((id, crc))
+        if datum is not None:
+            return datum
+        aged = self._aged
+        with explained(self._path, "reading a datum"):
+            datum = schema.read_datum(self._reader, id, crc)
+        return datum._replace(at_least=True) if aged and datum is not None else datum
 
     def held(self) -> Iterator[StoredInfo]:
         """What is stored, least recently stored first.
@@ -273,13 +363,14 @@ class SqliteStore:
         Streams from the disk, without payloads. What is put or removed while it runs may be told or not.
         """
         in_memory = {**self._in_flight().followed_by(self._changes).puts}
+        aged = self._aged
         with explained(self._path, "listing the data"):
             for info in schema.read_infos(self._reader):
                 if info.id in self._sizes and info.id not in in_memory:
-                    yield info
-        for id, kind, created, hops, crc, payload, _ in in_memory.values():
-            if id in self._sizes:
-                yield StoredInfo(id, kind, created, hops, crc, len(payload))
+                    yield info._replace(at_least=True) if aged else info
+        for datum in in_memory.values():
+            if datum.id in self._sizes:
+                yield info_of(datum)
 
     def ids(self) -> Iterable[DatumId]:
         """The ids of what is stored, from memory: a list, safe to keep while the store changes."""
@@ -320,7 +411,10 @@ class SqliteStore:
         Removals and counters alone wait for something that is told to others (`Changes.urgent`), unless `force` is set
         or `MAX_WAITING_REMOVALS` removals have come together. A batch whose write has failed is handed out
         again, together with the changes since. RuntimeError while the last batch is neither written nor given back.
+        Where nothing can be written there is never anything to write.
         """
+        if self._committer is None:
+            return None
         self._in_flight()
         if self._out is not None:
             if self._out.state is not BatchState.FAILED:
@@ -345,7 +439,7 @@ class SqliteStore:
         if out.state not in (BatchState.TAKEN, BatchState.FAILED):
             raise RuntimeError(f"a batch that is {out.state.value} cannot be given back")
         self._changes = out.changes.followed_by(self._changes)
-        self._buffered = sum(len(datum.payload) + ROW_OVERHEAD for datum in self._changes.puts.values())
+        self._buffered = self._changes.bytes
         self._out = None
 
     def roll_back(self) -> None:
@@ -355,7 +449,8 @@ class SqliteStore:
         """
         # Before the disk is read: what is written meanwhile is the same, and said in absolute values.
         waiting = self._in_flight()
-        self._changes = Changes()
+        # That the data may be older than they say was known before anything changed.
+        self._changes = Changes(aged=self._changes.aged)
         self._buffered = 0
         with explained(self._path, "reading what is stored"):
             self._load(waiting)
@@ -370,10 +465,11 @@ class SqliteStore:
             out = self._checked(batch)
             if out.state not in (BatchState.TAKEN, BatchState.FAILED):
                 raise RuntimeError(f"the batch is {out.state.value} already")
+            assert self._committer is not None
             out.state = BatchState.WRITING
             try:
                 with explained(self._path, "writing"):
-                    self._transact(out.changes)
+                    self._committer.commit(out.changes)
                 out.state = BatchState.WRITTEN
                 self._failing = False
             finally:
@@ -387,36 +483,13 @@ class SqliteStore:
             raise RuntimeError("not the batch that was taken last")
         return out
 
-    def _transact(self, changes: Changes) -> None:
-        own = {} if changes.sequence is None else {schema.NEXT_SEQUENCE: changes.sequence}
-        writer = self._writer
-        writer.execute("BEGIN IMMEDIATE")
-        try:
-            writer.executemany(schema.DELETE_DATUM, changes.removes)
-            writer.executemany(
-                schema.INSERT_DATUM,
-                (
-                    (*id, kind, created, hops, crc, len(payload), payload)
-                    for id, kind, created, hops, crc, payload, _ in changes.puts.values()
-                ),
-            )
-            writer.executemany(schema.DELETE_LOSS, changes.founds)
-            writer.executemany(schema.INSERT_LOSS, [(*id, fate.value) for id, fate in changes.losses.items()])
-            schema.write_numbers(writer, "counter", changes.counters)
-            schema.write_numbers(writer, "meta", {**changes.meta, **own})
-            writer.execute("COMMIT")
-        except BaseException:
-            # On some errors SQLite has rolled back by itself.
-            if writer.in_transaction:
-                writer.execute("ROLLBACK")
-            raise
-
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Write what is buffered and release the files, also if writing fails. Waits for a write in flight."""
         if self._closed:
             return
+        clean = False
         try:
             with self._writing:
                 self._in_flight()
@@ -425,18 +498,23 @@ class SqliteStore:
             batch = self.take(force=True)
             if batch is not None:
                 self.write(batch)
+            clean = True
         finally:
-            self.abandon()
+            self._release_files(clean=clean)
 
     def abandon(self) -> None:
         """Release the files and forget what is buffered, as a crash would. Waits for a write in flight."""
+        self._release_files(clean=False)
+
+    def _release_files(self, *, clean: bool) -> None:
         if self._closed:
             return
         self._closed = True
         with self._writing:
             # The writer last: the last one to go cleans up the write-ahead log, which the reader may not.
             self._reader.close()
-            self._writer.close()
+            if self._committer is not None:
+                self._committer.close(clean=clean)
         self._lock.release()
 
     def __enter__(self) -> SqliteStore:

@@ -48,7 +48,7 @@ class Node:
 
     def __init__(self, path: Path, **sections: Any) -> None:
         self.path = path
-        self.store = BuggyStore.open(path, draw_epoch=lambda: 7)
+        self.store = BuggyStore.open(path, node_id=7, draw_epoch=lambda: 7)
         self.agent = Agent(make(1, **sections).settings, self.store, random.Random(1), now=0.0, forgiving=True)
         self.gate = CommitGate(self.store)
         self.agent.guard.use(self.gate.roll_back)
@@ -121,7 +121,7 @@ def tunnels(*messages: Message) -> bytes:
 
 
 def test_without_forgiveness_a_fault_is_raised(tmp_path: Path) -> None:
-    with BuggyStore.open(tmp_path / "node.db", draw_epoch=lambda: 7) as store:
+    with BuggyStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 7) as store:
         agent = Agent(make(1).settings, store, random.Random(1), now=0.0)
         with pytest.raises(ValueError, match="not a payload I like"):
             heard(agent, handover(5, POISON), 0.0)
@@ -173,7 +173,7 @@ def test_what_is_on_its_way_to_the_disk_stays_whether_it_gets_there_at_once_or_n
         assert number + 10 not in node.committed()
         assert own in node.store.ids()
     node.store.close()
-    with SqliteStore.open(node.path, draw_epoch=lambda: 8) as again:
+    with SqliteStore.open(node.path, node_id=7, draw_epoch=lambda: 8) as again:
         assert len(list(again.ids())) == 4
 
 
@@ -294,7 +294,7 @@ def test_a_fault_in_a_step_is_raised(node: Node) -> None:
 
 
 def forgiving_conversation(path: Path) -> Conversation:
-    c = Conversation(store=BuggyStore.open(path, draw_epoch=lambda: 7))
+    c = Conversation(store=BuggyStore.open(path, node_id=7, draw_epoch=lambda: 7))
     c.agent.guard = Guard(c.agent)
     c.agent.guard.use(c.gate.roll_back)
     return c
@@ -319,7 +319,7 @@ def test_a_frame_of_the_ground_that_breaks_what_it_sets_sets_nothing(tmp_path: P
                 raise KeyError(key)
             super().set_meta(key, value)
 
-    with StoreWithoutParameters.open(tmp_path / "node.db", draw_epoch=lambda: 7) as store:
+    with StoreWithoutParameters.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 7) as store:
         c = Conversation(store=store)
         c.agent.guard = Guard(c.agent)
         before = c.agent.settings
@@ -391,7 +391,7 @@ def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
     node.write()
     assert node.committed() <= {handover.sequence for handover in held if handover.origin == 2} | lost | {1}
     node.store.abandon()
-    with SqliteStore.open(node.path, draw_epoch=lambda: 8) as again:
+    with SqliteStore.open(node.path, node_id=7, draw_epoch=lambda: 8) as again:
         assert found == (
             [again.get(info.id) for info in again.held()], dict(again.losses()), again.given,
             again.used_bytes, None, {**again.counters(), "faults": 0},

@@ -41,7 +41,7 @@ def a_datum(sequence: int, size: int = 20) -> Datum:
 
 
 def open_store(path: Path, epoch: int = 77) -> SqliteStore:
-    return SqliteStore.open(path, draw_epoch=lambda: epoch)
+    return SqliteStore.open(path, node_id=7, draw_epoch=lambda: epoch)
 
 
 def test_two_agents_over_the_loopback_bring_data_to_the_base() -> None:
@@ -343,7 +343,7 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
 def test_a_full_database_file_is_told_as_a_full_disk(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
         link = LoopbackHub().endpoint("node")
-        store = SqliteStore.open(tmp_path / "node.db", draw_epoch=lambda: 5, file_limit=64 << 10)
+        store = SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 5, file_limit=64 << 10)
         with pytest.raises(StoreError, match="the last data could not be written"):  # noqa: PT012
             async with running(link, store, settings(3, capacity_items=None)) as driver:
                 with pytest.raises(StoreError, match="full"):  # noqa: PT012

@@ -49,7 +49,7 @@ def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dro
         a, b = hub.endpoint("neighbour"), hub.endpoint("node")
         hub.connect(a, b)
         disk = HeldExecutor()
-        store = BuggyStore.open(tmp_path / "node.db", draw_epoch=lambda: 77)
+        store = BuggyStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 77)
         neighbour = NeighbourEnd(a, 9)
 
         async def written() -> None:
@@ -88,7 +88,7 @@ def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dro
             await written()
             assert (await asyncio.wait_for(again, TIMEOUT_S)).sequence == own.sequence + 1
         store.abandon()
-        with SqliteStore.open(tmp_path / "node.db", draw_epoch=lambda: 78) as found:
+        with SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 78) as found:
             assert {id.sequence for id in found.ids() if id.origin == 9} == {0, 1}
 
     run(scenario)
@@ -188,5 +188,5 @@ def test_a_process_whose_policy_has_a_fault_goes_on(tmp_path: Path) -> None:
     finally:
         node.end()
         base.socket.close()
-    with SqliteStore.open(tmp_path / "n3.db", draw_epoch=lambda: 78) as found:
+    with SqliteStore.open(tmp_path / "n3.db", node_id=7, draw_epoch=lambda: 78) as found:
         assert {id.sequence for id in found.ids()} == {12, 14}

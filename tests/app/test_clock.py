@@ -240,7 +240,7 @@ def test_notes_are_few() -> None:
 
 def test_a_store_at_rest_tells_dates(tmp_path: Path) -> None:
     computer = Computer()
-    with SqliteStore.open(tmp_path / "n.db", draw_epoch=lambda: 5) as store:
+    with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
         clock = LivedClock(store, computer.sources())
         computer.true += 50.0
         store.put(make_datum(DatumId(7, 5, store.next_sequence()), 0, clock.now(), b"x"))
@@ -263,7 +263,10 @@ def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -
 
     async def life(steps: int, put: int) -> tuple[int, list[float]]:
         """Steps of a node, with data put. Returns how many commits there were, and the ages of what it had at first."""
-        with SqliteStore.open(tmp_path / "n.db", draw_epoch=lambda: 5) as store, ThreadPoolExecutor(1) as executor:
+        with (
+            SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store,
+            ThreadPoolExecutor(1) as executor,
+        ):
             clock = LivedClock(store, computer.sources())
             ages = [clock.now() - info.created for info in store.held()]
             agent = Agent(about(7), store, random.Random(1), now=clock.now())
@@ -298,3 +301,33 @@ def test_a_line_of_ls_says_that_a_datum_may_be_older() -> None:
     datum = make_datum(DatumId(7, 5, 0), 0, 20.0, b"x")
     assert datum_line({**entry, **age(datum, 30.0, 0.0)}).endswith(" 10.0 s")
     assert datum_line({**entry, **age(datum._replace(at_least=True), 30.0, 0.0)}).endswith(" >10.0 s")
+
+
+def test_a_store_on_a_disk_keeps_that_its_data_may_be_older(tmp_path: Path) -> None:
+    def opened() -> SqliteStore:
+        return SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5)
+
+    ids = [DatumId(9, 5, sequence) for sequence in range(3)]
+    first, second = make_datum(ids[0], 0, 1.0, b"x"), make_datum(ids[0], 0, 1.0, b"y")
+    with opened() as store:
+        store.put(first)
+        store.put(make_datum(ids[1], 0, 1.0, b"x"))
+        store.keep_apart(second)
+    for commit in (False, True, None):
+        with opened() as store:
+            if commit is not None:
+                store.mark_at_least()
+            store.put(make_datum(ids[2], 0, 2.0, b"x"))
+            for _ in range(2):
+                assert {info.id: info.at_least for info in store.held()} == {ids[0]: True, ids[1]: True, ids[2]: False}
+                assert [d.at_least for id in ids if (d := store.get(id)) is not None] == [True, True, False]
+                assert [info.at_least for info in store.apart()] == [True]
+                kept = store.get_apart(ids[0], second.crc)
+                assert kept is not None
+                assert kept.at_least
+                if commit is not False:
+                    batch = store.take()
+                    if batch is not None:
+                        store.write(batch)
+            if commit is False:
+                store.abandon()

@@ -208,7 +208,7 @@ def test_one_that_does_not_take_its_answer_is_cut_and_nothing_of_it_stays(monkey
 def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
     async def scenario() -> None:
         disk = HeldExecutor()
-        store = SqliteStore.open(Path("n.db"), draw_epoch=lambda: 7)
+        store = SqliteStore.open(Path("n.db"), node_id=7, draw_epoch=lambda: 7)
         async with listening(store, disk) as server:
             # A base stores its announcement number first of all; the data of all clients come in the write after it.
             await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)

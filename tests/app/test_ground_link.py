@@ -112,7 +112,7 @@ async def node(
 def test_a_value_set_over_udp_is_there_after_a_restart(tmp_path: Path) -> None:
     async def scenario() -> None:
         for expected in (1.0, 2.5):
-            with SqliteStore.open(tmp_path / "n.db", draw_epoch=lambda: 5) as store:
+            with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
                 async with node(store) as (driver, station):
                     station.ask(common.MAVLink_param_request_read_message(7, 191, b"RASS_ALPHA", -1))
                     assert await station.value("RASS_ALPHA") == expected
@@ -126,7 +126,7 @@ def test_a_value_set_over_udp_is_there_after_a_restart(tmp_path: Path) -> None:
 def test_the_answer_waits_for_the_disk_and_nothing_else_does(tmp_path: Path) -> None:
     async def scenario() -> None:
         disk = HeldExecutor()
-        with SqliteStore.open(tmp_path / "n.db", draw_epoch=lambda: 5) as store:
+        with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
             async with node(store, executor=disk) as (_, station):
                 station.ask(setting("RASS_ALPHA", 2.5))
                 await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo
+from rass_mav.core.store import StoredInfo, info_of
 from rass_mav.errors import StoreFullError
 
 
@@ -16,13 +15,16 @@ class State:
     """All that a store knows."""
 
     data: dict[DatumId, Datum] = field(default_factory=dict)
+    apart: dict[tuple[DatumId, int], Datum] = field(default_factory=dict)
     losses: dict[DatumId, Fate] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)
     meta: dict[str, int] = field(default_factory=dict)
     sequence: int = 0
 
     def snapshot(self) -> State:
-        return State(dict(self.data), dict(self.losses), dict(self.counters), dict(self.meta), copy.copy(self.sequence))
+        return State(
+            dict(self.data), dict(self.apart), dict(self.losses), dict(self.counters), dict(self.meta), self.sequence
+        )  # fmt: skip
 
 
 class DurableStore:
@@ -91,6 +93,17 @@ class DurableStore:
     def get(self, id: DatumId) -> Datum | None:
         return self._live.data.get(id)
 
+    def keep_apart(self, datum: Datum) -> bool:
+        self._live.apart[datum.id, datum.crc] = datum
+        self._urgent = True
+        return True
+
+    def apart(self) -> Iterable[StoredInfo]:
+        return list(map(info_of, self._live.apart.values()))
+
+    def get_apart(self, id: DatumId, crc: int) -> Datum | None:
+        return self._live.apart.get((id, crc))
+
     def flip_bit(self, id: DatumId) -> None:
         """Radiation: the first bit of a stored payload changes, on the disk and in what is read from it."""
         d = self._live.data[id]
@@ -126,7 +139,7 @@ class DurableStore:
 
     def held(self) -> Iterator[StoredInfo]:
         for d in list(self._live.data.values()):
-            yield StoredInfo(d.id, d.kind, d.created, d.hops, d.crc, len(d.payload))
+            yield info_of(d)
 
     def ids(self) -> Iterable[DatumId]:
         return list(self._live.data)

@@ -207,7 +207,7 @@ def test_a_store(tmp_path: Path) -> None:
     fresh = sound(storage.store(path))
     assert (fresh.level, "not made yet" in fresh.text) == ("pass", True)
     assert sound(storage.store(tmp_path / "nowhere/n.db")).level == "fail"
-    store = SqliteStore.open(path, draw_epoch=lambda: 1)
+    store = SqliteStore.open(path, node_id=7, draw_epoch=lambda: 1)
     # A node may be using it.
     assert "0 data" in sound(storage.store(path)).text
     store.close()

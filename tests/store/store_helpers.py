@@ -33,6 +33,7 @@ def payload(sequence: int, size: int) -> bytes:
 def open_store(path: Path, **options: object) -> SqliteStore:
     """Open a store on disk that draws its epochs from `epochs`."""
     options.setdefault("draw_epoch", epochs())
+    options.setdefault("node_id", 7)
     return SqliteStore.open(path, **options)  # type: ignore[arg-type]
 
 

@@ -37,8 +37,10 @@ def on_disk(path: Path) -> list[int]:
 
 
 def test_the_database_syncs_at_every_commit(store: SqliteStore) -> None:
-    assert store._writer.execute("PRAGMA journal_mode").fetchall() == [("wal",)]
-    assert store._writer.execute("PRAGMA synchronous").fetchall() == [(2,)]
+    assert store._committer is not None
+    writer = store._committer.connection
+    assert writer.execute("PRAGMA journal_mode").fetchall() == [("wal",)]
+    assert writer.execute("PRAGMA synchronous").fetchall() == [(2,)]
 
 
 def test_a_batch_is_written_on_another_thread_while_changes_go_on(store: SqliteStore, path: Path) -> None:
@@ -165,12 +167,12 @@ def test_a_number_whose_datum_was_sent_without_custody_is_not_claimed_again(path
         assert store.next_sequence() == 1
 
 
-def test_the_epoch_is_drawn_once(path: Path) -> None:
+def test_life_and_epoch_are_drawn_once(path: Path) -> None:
     draw = epochs(5)
     for _ in range(3):
         with open_store(path, draw_epoch=draw) as store:
-            assert store.epoch == 5
-    assert draw() == 6
+            assert (store.epoch, store.life) == (5, 6)
+    assert draw() == 7
 
 
 def test_close_writes_what_is_buffered(path: Path) -> None:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rass_mav.store import SqliteReader
+from rass_mav.store import OpenReport, SqliteReader
 
 from .store_helpers import ROOT, open_store, payload
 
@@ -82,5 +82,5 @@ def test_everything_said_to_be_committed_survives_kill_9(tmp_path: Path) -> None
             assert datum.intact
             assert datum.payload == payload(datum.id.sequence, len(datum.payload))
         with open_store(path) as store:
-            assert store.report == (False, None, "")
+            assert store.report == OpenReport()
             assert {id.sequence for id in store.ids()} == held

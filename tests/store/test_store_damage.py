@@ -13,9 +13,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import DatumId, Fate
 from rass_mav.errors import StoreDamagedError, StoreError
-from rass_mav.store import SqliteReader
+from rass_mav.store import OpenReport, SqliteReader
 
 from .store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
@@ -44,6 +44,11 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "node.db"
 
 
+def life_of(path: Path) -> int:
+    with SqliteReader(path) as reader:
+        return reader.life
+
+
 def change(path: Path, statement: str) -> None:
     """Change a store behind its back."""
     with closing(sqlite3.connect(path)) as connection:
@@ -52,17 +57,28 @@ def change(path: Path, statement: str) -> None:
         connection.commit()
 
 
-def assert_set_aside(path: Path, reason: str, **options: object) -> Path:
-    """Opening sets the file aside and goes on with a new store. Returns where it lies."""
+def assert_set_aside(path: Path, reason: str, *, kept: int = COUNT, **options: object) -> Path:
+    """Opening sets the file aside and goes on with a new store, of what can be salvaged. Returns where it lies."""
     with open_store(path, draw_epoch=epochs(NEW_EPOCH), **options) as store:
         report = store.report
         assert report.created
         assert report.set_aside is not None
         assert reason in report.reason
-        assert (store.report.created, store.epoch, list(store.ids())) == (True, NEW_EPOCH, [])
-        store.put(datum(store.next_sequence()))
+        assert store.epoch != store.life
+        assert EPOCH not in (store.epoch, store.life)
+        assert len(list(store.ids())) == report.salvaged == kept
+        for id in store.ids():
+            assert store.get(id) == datum(id.sequence, sizes(id.sequence))
+        missing = COUNT - kept
+        if report.closed:
+            assert dict(store.losses())[DatumId(7, EPOCH, COUNT)] is Fate.UNKNOWN
+            assert report.lost >= missing
+        if report.lost:
+            assert dict(store.losses())[DatumId(7, store.life, report.lost)] is Fate.DAMAGED
+        new = store.epoch
+        store.put(datum(store.next_sequence(), epoch=new))
     with open_store(path) as store:
-        assert (store.report.created, store.epoch, len(list(store.ids()))) == (False, NEW_EPOCH, 1)
+        assert (store.report, store.epoch, len(list(store.ids()))) == (OpenReport(), new, kept + 1)
     return report.set_aside
 
 
@@ -70,7 +86,7 @@ def assert_set_aside(path: Path, reason: str, **options: object) -> Path:
 def test_a_file_that_is_no_database_is_set_aside(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "node.db"
     path.write_bytes(content)
-    aside = assert_set_aside(path, "not a database")
+    aside = assert_set_aside(path, "not a database", kept=0)
     assert aside == tmp_path / "node.db.damaged-1"
     assert aside.read_bytes() == content
 
@@ -80,14 +96,14 @@ def test_another_programs_database_is_set_aside_untouched(tmp_path: Path) -> Non
     with closing(sqlite3.connect(path)) as other:
         other.execute("CREATE TABLE bookmark (url TEXT)")
     before = path.read_bytes()
-    assert assert_set_aside(path, "another program's database").read_bytes() == before
+    assert assert_set_aside(path, "another program's database", kept=0).read_bytes() == before
 
 
-def test_what_was_set_aside_is_never_overwritten(tmp_path: Path) -> None:
-    path = tmp_path / "node.db"
+def test_what_was_set_aside_is_never_overwritten(path: Path, tmp_path: Path) -> None:
     for number in (1, 2, 3):
         path.write_bytes(b"%d" % number)
-        assert_set_aside(path, "not a database")
+        with open_store(path) as store:
+            assert store.report.set_aside == tmp_path / f"node.db.damaged-{number}"
     for number in (1, 2, 3):
         assert (tmp_path / f"node.db.damaged-{number}").read_bytes() == b"%d" % number
 
@@ -99,36 +115,88 @@ def test_the_log_of_a_lost_database_is_not_played_into_the_new_one(path: Path, t
         log = (tmp_path / "node.db-wal").read_bytes()
     path.unlink()
     (tmp_path / "node.db-wal").write_bytes(log)
-    aside = assert_set_aside(path, "without its database")
-    assert aside.with_name(aside.name + "-wal").read_bytes() == log
+    with open_store(path) as store:
+        report = store.report
+        assert "without its database" in report.reason
+        # What the log has can be salvaged, and the mark knows how much is missing.
+        assert store.get(datum(500).id) == datum(500)
+        assert report.lost >= COUNT + 1 - report.salvaged
+    assert report.set_aside is not None
+    assert report.set_aside.with_name(report.set_aside.name + "-wal").read_bytes() == log
+
+
+def test_a_database_that_is_gone_is_missed(path: Path) -> None:
+    path.unlink()
+    with open_store(path) as store:
+        assert store.report.created
+        # The loss that was noted is lost too.
+        assert store.report.lost == COUNT + 1
+        assert dict(store.losses()) == {
+            DatumId(7, EPOCH, COUNT): Fate.UNKNOWN,
+            DatumId(7, store.life, COUNT + 1): Fate.DAMAGED,
+        }
 
 
 @pytest.mark.parametrize("part", [0.3, 0.6, 0.99])
 def test_a_truncated_database(path: Path, part: float) -> None:
     length = int(path.stat().st_size * part)
     os.truncate(path, length)
-    assert assert_set_aside(path, "").stat().st_size == length
+    with open_store(path) as store:
+        report = store.report
+        assert report.set_aside is not None
+        assert len(list(store.ids())) + len(dict(store.losses())) - 2 + report.lost >= COUNT + 1
+        assert dict(store.losses())[DatumId(7, EPOCH, COUNT)] is Fate.UNKNOWN
+    assert report.set_aside.stat().st_size == length
 
 
 @pytest.mark.parametrize("check_limit", [0, 1 << 30])
 @pytest.mark.parametrize(
-    ("statement", "reason"),
+    "statement",
     [
-        ("UPDATE meta SET value = value - 1 WHERE name = 'store.next_sequence'", "complement"),
-        ("UPDATE meta SET inverse = 7 WHERE name = 'store.epoch'", "complement"),
-        ("DELETE FROM meta WHERE name = 'store.epoch'", "missing"),
-        ("UPDATE counter SET value = 6", "complement"),
-        ("UPDATE meta SET value = 1 << 32, inverse = ~(1 << 32) WHERE name = 'store.epoch'", "out of range"),
-        ("UPDATE meta SET name = CAST(x'ff41' AS TEXT) WHERE name = 'store.epoch'", "UTF-8"),
+        "UPDATE meta SET value = value - 1 WHERE name = 'store.next_sequence'",
+        "UPDATE meta SET inverse = 7 WHERE name = 'store.epoch'",
+        "DELETE FROM meta WHERE name = 'store.epoch'",
+        "UPDATE meta SET value = 1 << 32, inverse = ~(1 << 32) WHERE name = 'store.epoch'",
+        "UPDATE meta SET name = CAST(x'ff41' AS TEXT) WHERE name = 'store.epoch'",
+        "UPDATE meta SET value = 9 WHERE name = 'store.life'",
+        "UPDATE meta SET value = 'x' WHERE name = 'store.written'",
     ],
 )
-def test_changed_numbers_are_found_in_files_of_any_size(
-    path: Path, statement: str, reason: str, check_limit: int
-) -> None:
+def test_a_damaged_number_of_the_stores_own_means_a_new_epoch(path: Path, statement: str, check_limit: int) -> None:
+    life = life_of(path)
     change(path, statement)
-    assert_set_aside(path, reason, check_limit=check_limit)
+    with open_store(path, check_limit=check_limit, draw_epoch=epochs(NEW_EPOCH)) as store:
+        assert not store.report.created
+        assert "store's own" in store.report.reason
+        assert (store.life, store.epoch, store.given) == (life, NEW_EPOCH, 0)
+        assert len(list(store.ids())) == COUNT
+        assert dict(store.losses()) == {datum(900).id: Fate.OVERFLOW, DatumId(7, EPOCH, COUNT): Fate.UNKNOWN}
+        assert store.report.lost == 0
+    with open_store(path) as store:
+        assert (store.report, store.epoch) == (OpenReport(), NEW_EPOCH)
 
 
+@pytest.mark.parametrize("check_limit", [0, 1 << 30])
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE counter SET value = 6 WHERE name = 'delivered'",
+        "UPDATE counter SET name = CAST(x'ff41' AS TEXT), inverse = 0",
+        "UPDATE counter SET value = x'00'",
+    ],
+)
+def test_any_other_damaged_number_is_left_out_and_said(path: Path, statement: str, check_limit: int) -> None:
+    change(path, statement)
+    with open_store(path, check_limit=check_limit) as store:
+        assert not store.report.created
+        assert len(store.report.dropped) == 1
+        assert "number" in store.report.remarks[0]
+        assert (store.counters(), store.epoch, store.given) == ({}, EPOCH, COUNT)
+    with open_store(path) as store:
+        assert store.report == OpenReport()
+
+
+@pytest.mark.parametrize("check_limit", [0, 1 << 30])
 @pytest.mark.parametrize(
     ("assignment", "found_at_opening"),
     [
@@ -136,22 +204,29 @@ def test_changed_numbers_are_found_in_files_of_any_size(
         ("created = x'00'", True),
         ("crc = 1.5", True),
         ("size = 'large'", True),
+        ("at_least = 'maybe'", True),
+        ("at_least = 7", False),
         ("payload = 'text'", False),
     ],
 )
-def test_values_of_a_wrong_type_are_found(path: Path, assignment: str, found_at_opening: bool) -> None:
+def test_one_damaged_row_is_one_row(path: Path, assignment: str, found_at_opening: bool, check_limit: int) -> None:
     change(path, f"UPDATE datum SET {assignment} WHERE sequence = 3")
-    shutil.copy(path, path.with_name("large.db"))
-    assert_set_aside(path, "row 4")
     # In a file too large to be checked, it is found by what reads it.
-    if found_at_opening:
-        assert_set_aside(path.with_name("large.db"), "wrong type", check_limit=0)
-    else:
-        with (
-            open_store(path.with_name("large.db"), check_limit=0) as store,
-            pytest.raises(StoreDamagedError, match="wrong type"),
-        ):
-            store.get(datum(3).id)
+    if check_limit or found_at_opening:
+        with open_store(path, check_limit=check_limit) as store:
+            assert not store.report.created
+            assert store.report.dropped == ("row 4 of table datum",)
+            assert (store.epoch, store.given) == (EPOCH, COUNT)
+            assert {id.sequence for id in store.ids()} == {*range(COUNT)} - {3}
+            assert dict(store.losses())[datum(3).id] is Fate.CORRUPTED
+
+
+def test_a_row_that_is_found_damaged_when_it_is_read(path: Path) -> None:
+    change(path, "UPDATE datum SET payload = 'text' WHERE sequence = 3")
+    with open_store(path, check_limit=0) as store, pytest.raises(StoreDamagedError, match="wrong type"):
+        store.get(datum(3).id)
+    with open_store(path, check_limit=0, suspect=True) as store:
+        assert store.report.dropped == ("row 4 of table datum",)
 
 
 def test_an_id_that_changed_is_found_by_the_index(path: Path) -> None:
@@ -163,12 +238,13 @@ def test_an_id_that_changed_is_found_by_the_index(path: Path) -> None:
     at = content.rindex(id, row - 40, row) + len(id) - 1
     content[at] ^= 64
     path.write_bytes(content)
-    assert assert_set_aside(path, "index").read_bytes() == content
+    assert assert_set_aside(path, "index", kept=COUNT - 1).read_bytes() == content
 
 
 def test_a_database_without_our_tables(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("DROP TABLE loss")
+        connection.commit()
     assert_set_aside(path, "tables are not ours")
 
 
@@ -188,7 +264,7 @@ def test_an_index_of_somebody_elses_does_no_harm(path: Path) -> None:
 
 def test_a_newer_versions_store_is_neither_used_nor_set_aside(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
-        connection.execute("PRAGMA user_version = 2")
+        connection.execute("PRAGMA user_version = 3")
     with pytest.raises(StoreError, match="newer version"):
         open_store(path)
     with pytest.raises(StoreError, match="newer version"):
@@ -202,8 +278,7 @@ def break_overflow_chain(path: Path, number: int) -> None:
     # The second page that the payload overflows into starts with four bytes that point to the third.
     start = content.index(payload(number, sizes(number))[-2000:-1900]) // 4096 * 4096
     page = start // 4096 + 1
-    pointer = content.index(page.to_bytes(4, "big"))
-    assert pointer % 4096 == 0
+    pointer = next(at for at in range(0, len(content), 4096) if content[at : at + 4] == page.to_bytes(4, "big"))
     content[pointer : pointer + 4] = b"\xff\xff\xff\xff"
     path.write_bytes(content)
 
@@ -217,7 +292,7 @@ def test_damage_that_shows_late_is_told_and_the_store_opened_anew(path: Path) ->
     with pytest.raises(StoreDamagedError, match=r"node\.db: .* malformed \(while reading a datum\)"):
         store.get(datum(8).id)
     store.abandon()
-    aside = assert_set_aside(path, "", check_limit=0, suspect=True)
+    aside = assert_set_aside(path, "", check_limit=0, suspect=True, kept=COUNT - 1)
     assert aside.read_bytes() == damaged
 
 
@@ -231,7 +306,7 @@ def test_damage_that_shows_in_a_write(path: Path) -> None:
     assert store.get(datum(700).id) == datum(700)
     with pytest.raises(StoreDamagedError):
         store.close()
-    assert_set_aside(path, "", check_limit=0, suspect=True)
+    assert_set_aside(path, "", check_limit=0, suspect=True, kept=COUNT - 1)
 
 
 def test_a_row_that_vanished_from_a_running_store_is_damage(path: Path) -> None:
@@ -241,16 +316,16 @@ def test_a_row_that_vanished_from_a_running_store_is_damage(path: Path) -> None:
             store.get(datum(5).id)
 
 
-def test_a_loss_that_cannot_be_understood(path: Path) -> None:
+def test_a_loss_that_cannot_be_understood_is_left_out_and_counted(path: Path) -> None:
     change(path, "UPDATE loss SET fate = 'eaten'")
-    with open_store(path, check_limit=0) as store, pytest.raises(StoreDamagedError, match="eaten"):
-        list(store.losses())
-    assert_set_aside(path, "eaten")
+    with open_store(path, check_limit=0) as store:
+        assert store.report.dropped == ("a loss",)
+        assert dict(store.losses()) == {DatumId(7, store.life, 1): Fate.DAMAGED}
 
 
 def test_a_suspect_that_is_sound_keeps_its_data(path: Path) -> None:
     with open_store(path, suspect=True, check_limit=0) as store:
-        assert store.report == (False, None, "")
+        assert store.report == OpenReport()
         assert [store.get(id) for id in store.ids()] == [datum(number, sizes(number)) for number in range(COUNT)]
 
 
@@ -275,44 +350,45 @@ def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "node.db"
         path.write_bytes(content)
+        shutil.copy(sound.with_name("node.db.mark"), path.with_name("node.db.mark"))
         try:
             store = open_store(path, draw_epoch=epochs(NEW_EPOCH))
         except StoreError:
             # The one reason not to go on: bytes 60..63, the schema's version, have grown.
-            assert int.from_bytes(content[60:64], "big", signed=True) > 1
+            assert int.from_bytes(content[60:64], "big", signed=True) > 2
             assert path.read_bytes() == content
             return
         with store:
-            if store.report.set_aside is not None:
-                assert store.report.set_aside.read_bytes() == content
-                assert (store.report.created, store.epoch, list(store.ids())) == (True, NEW_EPOCH, [])
-                return
-            assert not store.report.created
-            assert store.epoch == EPOCH
-            assert store.next_sequence() == COUNT
-            assert store.counters() == {"delivered": 5}
-            assert [info.id.sequence for info in store.held()] == list(range(COUNT))
-            for id in store.ids():
-                found = store.get(id)
-                assert found is not None
-                original = datum(id.sequence, sizes(id.sequence))
-                if found.intact:
+            report = store.report
+            if report.set_aside is not None:
+                assert report.set_aside.read_bytes() == content
+                assert EPOCH not in (store.epoch, store.life)
+            elif store.epoch == EPOCH:
+                assert store.next_sequence() == COUNT
+            held = {info.id.sequence: store.get(info.id) for info in store.held()}
+            for number in range(COUNT):
+                found = held.pop(number, None)
+                original = datum(number, sizes(number))
+                if found is not None and found.intact:
                     assert (found.kind, found.payload) == (original.kind, original.payload)
+            assert not held
 
 
 @settings(max_examples=60, deadline=None)
-@given(place=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans())
-def test_a_damaged_log_after_a_power_cut_gives_an_earlier_commit_whole(place: float, bits: int, truncate: bool) -> None:
+@given(place=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans(), known=st.booleans())
+def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
+    place: float, bits: int, truncate: bool, known: bool
+) -> None:
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "node.db"
         with open_store(path) as store:
             for _ in range(8):
                 for _ in range(3):
                     store.put(datum(store.next_sequence()))
-                store.count("made", 3)
                 commit(store)
-            # What the disk holds at a power cut.
+            # What the disk holds after kill -9; after a power cut the mark may be older, or not there.
             image = path.read_bytes(), bytearray((path.parent / "node.db-wal").read_bytes())
+            mark = (path.parent / "node.db.mark").read_bytes()
         content, log = image
         at = int(place * len(log))
         if truncate:
@@ -322,9 +398,18 @@ def test_a_damaged_log_after_a_power_cut_gives_an_earlier_commit_whole(place: fl
         copy = Path(directory) / "copy.db"
         copy.write_bytes(content)
         (Path(directory) / "copy.db-wal").write_bytes(log)
-        with open_store(copy) as store:
-            made = store.next_sequence()
-            assert not store.report.created
-            assert made % 3 == 0
-            assert store.counters().get("made", 0) == made
-            assert [store.get(id) for id in store.ids()] == [datum(number) for number in range(made)]
+        if known:
+            (Path(directory) / "copy.db.mark").write_bytes(mark)
+        with open_store(copy, draw_epoch=epochs(NEW_EPOCH)) as store:
+            report = store.report
+            assert not report.created
+            held = {id.sequence for id in store.ids()}
+            assert [store.get(id) for id in store.ids()] == [datum(id.sequence) for id in store.ids()]
+            if store.epoch == EPOCH:
+                assert held == {*range(24)}
+                assert store.given == 24
+            elif known:
+                assert dict(store.losses())[DatumId(7, EPOCH, 24)] is Fate.UNKNOWN
+                assert 24 - len(held) <= report.lost <= 24
+            else:
+                assert report.closed

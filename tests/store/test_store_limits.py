@@ -12,7 +12,7 @@ import pytest
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
-from rass_mav.store import SqliteReader, SqliteStore
+from rass_mav.store import OpenReport, SqliteReader, SqliteStore
 
 from .store_helpers import ROOT, commit, datum, open_store
 
@@ -139,8 +139,8 @@ def test_a_store_cut_off_while_it_was_made_is_made_again(path: Path) -> None:
     path.with_name("node.db.new").write_bytes(b"half a database")
     path.with_name("node.db.new-wal").write_bytes(b"half a log")
     with open_store(path) as store:
-        assert store.report == (True, None, "")
-    assert sorted(file.name for file in path.parent.iterdir()) == ["node.db", "node.db.lock"]
+        assert store.report == OpenReport(created=True)
+    assert sorted(file.name for file in path.parent.iterdir()) == ["node.db", "node.db.lock", "node.db.mark"]
 
 
 def test_paths_that_cannot_be(tmp_path: Path) -> None:

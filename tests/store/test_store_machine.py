@@ -37,6 +37,7 @@ DATA = st.builds(
     st.integers(0, 255),
     st.integers(0, 2**32 - 1),
     st.binary(max_size=40),
+    st.booleans(),
 )
 
 
@@ -194,9 +195,10 @@ class Stores(RuleBasedStateMachine):
         model = self.model
         for store in (self.sqlite, self.memory):
             assert [info.id for info in store.held()] == list(model.data)
-            for id, kind, created, hops, crc, size, _ in store.held():
+            for id, kind, created, hops, crc, size, at_least in store.held():
                 datum = model.data[id]
                 assert (id, kind, created, hops, crc, size) == (*datum[:5], len(datum.payload))
+                assert at_least is datum.at_least
             assert set(store.ids()) == set(model.data)
             for id in ALL_IDS:
                 assert store.get(id) == model.data.get(id)

@@ -24,7 +24,7 @@ class Fleet:
 
     @staticmethod
     def _opened(path: Path, epoch: int) -> SqliteStore:
-        return SqliteStore.open(path, draw_epoch=lambda: epoch)
+        return SqliteStore.open(path, node_id=7, draw_epoch=lambda: epoch)
 
     def create(self, node: int, created: float = 0.0) -> Datum:
         store = self.stores[node]

@@ -63,7 +63,7 @@ def test_it_forgets_what_the_store_on_disk_forgets(first: list[tuple[Any, ...]],
         path = Path(directory) / "node.db"
         memory = CrashStore(EPOCH)
         for life in (first, second):
-            sqlite = SqliteStore.open(path, draw_epoch=lambda: EPOCH)
+            sqlite = SqliteStore.open(path, node_id=7, draw_epoch=lambda: EPOCH)
             try:
                 for what in life:
                     for store in (memory, sqlite):
@@ -76,7 +76,7 @@ def test_it_forgets_what_the_store_on_disk_forgets(first: list[tuple[Any, ...]],
             finally:
                 sqlite.abandon()
             memory.restart()
-            found = SqliteStore.open(path, draw_epoch=lambda: EPOCH)
+            found = SqliteStore.open(path, node_id=7, draw_epoch=lambda: EPOCH)
             try:
                 assert state(memory) == state(found)
             finally:

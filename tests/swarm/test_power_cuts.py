@@ -215,7 +215,8 @@ def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
             died += lost(world).get("died", 0)
             assert len(world.ledger.arrived) > 20
     assert set_aside > 5
-    assert died > 0
+    # What can still be read is salvaged, and there are spare copies.
+    assert died < 5
 
 
 def test_a_synced_datum_that_is_gone_without_a_flip_is_our_bug() -> None:
@@ -225,7 +226,7 @@ def test_a_synced_datum_that_is_gone_without_a_flip_is_our_bug() -> None:
         computer = next(computer for computer in power.computers[1:] if computer.diary.stored)
         computer.shut_down()
         (computer.disk.directory / "node.db-wal").unlink()
-        with pytest.raises(InvariantError, match="was on disk, and is not there after a power cut"):
+        with pytest.raises(InvariantError, match="no bit flipped, but its store is damaged"):
             computer.open()
 
 

@@ -20,7 +20,10 @@ MAX_NOTES = 256
 #: Notes in a frame, and on their way unanswered.
 NOTES_IN_FRAME = 8
 
-_REASONS = {Fate.CORRUPTED: 1, Fate.EXPIRED: 2, Fate.OVERFLOW: 3, Fate.DIED: 4, Fate.VANISHED: 5}
+_REASONS = {
+    Fate.CORRUPTED: 1, Fate.EXPIRED: 2, Fate.OVERFLOW: 3, Fate.DIED: 4, Fate.VANISHED: 5, Fate.UNKNOWN: 6,
+    Fate.DAMAGED: 7,
+}  # fmt: skip
 _FATES = {reason: fate for fate, reason in _REASONS.items()}
 
 

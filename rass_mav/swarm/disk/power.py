@@ -57,16 +57,19 @@ class Computer:
         """The power is back: open the store, and note what it has. Raises `StoreError`: not now."""
         self.store = SqliteStore.open(
             self.disk.directory / "node.db",
+            node_id=self._settings.node_id,
             draw_epoch=lambda: self._rng.getrandbits(32),
             quota_bytes=self._settings.store.quota_bytes,
             vfs=self.disk.vfs,
         )
-        if (report := self.store.report).set_aside is not None:
-            self.set_aside += 1
-            if not self._flipped:
-                raise InvariantError(
-                    f"node {self._settings.node_id}: no bit flipped, but its store is damaged: {report}"
-                )
+        report = self.store.report
+        if report.unwritable:
+            # It would stay so; this computer starts again when its disk can be written.
+            self.store.abandon()
+            raise StoreError(f"node {self._settings.node_id}: {report.unwritable}")
+        self.set_aside += report.set_aside is not None
+        if (report.set_aside is not None or report.closed) and not self._flipped:
+            raise InvariantError(f"node {self._settings.node_id}: no bit flipped, but its store is damaged: {report}")
         self.diary.wake(self.store, damaged=self._flipped)
         return self.store
 

@@ -1,0 +1,138 @@
+"""A store that is made anew, empty or out of what an older or damaged one holds: it is there whole, or not at all.
+
+It is made under the name `node.db.new`. One that takes the place of another is renamed, when it is complete, to
+`node.db.ready-REASON-1`; then the old files are set aside as `node.db.REASON-1`, and it gets its name. Whatever ends
+the program in between, the next start goes on from there.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Literal
+
+from .files import LOG_ENDINGS, MARK, beside, make_file, sync_directory
+from .mark import Mark, make_mark
+from .schema import count_rows, create_tables, read_numbers, read_own
+
+_READY = ".ready-"
+
+
+def draw(draw_number: Callable[[], int], *taken: int) -> int:
+    """A number of 32 bits that is none of those `taken`."""
+    number = draw_number()
+    if not 0 <= number < 1 << 32:
+        raise ValueError(f"an epoch has 32 bits, got {number}")
+    while number in taken:
+        number = (number + 1) % (1 << 32)
+    return number
+
+
+def connect(
+    path: Path, mode: Literal["ro", "rw", "rwc"] = "rw", *, vfs: str | None = None, busy_timeout: float = 5.0,
+    immutable: bool = False,
+) -> sqlite3.Connection:  # fmt: skip
+    """A connection to a database, in which transactions are begun by hand.
+
+    It may be used on any thread, by one at a time. `mode`: "ro" does not change the database, not even by moving the
+    log into it when the connection is closed; "rwc" makes one if there is none. `immutable`: nobody changes the file,
+    and there is no log.
+    """
+    options = f"mode={mode}"
+    if vfs is not None:
+        options += f"&vfs={vfs}"
+    if immutable:
+        options += "&immutable=1"
+    name = f"{path.absolute().as_uri()}?{options}"
+    return sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=busy_timeout)
+
+
+@contextmanager
+def drafted(
+    path: Path, life: int, epoch: int, vfs: str | None, aside: Path | None = None
+) -> Iterator[sqlite3.Connection]:
+    """Make a store of this life and epoch; the block fills it, and at its end it has its place.
+
+    `aside`: where what is there now goes, a name of `path` with an ending; None: there is nothing.
+    """
+    draft = beside(path, ".new")
+    _discard(draft)
+    try:
+        os.close(make_file(draft))
+        connection = connect(draft, "rwc", vfs=vfs)
+        try:
+            connection.execute("PRAGMA synchronous = FULL")
+            create_tables(connection, life, epoch)
+            connection.execute("BEGIN")
+            yield connection
+            own = read_own(read_numbers(connection, "meta"))
+            mark = Mark(own.life, own.epoch, own.given, own.written, count_rows(connection), clean=True)
+            connection.execute("COMMIT")
+            # Last: closing does not tell if moving a log into the database fails. Fetched to the end, where the change
+            # is committed; where the mode is not to be had, the answer is the old one.
+            if connection.execute("PRAGMA journal_mode = WAL").fetchall() != [("wal",)]:
+                raise OSError(errno.ENOTSUP, "no write-ahead mode here")
+        finally:
+            connection.close()
+        make_mark(beside(draft, MARK), mark)
+    except BaseException:
+        # Half a store would only take up room.
+        with suppress(OSError):
+            _discard(draft)
+        raise
+    if aside is None:
+        _rename_whole(draft, path)
+    else:
+        ready = beside(path, _READY + aside.name[len(path.name) + 1 :])
+        _rename_whole(draft, ready)
+        _take_place(path, ready)
+    sync_directory(path)
+
+
+def finish(path: Path) -> Path | None:
+    """Go on where a program was ended while a store took the place of another. Returns where the other lies."""
+    for ready in sorted(path.parent.glob(f"{_literal(path.name)}{_READY}*")):
+        if not ready.name.endswith((MARK, *LOG_ENDINGS)):
+            _take_place(path, ready)
+            sync_directory(path)
+            return beside(path, "." + ready.name[len(path.name + _READY) :])
+    return None
+
+
+def free_name(path: Path, reason: str) -> Path:
+    """A name for what is set aside that nothing has yet, with a number behind the `reason`."""
+    number = 1
+    while any(beside(path, f".{reason}-{number}{ending}").exists() for ending in ("", MARK, *LOG_ENDINGS)):
+        number += 1
+    return beside(path, f".{reason}-{number}")
+
+
+def _discard(draft: Path) -> None:
+    for ending in ("", "-journal", MARK, *LOG_ENDINGS):
+        beside(draft, ending).unlink(missing_ok=True)
+
+
+def _rename_whole(old: Path, new: Path) -> None:
+    # The mark first: one without its database says by its zeros that nothing is missing.
+    beside(old, MARK).rename(beside(new, MARK))
+    old.rename(new)
+
+
+def _take_place(path: Path, ready: Path) -> None:
+    aside = beside(path, "." + ready.name[len(path.name + _READY) :])
+    # The mark of the old store goes only while that of the new one waits.
+    endings = ("", *LOG_ENDINGS, *((MARK,) if beside(ready, MARK).exists() else ()))
+    for ending in endings:
+        if beside(path, ending).exists():
+            beside(path, ending).rename(beside(aside, ending))
+    if beside(ready, MARK).exists():
+        beside(ready, MARK).rename(beside(path, MARK))
+    ready.rename(path)
+
+
+def _literal(name: str) -> str:
+    return "".join(f"[{sign}]" if sign in "*?[" else sign for sign in name)

@@ -1,0 +1,69 @@
+"""The files of a store: their names, who may read them, and renames that last.
+
+A store is `node.db`, its high-water mark `node.db.mark`, the write-ahead log `node.db-wal` and its index `node.db-shm`
+while it is open, and `node.db.lock`, which stays. What is set aside or being made has an ending of its own.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from rass_mav.errors import StoreError
+
+#: Of all files of a store, whatever the umask: they are the node's, and its group may read them.
+MODE = 0o640
+LOG_ENDINGS = ("-wal", "-shm")
+MARK = ".mark"
+
+
+def beside(path: Path, ending: str) -> Path:
+    """A file that belongs to `path`."""
+    return path.with_name(path.name + ending)
+
+
+def checked_path(path: str | os.PathLike[str]) -> Path:
+    """The path, if a file can have this name. Raises `StoreError`."""
+    try:
+        encoded = os.fsencode(path)
+    except UnicodeEncodeError:
+        raise StoreError(f"{os.fspath(path)!r}: no path, it cannot be encoded") from None
+    if b"\0" in encoded or not Path(path).name:
+        raise StoreError(f"{os.fspath(path)!r}: not the path of a file")
+    return Path(path)
+
+
+def make_file(path: Path, flags: int = os.O_CREAT | os.O_RDWR) -> int:
+    """Open a file, made with `MODE` if it is not there. Returns the descriptor."""
+    descriptor = os.open(path, flags, MODE)
+    try:
+        mode = os.fstat(descriptor).st_mode & 0o777
+        # The umask may have taken what we need; an older version may have given what nobody needs.
+        if mode & ~MODE or not mode & 0o400:
+            os.fchmod(descriptor, mode & MODE | 0o600)
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.EROFS):
+            os.close(descriptor)
+            raise
+    return descriptor
+
+
+def tighten(path: Path) -> None:
+    """Take from the files of a store the rights beyond `MODE`. SQLite gives the log those of the database."""
+    for ending in ("", MARK, *LOG_ENDINGS):
+        with suppress(FileNotFoundError, PermissionError):
+            file = beside(path, ending)
+            mode = file.stat().st_mode & 0o777
+            if mode & ~MODE:
+                file.chmod(mode & MODE)
+
+
+def sync_directory(path: Path) -> None:
+    """Make a rename in the directory of `path` durable."""
+    directory = os.open(path.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)

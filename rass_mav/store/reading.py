@@ -1,0 +1,100 @@
+"""A store where nothing can be written: what is there is read, and that is all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
+
+from .conversion import OLD_VERSION
+from .drafts import connect, draw
+from .errors import explained
+from .files import LOG_ENDINGS, beside
+from .opening import version_of
+from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own
+
+_UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EDQUOT)
+#: With less room than this, bytes, an error of the disk is a want of room: SQLite needs as much for the log's index.
+_NO_ROOM = 64 << 10
+
+
+def why_unwritable(error: StoreError, path: Path) -> str:
+    """Why nothing can be written, if that is what an error of opening says; else empty."""
+    cause = error.__cause__
+    if isinstance(error, StoreFullError):
+        return "disk full"
+    if isinstance(cause, OSError) and cause.errno in _UNWRITABLE:
+        return "disk full" if cause.errno in (errno.ENOSPC, errno.EDQUOT) else os.strerror(cause.errno).lower()
+    if isinstance(cause, sqlite3.Error):
+        if "readonly" in str(cause):
+            return "read-only"
+        if not isinstance(error, StoreDamagedError) and _room(path) < _NO_ROOM:
+            return "disk full"
+    return ""
+
+
+def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> sqlite3.Connection:
+    """A connection that changes nothing, to the store at `path`; to an empty one in memory if there is none.
+
+    `StoreError`: it cannot be read, or is another version's, which would have to be converted.
+    """
+    if path.exists():
+        try:
+            return _opened(path, vfs)
+        except StoreDamagedError:
+            pass  # it stays where it is; without room there is no salvaging it
+    connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    epoch = draw(draw_epoch)
+    create_tables(connection, draw(draw_epoch, epoch), epoch)
+    return connection
+
+
+def _opened(path: Path, vfs: str | None) -> sqlite3.Connection:
+    # Without a log there is nothing to miss; with one, SQLite makes its index beside it, or else in memory.
+    log = beside(path, LOG_ENDINGS[0])
+    if not log.exists() or not log.stat().st_size:
+        return _checked(path, connect(path, "ro", vfs=vfs, immutable=True))
+    try:
+        return _checked(path, connect(path, "ro", vfs=vfs))
+    except StoreDamagedError:
+        raise
+    except StoreError:
+        # Nobody else can write either, so no locks are needed.
+        connection = connect(path, "ro", vfs="unix-none")
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
+        return _checked(path, connection)
+
+
+def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
+    """The connection, if all that is read at the start can be read; else it is closed."""
+    try:
+        with explained(path, "opening the store to read"):
+            if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
+                raise StoreDamagedError(f"{path}: another program's database")
+            if version_of(connection, path) == OLD_VERSION:
+                raise StoreError(
+                    f"{path}: made by the last version, and cannot be converted where nothing can be written"
+                )
+            for _ in read_infos(connection):
+                pass
+            for _ in read_infos(connection, "apart"):
+                pass
+            read_losses(connection)
+            read_numbers(connection, "counter")
+            read_own(read_numbers(connection, "meta"))
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _room(path: Path) -> int:
+    try:
+        disk = os.statvfs(path.absolute().parent)
+    except OSError:
+        return _NO_ROOM
+    return disk.f_bavail * disk.f_frsize

@@ -1,0 +1,136 @@
+"""What has to be put right in a store whose structure is sound: single damaged rows, and an end that lost something."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass, field
+from typing import Any
+
+from rass_mav.core.datum import Datum, DatumId, Fate
+
+from .report import OpenReport
+from .schema import (
+    INSERT_APART,
+    INSERT_DATUM,
+    INSERT_LOSS,
+    OwnNumbers,
+    datum_row,
+    loss_row,
+    sound_losses,
+    sound_numbers,
+    unsound_rows,
+    write_own,
+)  # fmt: skip
+
+_U32 = (1 << 32) - 1
+
+
+@dataclass
+class Repairs:
+    """What opening found, to be put right in one transaction before the store is used."""
+
+    rows: list[tuple[str, tuple[Any, ...]]] = field(default_factory=list)
+    """Table, and arrival and id of a row of data that does not hold what it should."""
+    numbers: list[tuple[str, bytes]] = field(default_factory=list)
+    """Table, and name of a number that does not fit its complement."""
+    losses: list[tuple[Any, ...]] = field(default_factory=list)
+    """Ids of losses that do not fit their checksum."""
+    own: OwnNumbers | None = None
+    """The store's own numbers, if they are other ones from now on."""
+    closed: dict[int, int] = field(default_factory=dict)
+    """Epochs that end, each with the numbers known to be given."""
+    log: list[Datum] = field(default_factory=list)
+    """Data that stood in a part of the log that SQLite did not go by."""
+    missing: int = 0
+    """Rows that were written and are not there, at most, before those of the `log` are found."""
+    held: int | None = None
+    """Rows that were held in the end, at most: no more can be lost, for what was passed on is not. None: unknown."""
+    reason: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.rows or self.numbers or self.losses or self.own)
+
+
+def find_unsound(connection: sqlite3.Connection, repairs: Repairs, *, rows: bool) -> None:
+    """Note what does not hold what it should. `rows`: look at every row of data, which takes time."""
+    for table in ("meta", "counter"):
+        repairs.numbers += [(table, name) for name in sound_numbers(connection, table)[1]]
+    repairs.losses = sound_losses(connection)[1]
+    if rows:
+        for table in ("datum", "apart"):
+            repairs.rows += [(table, row) for row in unsound_rows(connection, table)]
+
+
+def apply(connection: sqlite3.Connection, repairs: Repairs, own: OwnNumbers, node_id: int) -> OpenReport:
+    """Put it right. `own`: the store's own numbers as they were, or as they are from now on."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        report = _apply(connection, repairs, own, node_id)
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+    return report
+
+
+def _apply(connection: sqlite3.Connection, repairs: Repairs, own: OwnNumbers, node_id: int) -> OpenReport:
+    dropped = []
+    losses: list[tuple[DatumId, Fate]] = []
+    lost = 0
+    for table, (arrival, *parts) in repairs.rows:
+        connection.execute(f"DELETE FROM {table} WHERE arrival = ?", (arrival,))
+        dropped.append(f"row {arrival} of table {table}")
+        if table == "datum" and all(type(part) is int and 0 <= part <= _U32 for part in parts):
+            losses.append((DatumId(*parts), Fate.CORRUPTED))
+        else:
+            lost += 1
+    for table, name in repairs.numbers:
+        connection.execute(f"DELETE FROM {table} WHERE CAST(name AS BLOB) = ?", (name,))
+        dropped.append(f"the number {name.decode(errors='replace')}")
+    for id in repairs.losses:
+        connection.execute("DELETE FROM loss WHERE origin IS ? AND epoch IS ? AND sequence IS ?", id)
+        dropped.append("a loss")
+        lost += 1
+    salvaged = 0
+    for datum in repairs.log:
+        salvaged += _add(connection, datum)
+    missing = max(repairs.missing - salvaged, 0)
+    lost += missing if repairs.held is None else min(missing, repairs.held)
+    own = close_epochs(connection, own, node_id, repairs.closed, lost, losses)
+    own = own._replace(written=own.written + salvaged)
+    write_own(connection, own)
+    return OpenReport(
+        reason=repairs.reason,
+        closed=tuple(repairs.closed.items()),
+        salvaged=salvaged,
+        lost=lost,
+        dropped=tuple(dropped),
+    )
+
+
+def close_epochs(
+    connection: sqlite3.Connection, own: OwnNumbers, node_id: int, closed: dict[int, int], lost: int,
+    losses: list[tuple[DatumId, Fate]] | None = None,
+) -> OwnNumbers:  # fmt: skip
+    """Note losses: what ended uncleanly, and how many data went in this life. Returns the numbers as they are then."""
+    losses = losses or []
+    losses += [(DatumId(node_id, epoch, min(given, _U32)), Fate.UNKNOWN) for epoch, given in closed.items()]
+    if lost:
+        # The sum of this life, so that each word says more than the last one.
+        own = own._replace(lost=own.lost + lost)
+        losses.append((DatumId(node_id, own.life, min(own.lost, _U32)), Fate.DAMAGED))
+    connection.executemany(INSERT_LOSS, [loss_row(id, fate) for id, fate in losses])
+    return own._replace(written=own.written + len(losses))
+
+
+def _add(connection: sqlite3.Connection, datum: Datum) -> int:
+    """Store a datum that was found; 1: it was not there."""
+    found = connection.execute("SELECT crc FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?", datum.id)
+    crcs = found.fetchall()
+    if not crcs:
+        connection.execute(INSERT_DATUM, datum_row(datum))
+        return 1
+    if crcs[0][0] == datum.crc:
+        return 0
+    return connection.execute(INSERT_APART, datum_row(datum)).rowcount
