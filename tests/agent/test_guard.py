@@ -82,10 +82,12 @@ class Node:
     def fail(self) -> None:
         """The disk fails a write, as a file system does that is full."""
         if self.batch is not None:
-            self.store._writer.execute("PRAGMA query_only = ON")
+            committer = self.store._committer
+            assert committer is not None
+            committer.connection.execute("PRAGMA query_only = ON")
             with pytest.raises(StoreError):
                 self.store.write(self.batch)
-            self.store._writer.execute("PRAGMA query_only = OFF")
+            committer.connection.execute("PRAGMA query_only = OFF")
             self.batch = None
             self.gate.failed(StoreError("the disk is full"))
 
