@@ -33,7 +33,7 @@ class Node(Participant):
         """At a base: what has become of all data."""
         self.receipts = self._make_receipts()
         self.keeper = keeper = self._make_keeper()
-        self.transfers = Transfers(keeper, self.pace, self.rng, self.routing.lifetime_s)
+        self.transfers = Transfers(keeper, self.routing, self.pace, self.rng)
         self.percolation = Percolation(
             keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
@@ -54,10 +54,10 @@ class Node(Participant):
     def _make_keeper(self) -> Keeper:
         settings, store, numbers = self.settings, self.store, HandoverNumbers(self._first_number)
         if self.archive is not None:
-            return Sink(settings, store, numbers, self.receipts, self.archive, self.observer)
+            return Sink(settings, store, numbers, self.receipts, self.archive, self.observer, self.alarms)
         told = settings.receipts and settings.acknowledged
         notes = LossNotes(store) if told else NoLossNotes(store)
-        return Keeper(settings, store, numbers, self.receipts, notes, self.observer)
+        return Keeper(settings, store, numbers, self.receipts, notes, self.observer, self.alarms)
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
 
@@ -123,6 +123,7 @@ class Node(Participant):
             "refused": keeper.refused,
             "corrupt_received": keeper.corrupt_received,
             "handovers_pending": len(self.holdings.pending),
+            **keeper.spares.figures(),
             **({} if self.archive is None else {"told_lost": self.archive.told_lost}),
             **({"loss_notes": len(keeper.notes.waiting)} if keeper.notes.told else {}),
         }

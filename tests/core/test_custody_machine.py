@@ -22,7 +22,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Message, Word, Words
+from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Message, Words
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.errors import RassError, StoreError, StoreFullError
@@ -75,8 +75,6 @@ class Swarm(RuleBasedStateMachine):
             "copies_auto": auto, "own_share": 0.2 * auto,
         }  # fmt: skip
         self.struck: set[DatumId] = set()
-        self.taken: set[tuple[DatumId, int, int]] = set()
-        """Who has told whom that it took a datum."""
         self.policy: Policy = Wander() if wander else PolicySettings(name="rass").make()
         self.now = 0.0
         self.lives = 0
@@ -113,9 +111,6 @@ class Swarm(RuleBasedStateMachine):
         )  # fmt: skip
 
     def _say(self, i: int, messages: list[Message]) -> None:
-        for message in messages:
-            if isinstance(message, Words):
-                self.taken |= {(id, i, message.target) for id, word in message.entries if word == Word.TAKEN}
         self._send(i, self.gates[i].say(frames_of(messages, self.writer, 33200, self.stores[i], self.now)))
 
     def _send(self, i: int, frames: Sequence[Outgoing]) -> None:
@@ -327,10 +322,7 @@ class Swarm(RuleBasedStateMachine):
         if not getattr(self, "options", {}).get("receipts"):
             return
         disks = [store.disk for store in self.stores.values()]
-        # Two custodians whose copies are both rotten may ask each other at the same time. Both say TAKEN, for both are
-        # looking for the datum, and both forget it: a fault that is known.
-        crossed = {id for id, a, b in self.taken if (id, b, a) in self.taken}
-        for id in self.struck - crossed:
+        for id in self.struck:
             assert any(id in disk.data or id in disk.losses for disk in disks), "nobody knows that a datum is lost"
 
     @invariant()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -18,6 +19,8 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     PassedOn,
+    Receipt,
+    ReceiptEntry,
     Route,
     Word,
     WordEntry,
@@ -433,9 +436,14 @@ def test_a_mirrored_swarm_delivers_and_forgets(until_receipt: bool) -> None:
     assert left == []
 
 
-def test_what_a_base_has_taken_is_not_kept() -> None:
-    """A node whose neighbour is a base known from its beacon gives to it and keeps nothing."""
-    node = make_node(1, mirror=True)
+@pytest.mark.parametrize(
+    ("settings", "kept"),
+    [({}, True), ({"mirror_until_receipt": False}, False), ({"receipts": False}, False)],
+)
+def test_what_a_base_has_taken_is_kept_until_a_receipt_for_anybody_may_say_that_it_is_a_base(
+    settings: dict[str, Any], kept: bool
+) -> None:
+    node = make_node(1, mirror=True, **settings)
     route = Route(0, 9, 1, 0)
     node.receive(
         beacon(0, 0, route, flags=BEACON_BASE, free=UNBOUNDED_FREE, policy=node.policy.tag, potential=POTENTIAL_BASE),
@@ -445,4 +453,7 @@ def test_what_a_base_has_taken_is_not_kept() -> None:
     [sent] = of(Data, node.step(0.5))
     [handover] = sent.handovers
     node.receive(Committed(0, 1, ((handover.number, handover.datum.crc),), ()), 0.5)
-    assert id not in node.holdings
+    assert id not in node.holdings.custody
+    assert (id in node.holdings) == kept
+    node.receive(Receipt(0, 9, (ReceiptEntry(id.origin, id.epoch, 1, 0),), ()), 1.0)
+    assert (id in node.holdings) == (kept and not node.settings.receipts)

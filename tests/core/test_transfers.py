@@ -29,6 +29,8 @@ def fit(node: Node, receiver: Node, now: float) -> None:
         beacon(receiver.id, number, policy=node.policy.tag, potential=POTENTIAL_ONE, free=receiver.holdings.free()),
         now,
     )
+    # And the other way round: offers of strangers are refused.
+    receiver.receive(beacon(node.id, number), now)
 
 
 def noise(size: int) -> bytes:
@@ -88,7 +90,7 @@ def test_it_is_taken_up_again_after_an_interruption(silence: int) -> None:
     giver, receiver = giver_of(noise(60000), max_tries=50), make_node(2)
     [id] = giver.holdings.custody
     rng = random.Random(3)
-    bad_network(giver, receiver, rng, 0.4, 60, dead=range(1, 1 + silence))
+    bad_network(giver, receiver, rng, 0.4, 90, dead=range(1, 1 + silence))
     taken = receiver.store.get(id)
     assert taken is not None
     assert taken.intact
@@ -160,13 +162,102 @@ def test_a_receiver_without_room_refuses_the_offer() -> None:
     assert len(giver.holdings.custody) == 1
 
 
+def offered(sender: int, size: int = 5000) -> Offer:
+    return Offer(sender, 2, 1, datum(sender).id, 0, 0.0, 0, 5, size, 100)
+
+
+def test_invented_senders_take_no_place() -> None:
+    receiver, honest = make_node(2), 5
+    receiver.receive(beacon(honest), 0.0)
+    for stranger in range(100, 100 + 2 * MAX_TRANSFERS):
+        [answer] = receiver.receive(offered(stranger), 0.0)
+        assert answer == Committed(2, stranger, (), (1,))
+    assert of(Accept, receiver.receive(offered(honest), 0.0))
+
+
+@pytest.mark.parametrize("bound", [{}, {"capacity_bytes": 10000}])
+def test_a_transfer_that_stands_still_gives_way_to_another(bound: dict[str, Any]) -> None:
+    """Also one whose giver repeats its offer, or a chunk, again and again: who makes no headway is silent."""
+    receiver, liars, honest = make_node(2, **bound), range(10, 10 + MAX_TRANSFERS), 5
+    for s in (*liars, honest):
+        receiver.receive(beacon(s), 0.0)
+    handles = {s: a.handle for s in liars for a in of(Accept, receiver.receive(offered(s), 0.0))}
+    alive = min(handles)
+    for s, handle in handles.items():
+        receiver.receive(Chunk(2, handle, 3, False, bytes(100)), 0.1)
+        receiver.receive(Chunk(2, handle, 4 if s == alive else 3, False, bytes(100)), 1.3)
+        receiver.receive(offered(s), 1.3)
+    assert of(Accept, receiver.receive(offered(honest, 4000), 1.4))
+    # One of them had to go, and not the one that had come on.
+    still = [s for s in handles if of(Sack, receiver.receive(Chunk(2, handles[s], 9, True, b""), 1.4))]
+    assert len(still) == len(handles) - 1
+    assert alive in still
+
+
+def sending(size: int, **more: Any) -> tuple[Node, Offer]:
+    """A node that has offered a datum to node 1."""
+    giver = giver_of(noise(size), 2, **more)
+    fit(giver, make_node(1), 0.0)
+    [offer] = of(Offer, giver.step(0.0))
+    return giver, offer
+
+
+@pytest.mark.parametrize(
+    "lie", [Accept(1, 2, 0, 7, 99), Accept(1, 2, 0, 9, 99), Sack(1, 2, 7, 99, 0), Sack(1, 2, 7, 40, 0xFFFF)]
+)
+def test_an_answer_about_chunks_that_were_never_sent_is_ignored(lie: Accept | Sack) -> None:
+    giver, offer = sending(99 * 123)
+    number = offer.number
+    assert len(giver.receive(Accept(1, 2, number, 7, 0), 0.0)) == 32
+    if isinstance(lie, Accept):
+        lie = lie._replace(number=number)
+    assert giver.receive(lie, 0.0) == []
+    # All of it still goes over, and that in order.
+    left = set(range(99))
+    for have in range(8, 99, 8):
+        left -= {c.position for c in giver.receive(Sack(1, 2, 7, have, 0), 0.0) if isinstance(c, Chunk)}
+    assert left == set(range(32))
+
+
+def test_what_was_said_falsely_of_chunks_that_are_missing_is_made_good_by_the_next_answer_to_a_probe() -> None:
+    giver, offer = sending(20 * 123)
+    giver.receive(Accept(1, 2, offer.number, 7, 0), 0.0)
+    # None of the chunks has arrived.
+    assert giver.receive(Sack(1, 2, 7, 19, 0), 0.0) == []
+    again = giver.receive(Accept(1, 2, offer.number, 7, 0), 2.0)
+    assert [c.position for c in again if isinstance(c, Chunk)] == list(range(20))
+
+
+@pytest.mark.parametrize("answers", ["accept", "sack", "all but the last", "nothing"])
+def test_a_transfer_that_makes_no_headway_is_cancelled(answers: str) -> None:
+    giver, offer = sending(20 * 123, max_tries=4)
+    tried = set()
+    for turn in range(1, 30):
+        now = float(turn)
+        fit(giver, make_node(1), now)
+        for said in of(Offer, giver.step(now)):
+            tried.add(said.number)
+            if answers == "accept":
+                giver.receive(Accept(1, 2, said.number, 7, 0), now)
+            elif answers != "nothing":
+                giver.receive(Accept(1, 2, said.number, 7, 0), now)
+                giver.receive(Sack(1, 2, 7, 1 if answers == "sack" else 19, 0), now)
+    # It was offered anew, and could have been to another.
+    assert len(tried) >= 3
+    assert offer.id in giver.holdings.custody
+
+
 def test_transfers_under_way_are_bounded() -> None:
     receiver = make_node(2)
-    answers = [receiver.receive(Offer(s, 2, 1, datum(s).id, 0, 0.0, 0, 5, 5000, 100), 0.0)[0] for s in range(20)]
+    for s in range(30, 50):
+        receiver.receive(beacon(s), 0.0)
+    answers = [receiver.receive(offered(s), 0.0)[0] for s in range(30, 49)]
     assert len(of(Accept, answers)) == MAX_TRANSFERS
+    assert of(Committed, receiver.receive(offered(49), 1.0))[0].refused == (1,)
     # Silent ones make room.
     receiver.step(4.0)
-    assert of(Accept, receiver.receive(Offer(30, 2, 1, datum(30).id, 0, 0.0, 0, 5, 5000, 100), 4.0))
+    receiver.receive(beacon(49, 1), 4.0)
+    assert of(Accept, receiver.receive(offered(49), 4.0))
 
 
 small = st.integers(0, 3)

@@ -29,7 +29,7 @@ class State(enum.Enum):
     SPARE = "spare"
     """The partner has custody, and counts on this copy."""
     PASSED_ON = "passed on"
-    """A spare that nobody counts on any more, for custody has passed on from the partner."""
+    """A spare that nobody counts on, for custody has passed on from the partner, or to a base."""
 
 
 #: What a copy may become, and by what; None: there is no copy. docs/protocol.md draws it.
@@ -37,10 +37,17 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     (None, State.CUSTODY): "created here, handed over to this node, or found at the start",
     (None, State.SPARE): "a custodian sends a spare copy",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
+    (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
     (State.SPARE, State.PASSED_ON): "the partner says that it has passed the datum on",
     (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
-    (State.SPARE, State.CUSTODY): "the partner is gone, or a custodian asks for it; or it is offered, or was told lost",
-    (State.PASSED_ON, State.CUSTODY): "a custodian asks for it; or it is offered, or was told lost",
+    (
+        State.SPARE,
+        State.CUSTODY,
+    ): "the partner is gone, or a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
+    (
+        State.PASSED_ON,
+        State.CUSTODY,
+    ): "a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
     (State.CUSTODY, None): "handed over and no spare kept, arrived elsewhere, corrupt, expired, or no room",
     (
         State.SPARE,
@@ -87,7 +94,10 @@ class Partner:
 class Holding:
     """All that a node knows of a datum that it holds."""
 
-    __slots__ = ("asked", "crc", "created", "id", "offer_at", "offers", "partner", "pending", "size", "state")
+    __slots__ = (
+        "asked", "crc", "created", "given", "given_to", "id", "offer_at", "offers", "partner", "patience_s", "pending",
+        "resent", "size", "state",
+    )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
         self.id = datum.id
@@ -107,6 +117,14 @@ class Holding:
         """In custody without a backer: when a spare may be offered next, seconds. None: it needs no spare."""
         self.asked = 0.0
         """Spare: when the custodian told of it or was asked for it last, seconds."""
+        self.given_to: int | None = None
+        """Spare: who took custody last, or offered this copy."""
+        self.given = 0.0
+        """When that was: since then a receipt is waited for, seconds."""
+        self.patience_s = 0.0
+        """How long it is waited for."""
+        self.resent = 0
+        """How often it was sent again for want of a receipt."""
 
 
 class Holdings:
@@ -280,7 +298,8 @@ class Holdings:
         holding.asked = now
 
     def give(self, holding: Holding, pending: Pending) -> None:
-        """Begin a hand-over; one that was under way is cancelled."""
+        """Begin a hand-over; one that was under way is cancelled. What does not fit one frame goes in chunks."""
+        assert pending.sending is not None or holding.size <= self._small_bytes
         self.cancel(holding)
         holding.pending = pending
         self.pending[pending.number] = holding

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container
 from dataclasses import replace
 
+from rass_mav.core.alarms import Alarm, Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
@@ -24,15 +25,16 @@ class Keeper:
     """The keeping half of a drone."""
 
     __slots__ = (
-        "arrived", "corrupt_received", "holdings", "notes", "numbers", "observer", "receipts", "refused", "settings",
-        "spares", "stirred", "store",
+        "alarms", "arrived", "corrupt_received", "holdings", "notes", "numbers", "observer", "receipts", "refused",
+        "settings", "spares", "stirred", "store",
     )  # fmt: skip
 
     def __init__(
         self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, notes: NoLossNotes,
-        observer: Observer,
+        observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
         """`receipts`: what bases say has arrived. `notes`: word of lost data, on its way to a base."""
+        self.alarms = alarms
         self.settings = settings
         self.store = store
         self.numbers = numbers
@@ -59,6 +61,9 @@ class Keeper:
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
         """Accept a datum that arrived whole and intact. False: no room, the giver keeps it."""
         id = datum.id
+        if self.is_squatted(id):
+            self.refused += 1
+            return False
         if self.has_custody(giver, number, id, datum.crc):
             return True
         size = len(datum.payload)
@@ -74,9 +79,17 @@ class Keeper:
 
     def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
         """Keep a spare copy for a neighbour that has custody. False: it cannot be kept, or not relied on."""
-        kept = self.spares.keep(giver, datum)
+        kept = not self.is_squatted(datum.id) and self.spares.keep(giver, datum)
         self.refused += not kept
         return kept
+
+    def is_squatted(self, id: DatumId) -> bool:
+        """Whether somebody made up a datum under a number that this node has yet to give; then it rings."""
+        origin, epoch, sequence = id
+        if origin != self.settings.node_id or epoch != self.store.epoch or sequence < self.store.given:
+            return False
+        self.alarms.ring(Alarm.SQUATTED, str(id))
+        return True
 
     def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
         """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken.
@@ -195,7 +208,8 @@ class Keeper:
 
     def take_note(self, id: DatumId, fate: Fate) -> bool:
         """A neighbour hands on the note that a datum is lost. False: there is no room for it."""
-        if id in self.arrived:
+        if self.is_squatted(id) or id in self.arrived:
+            # A note of what was never made goes no further: if it were refused, it would be offered for ever.
             return True
         holding = self.holdings.get(id)
         if holding is not None and self.load(holding) is not None:
@@ -232,9 +246,9 @@ class Sink(Keeper):
 
     def __init__(
         self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, archive: Archive,
-        observer: Observer,
+        observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
-        super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer)
+        super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer, alarms)
         self.archive = archive
         """What has become of all data."""
         self.arrived = archive
@@ -274,7 +288,7 @@ class Sink(Keeper):
 
     def take_note(self, id: DatumId, fate: Fate) -> bool:
         """A neighbour says that a datum is lost. False: there is no room for the note."""
-        if id in self.archive or self.archive.is_lost(id):
+        if self.is_squatted(id) or id in self.archive or self.archive.is_lost(id):
             return True
         if not self.archive.lose(id):
             return False

@@ -61,6 +61,14 @@ class NoSpares:
     def step(self, now: float) -> None:
         """Once a step."""
 
+    def detours(self) -> list[tuple[Holding, int]]:
+        """What has come back into custody for want of a receipt since the last time, and to whom it goes now."""
+        return []
+
+    def figures(self) -> dict[str, int]:
+        """What was counted in this life, by name, for `status`."""
+        return {}
+
     def spread(self, now: float, out: list[Message]) -> None:
         """Send spares of what rests without a backer, within the bandwidth."""
 

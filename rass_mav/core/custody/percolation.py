@@ -17,7 +17,7 @@ from rass_mav.core.routes.table import RoutingTable
 
 
 class Percolation:
-    """Retransmissions first, then what the policy plans, then spares of what rests."""
+    """Retransmissions first, then what goes another way than before, what the policy plans, spares of what rests."""
 
     __slots__ = ("_batches", "_id", "_keeper", "_pace", "_risk", "_rng", "_routing", "_transfers", "policy")
 
@@ -40,6 +40,10 @@ class Percolation:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
         if self._keeper.holdings.pending:
             self._retry(now, out)
+        inline = self._keeper.settings.inline_bytes
+        for holding, target in self._keeper.spares.detours():
+            if self._pace.left > 0 and (holding.size <= inline or self._transfers.free(target)):
+                self._hand_over(holding, target, now, out)
         self.forward(potential, now, out)
 
     def forward(self, potential: int, now: float, out: list[Message]) -> None:
@@ -66,25 +70,28 @@ class Percolation:
         if not plan and len(view.neighbours) < len(neighbours):
             view.neighbours = neighbours.values()
             plan = self.policy.plan(view)
-        inline, acknowledged = keeper.settings.inline_bytes, keeper.settings.acknowledged
+        inline = keeper.settings.inline_bytes
         for id, target in plan:
             holding = keeper.holdings.custody[id]
-            large = holding.size > inline
-            if large and not transfers.free(target):
-                continue
-            datum = keeper.load(holding)
-            if datum is None:
-                continue
-            if large:
-                transfers.begin(holding, datum, target, now, out)
-                continue
-            number = 0
-            if acknowledged:
-                number = keeper.numbers.draw()
-                keeper.holdings.give(holding, Pending(number, target, now))
-            else:
-                keeper.drop(holding, Fate.PASSED_ON)
-            self._send(target, number, datum)
+            if holding.size <= inline or transfers.free(target):
+                self._hand_over(holding, target, now, out)
+
+    def _hand_over(self, holding: Holding, target: int, now: float, out: list[Message]) -> None:
+        """Hand a datum over to a neighbour; a large one to one that is free for it."""
+        keeper = self._keeper
+        datum = keeper.load(holding)
+        if datum is None:
+            return
+        if holding.size > keeper.settings.inline_bytes:
+            self._transfers.begin(holding, datum, target, now, out)
+            return
+        number = 0
+        if keeper.settings.acknowledged:
+            number = keeper.numbers.draw()
+            keeper.holdings.give(holding, Pending(number, target, now))
+        else:
+            keeper.drop(holding, Fate.PASSED_ON)
+        self._send(target, number, datum)
 
     def _send(self, target: int, number: int, datum: Datum) -> None:
         self._pace.spend()

@@ -3,6 +3,9 @@
 The giver offers, the receiver accepts and names the transfer with a handle, chunks follow in a fixed window, and
 selective acknowledgements say what is missing. The offer is also the probe: after a step without any answer it is sent
 again, and the answer tells where to go on. There is no congestion control: the window is a constant.
+
+The other side is not trusted. An answer about chunks that were never sent is ignored, and a transfer counts as alive
+only while more is acknowledged than ever before.
 """
 
 from __future__ import annotations
@@ -21,7 +24,10 @@ REORDER_MARGIN = 3
 class Sending:
     """The giver's side of a transfer."""
 
-    __slots__ = ("_acked", "_resent", "_sent", "answered", "count", "datum", "handle", "neighbour", "number", "size")
+    __slots__ = (
+        "_acked", "_highest", "_most", "_resent", "_sent", "count", "datum", "handle", "moved", "neighbour", "number",
+        "size",
+    )  # fmt: skip
 
     def __init__(self, datum: Datum, neighbour: int, number: int, chunk_size: int) -> None:
         self.datum = datum
@@ -32,45 +38,67 @@ class Sending:
         self.count = -(-len(datum.payload) // chunk_size)
         """Number of chunks."""
         self.handle: int | None = None
-        self.answered = False
-        """Whether an answer came since the last probe."""
+        self.moved = False
+        """Whether more is acknowledged than ever before, since the last probe."""
+        self._most = -1
+        """Chunks that were acknowledged at most; -1: no answer yet."""
         self._acked: set[int] = set()
         self._sent = 0
+        """The next chunk to be sent for the first time, or once more after an interruption."""
+        self._highest = 0
+        """Chunks below this one may be known to the receiver."""
         self._resent: dict[int, int] = {}
 
     def offer(self, sender: int) -> Offer:
         """The offer, which is also the probe."""
         d = self.datum
-        self.answered = False
         return Offer(
             sender, self.neighbour, self.number, d.id, d.kind, d.created, d.hops, d.crc, len(d.payload), self.size,
             d.at_least,
         )  # fmt: skip
 
     def on_accept(self, accept: Accept) -> list[Chunk]:
-        """Begin, or go on after an interruption."""
-        self.answered = True
+        """Begin, or go on after an interruption. Nothing follows if that is beyond what the receiver can have."""
+        next_index = accept.next_index
+        if next_index >= self.count:
+            return []
         if accept.handle != self.handle:
             self.handle = accept.handle
             self._acked.clear()
-        self._acked.update(range(min(accept.next_index, self.count)))
+            # It may know chunks from an earlier transfer that broke off.
+            self._highest = self.count if next_index else 0
+        elif next_index > self._highest:
+            return []
+        if next_index in self._acked:
+            # What was said before was not so.
+            self._acked.clear()
+        self._acked.update(range(next_index))
         self._resent.clear()
-        self._sent = min(accept.next_index, self.count)
+        self._sent = next_index
+        self._count()
         return self._fill()
 
+    def _count(self) -> None:
+        if len(self._acked) > self._most:
+            self._most = len(self._acked)
+            self.moved = True
+
     def on_sack(self, sack: Sack) -> list[Chunk]:
-        """Send again what is missing, and more."""
-        self.answered = True
+        """Send again what is missing, and more. A sack of what was never sent is ignored."""
         acked = self._acked
-        acked.update(range(min(sack.next_index, self.count)))
+        known = sack.next_index + 1 + sack.bitmap.bit_length() if sack.bitmap else sack.next_index
+        if known > self._highest or sack.next_index >= self.count:
+            return []
+        acked.update(range(sack.next_index))
         bitmap, index = sack.bitmap, sack.next_index + 1
         highest = sack.next_index - 1
-        while bitmap and index < self.count:
+        while bitmap:
             if bitmap & 1:
                 acked.add(index)
                 highest = index
             bitmap >>= 1
             index += 1
+        self._count()
         again = []
         for missing in range(sack.next_index, highest - REORDER_MARGIN + 1):
             if missing not in acked and self._resent.get(missing, missing) <= highest - REORDER_MARGIN:
@@ -87,6 +115,7 @@ class Sending:
                 indexes.append(self._sent)
                 waiting += 1
             self._sent += 1
+        self._highest = max(self._highest, self._sent)
         payload, size, handle = self.datum.payload, self.size, self.handle
         assert handle is not None
         last = len(indexes) - 1
@@ -99,7 +128,7 @@ class Sending:
 class Receiving:
     """The receiver's side of a transfer. Holds at most one datum's bytes."""
 
-    __slots__ = ("_chunks", "_next", "_since", "count", "handle", "heard", "offer")
+    __slots__ = ("_chunks", "_next", "_since", "count", "handle", "heard", "moved", "offer")
 
     def __init__(self, offer: Offer, handle: int, now: float) -> None:
         self.offer = offer
@@ -107,6 +136,8 @@ class Receiving:
         self.count = -(-offer.size // offer.chunk_size)
         self.heard = now
         """When the giver was last heard, seconds."""
+        self.moved = now
+        """When a chunk came that was missing, seconds."""
         self._chunks: dict[int, bytes] = {}
         self._next = 0
         self._since = 0
@@ -126,6 +157,7 @@ class Receiving:
         self.heard = now
         if index < self.count and index not in self._chunks and len(chunk.data) == self._length(index):
             self._chunks[index] = chunk.data
+            self.moved = now
             self._since += 1
             while self._next in self._chunks:
                 self._next += 1

@@ -10,6 +10,7 @@ from rass_mav.core.custody.transfer import Receiving, Sending
 from rass_mav.core.datum import MAX_PAYLOAD, Datum
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
 from rass_mav.core.pace import Pace
+from rass_mav.core.routes.table import RoutingTable
 
 #: Transfers at a time, each way. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
@@ -20,15 +21,16 @@ MAX_CHUNKS = 1 << 14
 class Transfers:
     """Offers, chunks and their acknowledgement for one node."""
 
-    __slots__ = ("_id", "_keeper", "_pace", "_receiving", "_rng", "lifetime_s")
+    __slots__ = ("_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "lifetime_s")
 
-    def __init__(self, keeper: Keeper, pace: Pace, rng: random.Random, lifetime_s: float) -> None:
-        """`lifetime_s`: an incoming transfer silent for longer is given up, and its bytes forgotten."""
+    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
         self._id = keeper.settings.node_id
         self._keeper = keeper
+        self._routing = routing
         self._pace = pace
         self._rng = rng
-        self.lifetime_s = lifetime_s
+        self.lifetime_s = routing.lifetime_s
+        """An incoming transfer silent for longer is given up, and its bytes forgotten."""
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
 
@@ -48,11 +50,11 @@ class Transfers:
         out.append(sending.offer(self._id))
 
     def probe(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
-        """Offer once more what is being handed over in chunks, when nothing was heard since the last time."""
+        """Offer once more what is being handed over in chunks, when it has come no further since the last time."""
         pending.sent = now
-        if sending.answered:
+        if sending.moved:
             pending.tries = 1
-            sending.answered = False
+            sending.moved = False
         else:
             pending.tries += 1
             out.append(sending.offer(self._id))
@@ -100,7 +102,7 @@ class Transfers:
                 running.heard = now
                 return [running.accept(self._id)]
             del self._receiving[running.handle]
-        if not self._acceptable(offer):
+        if not self._acceptable(offer) or not self._has_place(offer.size, now):
             keeper.refused += 1
             return [self._refused(offer)]
         handle = self._rng.getrandbits(16)
@@ -110,14 +112,27 @@ class Transfers:
         return [transfer.accept(self._id)]
 
     def _acceptable(self, offer: Offer) -> bool:
-        if (
-            offer.size > MAX_PAYLOAD
-            or -(-offer.size // offer.chunk_size) > MAX_CHUNKS
-            or len(self._receiving) >= MAX_TRANSFERS
-            or offer.id in self._keeper.holdings
-        ):
-            return False
-        return self._keeper.may_accept(offer.size + sum(t.offer.size for t in self._receiving.values()))
+        return (
+            offer.size <= MAX_PAYLOAD
+            and -(-offer.size // offer.chunk_size) <= MAX_CHUNKS
+            # Names are easily made up, and each would take a place.
+            and offer.sender in self._routing.neighbours
+            and offer.id not in self._keeper.holdings
+            and not self._keeper.is_squatted(offer.id)
+        )
+
+    def _has_place(self, size: int, now: float) -> bool:
+        """Whether one more transfer may come in; those that stand still make place for it, the longest first."""
+        receiving, may_accept = self._receiving, self._keeper.may_accept
+        idle = sorted((t for t in receiving.values() if now - t.moved > self._pace.turn_s), key=lambda t: t.moved)
+        staying = [t for t in receiving.values() if t not in idle]
+        for leaving in range(len(idle) + 1):
+            others = [*staying, *idle[leaving:]]
+            if len(others) < MAX_TRANSFERS and may_accept(size + sum(t.offer.size for t in others)):
+                for transfer in idle[:leaving]:
+                    del receiving[transfer.handle]
+                return True
+        return False
 
     def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
         """A piece of a datum; of another's transfer, if the handle is not ours."""

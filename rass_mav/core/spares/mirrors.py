@@ -7,7 +7,8 @@ A datum has one custodian, the node that has to move it on. Beside it one other 
 - A datum that rests and has no backer gets one: its custodian sends a spare copy to its safest neighbour (`offers`).
 
 A custodian that finds its copy corrupt asks its backer to take the datum back into custody. A backer whose custodian is
-gone for long, or was wiped, does so by itself. A backer that loses its spare says so.
+gone for long, or was wiped, does so by itself. A backer that loses its spare says so. And what brings no receipt for
+long is handed over once more (`unconfirmed`).
 
 Nothing here can endanger custody. Spares are not custody: nobody deletes a copy in custody because a spare exists, and
 whatever is said about spares may be lost, doubled or late. What such an accident can do is to make a copy too many, or
@@ -31,6 +32,7 @@ from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.spares.offers import SpareOffers
 from rass_mav.core.spares.repairs import Repairs
 from rass_mav.core.spares.speech import Speech
+from rass_mav.core.spares.unconfirmed import Unconfirmed
 
 #: A backer that has heard nothing of a datum for so many steps (turns, where they are longer) asks its custodian.
 ASK_STEPS = 10
@@ -49,7 +51,10 @@ MAX_PASSED = 256
 class Mirrors(NoSpares):
     """A drone's share of mirrored custody."""
 
-    __slots__ = ("_again_at", "_keeper", "_now", "_offers", "_passed", "_repairs", "_routing", "_speech")
+    __slots__ = (
+        "_again_at", "_detours", "_keeper", "_now", "_offers", "_passed", "_repairs", "_routing", "_speech",
+        "_unconfirmed",
+    )  # fmt: skip
 
     def __init__(
         self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random, now: float,
@@ -63,6 +68,10 @@ class Mirrors(NoSpares):
         """Data found corrupt that somebody was asked to take back."""
         self._offers = SpareOffers(keeper, routing, pace, risk, rng)
         """To whom spares are offered."""
+        self._unconfirmed = Unconfirmed(keeper, routing, pace)
+        """What waits for receipts."""
+        self._detours: dict[DatumId, int] = {}
+        """Data that have come back into custody for want of a receipt, and to whom they go."""
         self._again_at = now
         """When those that have not answered are asked again, seconds."""
         self._passed: dict[DatumId, int] = {}
@@ -105,16 +114,21 @@ class Mirrors(NoSpares):
             self.take_back(holding)
 
     def gave(self, holding: Holding, to: int) -> bool:
-        """A neighbour has taken custody: the copy here becomes its spare, unless it is a base."""
+        """A neighbour has taken custody: the copy here becomes its spare. A base counts on none. But anybody can say
+        that it is one, so where spares are kept until a receipt this copy is too."""
         keeper, id = self._keeper, holding.id
         holdings = keeper.holdings
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = not to_base and len(holdings) - len(holdings.custody) < MAX_SPARES
+        stays = (not to_base or self._until_receipt) and len(holdings) - len(holdings.custody) < MAX_SPARES
         if stays:
             self._leave(holding, to)
-            holdings.change(holding, State.SPARE)
-            self._pair(holding, to)
+            if to_base:
+                holdings.change(holding, State.PASSED_ON)
+            else:
+                holdings.change(holding, State.SPARE)
+                self._pair(holding, to)
+            self._unconfirmed.handed_on(holding, to, self._now)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
             del self._passed[next(iter(self._passed))]
@@ -168,6 +182,7 @@ class Mirrors(NoSpares):
         if full or not keeper.store.accepting or not self._make_way(len(datum.payload), counted_on=False):
             return False
         holding = holdings.add(datum.arrived(), State.SPARE)
+        self._unconfirmed.handed_on(holding, giver, self._now)
         self._repairs.end(id)
         self._passed.pop(id, None)
         keeper.notes.forget(id)
@@ -177,6 +192,8 @@ class Mirrors(NoSpares):
 
     def let_go(self, holding: Holding, *, missing: bool) -> None:
         """A spare is about to go. `missing`: who counts on it is told."""
+        if holding.id in self._keeper.arrived:
+            self._unconfirmed.confirmed(holding, self._now)
         custodian = self._keeper.holdings.unpair(holding)
         if custodian is not None and missing:
             self._speech.say(custodian.id, holding.id, Word.NONE)
@@ -213,6 +230,34 @@ class Mirrors(NoSpares):
             self._again_at = now + turn_s - 0.5 * self._keeper.settings.step_s
             self._repairs.step(WORDS_A_STEP)
         self._offers.step(now)
+        self._detours.clear()
+        if self._until_receipt:
+            self._send_again(now)
+
+    @property
+    def _until_receipt(self) -> bool:
+        """Whether a spare is kept until a receipt says that the datum has arrived."""
+        return self._keeper.settings.mirror_until_receipt and self._keeper.receipts.told
+
+    def _send_again(self, now: float) -> None:
+        """What has brought no receipt for long comes back into custody."""
+        for holding in self._unconfirmed.step(now):
+            if self._keeper.load(holding) is not None:
+                self.take_back(holding)
+                target = self._unconfirmed.sends(holding, now)
+                if target is not None:
+                    self._detours[holding.id] = target
+
+    def detours(self) -> list[tuple[Holding, int]]:
+        """What has come back into custody for want of a receipt since the last time, and to whom it goes now."""
+        custody = self._keeper.holdings.custody
+        detours = [(custody[id], target) for id, target in self._detours.items() if id in custody]
+        self._detours.clear()
+        return detours
+
+    def figures(self) -> dict[str, int]:
+        """What was counted in this life, by name, for `status`."""
+        return {"sent_again_unconfirmed": self._unconfirmed.sent_again}
 
     def _look_after_partners(self, now: float) -> None:
         keeper, routing = self._keeper, self._routing
@@ -304,8 +349,11 @@ class Mirrors(NoSpares):
             # Also if the spare is another custodian's: that one may have passed the datum on to the asker.
             self.take_back(holding)
             return True
-        # Whoever it was given to has it, but for the asker, which has just lost it.
-        return self._repairs.is_under_way(id) or id in keeper.arrived or self._passed.get(id, asker) != asker
+        # Two custodians with rotten copies may ask each other at the same time: only the one with the higher node id
+        # answers for the datum then, or both would take it for the other's. Else, whoever it was given to has it, but
+        # for the asker, which has just lost it.
+        looking = keeper.settings.node_id > asker and self._repairs.is_under_way(id)
+        return looking or id in keeper.arrived or self._passed.get(id, asker) != asker
 
     def _on_still(self, id: DatumId, backer: int) -> None:
         """A backer asks after a datum of which it has a spare."""

@@ -52,8 +52,9 @@ class SpareOffers:
         self._pace = pace
         self._risk = risk
         self._rng = rng
-        self._came: dict[DatumId, Holding] = {}
-        """Small data that were handed over to this node since it looked last: their giver is their backer."""
+        self._came: dict[DatumId, None] = {}
+        """Small data that were handed over to this node since it looked last: their giver is their backer. Ids, for by
+        the time it looks the record may be another one's."""
         self.gone = 0.0
         """Share of the neighbours that fall silent from one step to the next, of late; 0..1."""
         self._refused: dict[int, float] = {}
@@ -63,7 +64,7 @@ class SpareOffers:
         """A datum was handed over to this node: whoever gave it keeps a spare."""
         settings = self._keeper.settings
         if settings.copies_auto and holding.size <= settings.inline_bytes:
-            self._came[holding.id] = holding
+            self._came[holding.id] = None
 
     def settle(self, id: DatumId) -> None:
         """A datum has another backer, or leaves custody: no more spares are wanted."""
@@ -90,10 +91,12 @@ class SpareOffers:
 
     def spread(self, now: float, out: list[Message]) -> None:
         """Send spares of what needs them to the safest neighbours, within the bandwidth."""
-        auto = self._keeper.settings.copies_auto
-        needy = [h for h in self._keeper.holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None)]
+        auto, holdings = self._keeper.settings.copies_auto, self._keeper.holdings
+        needy = [h for h in holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None)]
         if self._came:
-            needy += self._came.values()
+            came = (holdings.custody.get(id) for id in self._came)
+            # Those without a backer are in `bare`.
+            needy += [h for h in came if h is not None and h.partner is not None]
             self._came.clear()
         if needy:
             self._offer(needy, now, out)
