@@ -7,6 +7,7 @@ import pytest
 
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Route
 from rass_mav.core.routes.costs import CostRules
+from rass_mav.core.routes.neighbours import CREDIT
 from rass_mav.core.routes.ranks import CHANGE_OVER_HOPS, ByCost, ByHops, Rank
 from rass_mav.core.routes.table import HOLD_LIFETIMES, MAX_BASES, RoutingTable
 from rass_mav.core.settings import NodeSettings
@@ -142,7 +143,7 @@ def test_a_silent_neighbour_is_gone_with_all_it_said() -> None:
 
 def test_a_slow_neighbour_that_has_become_fast_is_forgotten_sooner() -> None:
     routing = table()
-    routing.hear(beacon(1, 0xFFFF)._replace(turn=90), -1.0)
+    routing.hear(beacon(1, 0xFFFF)._replace(turn=90), -9.0)
     routing.hear(beacon(1, 0)._replace(turn=90), 0.0)
     routing.update(0.0)
     assert routing.longest_s == pytest.approx(3.5 * 9)
@@ -151,6 +152,20 @@ def test_a_slow_neighbour_that_has_become_fast_is_forgotten_sooner() -> None:
     assert (list(routing.neighbours), routing.longest_s) == ([1], 3.5)
     routing.update(4.6)
     assert not routing.neighbours
+
+
+def test_a_turn_that_grows_is_believed_as_far_as_it_is_shown() -> None:
+    routing = table()
+    for number in range(3):
+        routing.hear(beacon(1, number)._replace(turn=600), float(number))
+    routing.update(2.0)
+    assert routing.longest_s == pytest.approx(3.5 * CREDIT)
+    routing.hear(beacon(1, 3)._replace(turn=600), 2.0 + CREDIT)
+    routing.update(2.0 + CREDIT)
+    assert routing.longest_s == pytest.approx(3.5 * CREDIT * CREDIT)
+    routing.hear(beacon(1, 4)._replace(turn=600), 20.0)
+    routing.update(20.0)
+    assert routing.longest_s == pytest.approx(3.5 * CREDIT * (18.0 - CREDIT))
 
 
 def test_a_beacon_taken_in_late_counts_from_when_it_was_heard() -> None:

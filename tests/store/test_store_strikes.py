@@ -134,7 +134,9 @@ def test_no_number_is_given_twice_and_every_loss_is_told(pasts: list[Past], tmp_
             report = store.report
             found = {id: store.get(id) for id in store.ids()}
             unknown = {id.epoch: id.sequence for id, fate in losses.items() if fate is Fate.UNKNOWN}
-            at_most = max([0, *(id.sequence for id, f in losses.items() if f is Fate.DAMAGED and id.epoch == store.life)])
+            at_most = max(
+                [0, *(id.sequence for id, f in losses.items() if f is Fate.DAMAGED and id.epoch == store.life)]
+            )
             missing = []
             for id, datum in past.held.items():
                 there = found.get(id)

@@ -162,17 +162,16 @@ def test_on_a_real_file_system(tmp_path: Path, how: str, said: str) -> None:
 
 
 def test_a_store_whose_disk_fills_up_goes_on_when_there_is_room() -> None:
-    with Disk(Random(1)) as disk:
-        with filled(disk.directory / "node.db", vfs=disk.vfs) as store:
-            disk.full = True
-            store.put(datum(9, 20_000))
-            with pytest.raises(StoreFullError):
-                commit(store)
-            assert not store.accepting
-            assert store.durable(datum(0).id)
-            disk.full = False
+    with Disk(Random(1)) as disk, filled(disk.directory / "node.db", vfs=disk.vfs) as store:
+        disk.full = True
+        store.put(datum(9, 20_000))
+        with pytest.raises(StoreFullError):
             commit(store)
-            assert store.accepting
+        assert not store.accepting
+        assert store.durable(datum(0).id)
+        disk.full = False
+        commit(store)
+        assert store.accepting
 
 
 @pytest.mark.parametrize("umask", [0, 0o777, 0o022])

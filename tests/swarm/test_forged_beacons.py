@@ -11,8 +11,7 @@ import pytest
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, Beacon
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.routes.announcements import JUMP_TURNS
-from rass_mav.core.routes.neighbours import MOST_TURN_S
-from rass_mav.core.routes.table import HOLD_LIFETIMES
+from rass_mav.core.routes.neighbours import CREDIT
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.world import World
@@ -88,7 +87,7 @@ def test_names_that_are_heard_once_cost_nothing_that_lasts(policy: str) -> None:
     assert len(swarm.ledger.arrived) == swarm.ledger.created > 200
 
 
-def test_also_a_name_that_is_heard_again_and_again_stretches_no_wait_by_hours() -> None:
+def test_also_a_name_that_is_heard_again_and_again_stretches_no_wait() -> None:
     swarm = world(grid(2))
     swarm.run(5)
     for number in range(3):
@@ -96,8 +95,7 @@ def test_also_a_name_that_is_heard_again_and_again_stretches_no_wait_by_hours() 
     swarm.run(1)
     routing = swarm.agents[1].node.routing
     steps = routing.lifetime_s / routing.step_s
-    assert routing.longest_s == pytest.approx(steps * MOST_TURN_S)
-    assert HOLD_LIFETIMES * routing.longest_s < 600.0
+    assert routing.longest_s <= steps * CREDIT * routing.step_s
 
 
 #: Who hears the forged beacon: everybody, those at the base, those far away from it, somebody in between.

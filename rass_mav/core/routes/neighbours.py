@@ -21,6 +21,8 @@ _LATE_WINDOW = 32
 CLEAN_MISSED = 0.2
 #: A turn that a beacon says counts as this many seconds at most: nobody has to be waited for over hours.
 MOST_TURN_S = 60.0
+#: and as so many times the time between its last two beacons at most: a turn that grows faster has to be shown.
+CREDIT = 4
 #: One place in so many is kept for bases. More cannot be: anybody can say that it is one.
 _BASES_PART = 4
 _MOST_MISSED = 8
@@ -71,8 +73,9 @@ class Neighbours(dict[int, Neighbour]):
         self._lifetime_s = lifetime_s
         self._most = most
         self._standing = standing
-        self._candidates: dict[int, tuple[int, int, float]] = {}
-        """(life, beacon number, until when the next one has to be heard) of who was heard once, first in first out."""
+        self._candidates: dict[int, tuple[int, int, float, float]] = {}
+        """(life, beacon number, when it was heard, until when the next one has to be) of who was heard once, first in
+        first out."""
         # `age` looks at nobody before that, unless somebody comes or changes its turn.
         self._nobody_goes_until = -inf
         self._longest_s = 0.0
@@ -98,9 +101,9 @@ class Neighbours(dict[int, Neighbour]):
         known.beacon = beacon
         if not known.confirmed:
             known.confirmed = last.life == beacon.life and newer(beacon.number, last.number)
-            self._be_patient(known)
-        elif beacon.turn != last.turn or now < known.heard:
-            self._be_patient(known)
+            self._be_patient(known, now - known.heard)
+        elif beacon.turn or last.turn or now < known.heard:
+            self._be_patient(known, now - known.heard)
         known.heard = now
         return True
 
@@ -108,30 +111,31 @@ class Neighbours(dict[int, Neighbour]):
         """Somebody who is not in the table: heard for the first time, or for the second."""
         id = beacon.sender
         candidates = self._candidates
-        life, number, until = candidates.pop(id, (None, 0, now))
+        life, number, heard, until = candidates.pop(id, (None, 0, now, now))
         new = Neighbour(beacon, now)
         new.confirmed = life == beacon.life and newer(beacon.number, number) and now <= until
         if not new.confirmed:
             if len(candidates) >= self._most:
                 del candidates[next(iter(candidates))]
             lifetime_s = self._lifetime_s * (self._turn_s(beacon) / self._step_s)
-            candidates[id] = (beacon.life, beacon.number, now + lifetime_s)
+            candidates[id] = (beacon.life, beacon.number, now, now + lifetime_s)
         if len(self) >= self._most:
             if not (new.confirmed and self._make_room(beacon, next_hop)):
                 return False
         elif 2 * len(self) >= self._most and not new.confirmed:
             return False
         self[id] = new
-        self._be_patient(new)
+        self._be_patient(new, now - heard)
         return True
 
     def _turn_s(self, beacon: Beacon) -> float:
         """How far apart the beacons are of who says this one, seconds."""
         return max(self._step_s, min(beacon.turn / 10, MOST_TURN_S))
 
-    def _be_patient(self, neighbour: Neighbour) -> None:
-        """Set how long a neighbour may be silent, by its last beacon."""
-        neighbour.turn_s = self._turn_s(neighbour.beacon) if neighbour.confirmed else self._step_s
+    def _be_patient(self, neighbour: Neighbour, gap_s: float) -> None:
+        """Set how long a neighbour may be silent, by its last beacon, and how long after the one before that came."""
+        shown_s = max(self._step_s, CREDIT * gap_s)
+        neighbour.turn_s = min(self._turn_s(neighbour.beacon), shown_s) if neighbour.confirmed else self._step_s
         neighbour.lifetime_s = self._lifetime_s * (neighbour.turn_s / self._step_s)
         self._nobody_goes_until = -inf
 
