@@ -7,6 +7,10 @@ from typing import NamedTuple, Protocol
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 
+#: How many second contents a store keeps apart in all, and under one id.
+MAX_APART = 1024
+MAX_APART_OF_ONE = 8
+
 
 class StoredInfo(NamedTuple):
     """What the node keeps in memory about a datum whose bytes lie in the store."""
@@ -61,6 +65,10 @@ class Store(Protocol):
 
     def put(self, datum: Datum) -> None:
         """Store a datum, or replace the one with its id. Raises `StoreFullError` over quota; nothing changes then."""
+
+    def keep_apart(self, datum: Datum) -> bool:
+        """Store a second content under the id of a stored datum, beside it. True also if this content is kept already.
+        False: there is no room; `MAX_APART_OF_ONE` an id are kept, and `MAX_APART` in all."""
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo
 from rass_mav.errors import StoreFullError
 
 from .quota import ROW_OVERHEAD, charge
@@ -21,8 +21,8 @@ class MemoryStore:
     """
 
     __slots__ = (
-        "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used", "epoch",
-"life",
+        "_apart", "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used",
+        "epoch", "life",
     )  # fmt: skip
     accepting = True
     """Always."""
@@ -40,6 +40,7 @@ class MemoryStore:
         self._data: dict[DatumId, Datum] = {}
         self._struck: set[DatumId] = set()
         """What may not fit its checksum: bytes in memory change by `flip_bit` only."""
+        self._apart: dict[DatumId, list[Datum]] = {}
         self._losses: dict[DatumId, Fate] = {}
         self._counters: dict[str, int] = {}
         self._meta: dict[str, int] = {}
@@ -80,6 +81,16 @@ class MemoryStore:
             del data[id]
             self._struck.discard(id)
         data[id] = datum
+
+    def keep_apart(self, datum: Datum) -> bool:
+        """Store a second content under the id of a stored datum, beside it. False: there is no room."""
+        others = self._apart.get(datum.id, [])
+        if any(other.crc == datum.crc and other.payload == datum.payload for other in others):
+            return True
+        if len(others) >= MAX_APART_OF_ONE or sum(map(len, self._apart.values())) >= MAX_APART:
+            return False
+        self._apart[datum.id] = [*others, datum]
+        return True
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now, or None."""

@@ -237,6 +237,10 @@ class SqliteStore:
 
     # -- what is stored ------------------------------------------------------------------------------------------------
 
+    def keep_apart(self, datum: Datum) -> bool:
+        """Store a second content under the id of a stored datum. False: there is no room, and there is none yet."""
+        return False
+
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
         if id not in self._sizes:

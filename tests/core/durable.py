@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo
 from rass_mav.errors import StoreFullError
 
 
@@ -16,13 +16,21 @@ class State:
     """All that a store knows."""
 
     data: dict[DatumId, Datum] = field(default_factory=dict)
+    apart: tuple[Datum, ...] = ()
     losses: dict[DatumId, Fate] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)
     meta: dict[str, int] = field(default_factory=dict)
     sequence: int = 0
 
     def snapshot(self) -> State:
-        return State(dict(self.data), dict(self.losses), dict(self.counters), dict(self.meta), copy.copy(self.sequence))
+        return State(
+            dict(self.data),
+            self.apart,
+            dict(self.losses),
+            dict(self.counters),
+            dict(self.meta),
+            copy.copy(self.sequence),
+        )
 
 
 class DurableStore:
@@ -87,6 +95,17 @@ class DurableStore:
         data.pop(datum.id, None)
         data[datum.id] = datum
         self._urgent = True
+
+    def keep_apart(self, datum: Datum) -> bool:
+        apart = self._live.apart
+        others = [other for other in apart if other.id == datum.id]
+        if any(other.crc == datum.crc for other in others):
+            return True
+        if len(others) >= MAX_APART_OF_ONE or len(apart) >= MAX_APART:
+            return False
+        self._live.apart = (*apart, datum)
+        self._urgent = True
+        return True
 
     def get(self, id: DatumId) -> Datum | None:
         return self._live.data.get(id)

@@ -41,7 +41,7 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
     (State.SPARE, State.CUSTODY): "the partner is gone, or a custodian asks for it; or it is offered, or was told lost",
     (State.PASSED_ON, State.CUSTODY): "a custodian asks for it; or it is offered, or was told lost",
-    (State.CUSTODY, None): "handed over and no spare kept, arrived elsewhere, corrupt, expired, or no room",
+    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no room",
     (
         State.SPARE,
         None,
@@ -317,6 +317,12 @@ class Holdings:
         for number in holding.offers:
             del self.offers[number]
         holding.offers.clear()
+
+    def want_none(self, holding: Holding) -> None:
+        """No spares of a datum in custody are offered any more, for as long as it stays what it is to its holder."""
+        self.withdraw(holding)
+        if holding.offer_at is not None:
+            holding.offer_at = inf
 
     # -- the indexes ---------------------------------------------------------------------------------------------------
 
