@@ -43,8 +43,8 @@ IN_CORE["node"] = IN_CORE["replica"] | {"spares"}
 
 #: What core may import of the standard library: nothing that knows a clock, a file, a thread or the environment.
 PURE = {
-    "__future__", "abc", "bisect", "collections", "collections.abc", "dataclasses", "enum", "functools", "heapq",
-    "itertools", "math", "operator", "random", "struct", "typing", "zlib",
+    "__future__", "abc", "array", "bisect", "collections", "collections.abc", "dataclasses", "enum", "functools",
+    "heapq", "itertools", "math", "operator", "random", "struct", "typing", "zlib",
 }  # fmt: skip
 
 #: Attributes of a class that does something. Data (`is_data`) have as many fields as they need.

@@ -21,13 +21,12 @@ from rass_mav.core.messages import (
     Handover,
     Message,
     PassedOn,
-    Receipt,
     ReceiptEntry,
-    ReceiptSpan,
     Sack,
     WordEntry,
     Words,
 )
+from rass_mav.core.news.checksums import make_receipt
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -49,7 +48,7 @@ LINKTYPE_RAW = 101
 TIMEOUT_S = 120.0
 
 #: A field of our messages -> its name in Wireshark, where that is another one.
-NAMES = {"Beacon.number": "beacon", "Receipt.bitmap": "arrived", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops"}
+NAMES = {"Beacon.number": "beacon", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops"}
 
 Shown = dict[str, list[str]]
 
@@ -102,8 +101,8 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             continue  # not on the wire
         if name == "created":
             yield "age", round((now - value) * 1000)
-        elif name in ("handovers", "entries", "ids", "spans"):
-            yield "spans" if name == "spans" else "count", len(value)
+        elif name in ("handovers", "entries", "ids"):
+            yield "count", len(value)
             for each in value:
                 yield from said(each, now)
         elif name in ("committed", "refused"):
@@ -117,19 +116,22 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
         elif name == "payload":
             yield "size", len(value)
             yield name, value
-        elif name == "bitmap" and kind == "Sack":
+        elif name == "bitmap":
             size = (value.bit_length() + 7) // 8
-            yield "bitmap_size", size
+            yield "bitmap_size" if kind == "Sack" else "entry_size", size
             if size:
-                yield name, value.to_bytes(size, "little")
+                yield name if kind == "Sack" else "entry_bitmap", value.to_bytes(size, "little")
+        elif name == "lost":
+            yield name, int(value)
         else:
-            owner = "Receipt" if kind in ("ReceiptEntry", "ReceiptSpan") else kind
-            yield NAMES.get(f"{owner}.{name}", name), value
+            yield NAMES.get(f"{kind}.{name}", name), value
 
 
 def read(name: str, text: str) -> int | bytes:
-    if name in ("rass.payload", "rass.data", "rass.bitmap"):
+    if name in ("rass.payload", "rass.data", "rass.bitmap", "rass.entry_bitmap"):
         return bytes.fromhex(text.replace(":", ""))
+    if text in ("True", "False"):
+        return int(text == "True")
     return int(text, 0)
 
 
@@ -181,8 +183,8 @@ def test_full_frames_and_measurements(tmp_path: Path) -> None:
         Data(7, 8, (Handover(1, datum._replace(at_least=True)),), True),
         Chunk(65535, 0xFFFF, 16383, True, bytes(range(123))),
         Sack(1, 65535, 2, 3, (1 << 256) - 1),
-        Receipt(1, 2, tuple(ReceiptEntry(n, n + 1, n + 2, n + 3) for n in range(1, 9))),
-        Receipt(1, 2, (), tuple(ReceiptSpan(n, n + 1, n + 2, n + 3, n + 4, n) for n in range(1, 7))),
+        make_receipt(1, 2, 3, [ReceiptEntry(n, n + 1, 100 * n, n + 3, 2 * n, n % 2 == 0) for n in range(1, 9)]),
+        make_receipt(1, 2, 4, [ReceiptEntry(1, 2, 0, 0xFFFFFF00, (1 << 128) - 2, False)]),
         PassedOn(7, 8, tuple(DatumId(n, n + 1, n + 2) for n in range(11))),
         Words(7, 8, tuple(WordEntry(DatumId(n, n + 1, n + 2), n) for n in range(10))),
     ]

@@ -29,7 +29,15 @@ from rass_mav.wire.measurement import decode_measurement
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200
 
-_LOSS_REASONS = {1: "corrupted", 2: "expired", 3: "overflow", 4: "died", 5: "vanished"}
+_LOSS_REASONS = {
+    1: "corrupted",
+    2: "expired",
+    3: "overflow",
+    4: "died",
+    5: "vanished",
+    6: "from this sequence on nobody knows what was given",
+    7: "the store of this life was damaged, so many data may be lost",
+}
 _WORDS = {
     Word.AGAIN: "my copy is bad, take yours back",
     Word.NONE: "do not count on my copy",
@@ -236,18 +244,9 @@ def _bits(bitmap: int, first: int) -> str:
     return ", ".join(str(first + i) for i in range(bitmap.bit_length()) if bitmap >> i & 1)
 
 
-def _lost(record: Any, bitmap: int) -> str:
-    return f"{_bits(bitmap, record.closed)} told lost" if bitmap else ""
-
-
-def _arrived(record: Any, bitmap: int) -> str:
-    floor = record.closed if hasattr(record, "closed") else record.next_index
-    return f"and {_bits(bitmap, floor + 1)}" if bitmap else ""
-
-
-def _closed(record: Any, _: int) -> str:
-    below = "from the floor up to it" if hasattr(record, "floor") else "below"
-    return f"all sequences {below} have arrived"
+def _bitmap(record: Any, bitmap: int) -> str:
+    behind = record.first + record.run if hasattr(record, "run") else record.next_index + 1
+    return f"and {_bits(bitmap, behind)}" if bitmap else ""
 
 
 def _no_route(beacon: Any, _: int) -> str:
@@ -274,10 +273,10 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "Handover.number": lambda _, value: "hand-over" if value else "no custody offered",
     "size": lambda _, value: "bytes",
     "chunk_size": lambda _, value: "bytes",
-    "closed": _closed,
-    "lost": _lost,
-    "floor": lambda _, value: "nothing is said of what lies below",
-    "bitmap": _arrived,
+    "run": lambda entry, value: f"up to {entry.first + value - 1}",
+    "lost": lambda _, value: "told lost" if value else "arrived",
+    "given": lambda _, value: "the sequences below have been given, and no other",
+    "bitmap": _bitmap,
 }
 
 

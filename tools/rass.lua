@@ -17,10 +17,11 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 -- Fields --------------------------------------------------------------------------------------------------------------
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
-    "Query", "Passed on", "Words" }
+    "Query", "Passed on", "Words", "Given" }
 local VERSION = 2
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
-local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished" }
+local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
+    [6] = "numbers unknown from here on", [7] = "store damaged" }
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here" }
 local TARGETS = { [65535] = "everybody" }
 
@@ -75,8 +76,6 @@ field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a st
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
 field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
-field("receipt_count", ProtoField.uint8, "rass.count", "Entries", base.DEC, nil, 0x0f)
-field("spans", ProtoField.uint8, "rass.spans", "Spans", base.DEC, nil, 0xf0)
 field("number", ProtoField.uint32, "rass.number", "Hand-over number", base.HEX)
 field("origin", ProtoField.uint16, "rass.origin", "Datum: origin")
 field("sequence", ProtoField.uint32, "rass.sequence", "Datum: sequence")
@@ -84,7 +83,7 @@ field("age", ProtoField.uint32, "rass.age", "Age, ms", base.DEC, nil, 0x7fffffff
 field("at_least", ProtoField.bool, "rass.at_least", "At least so old", 32, nil, 0x80000000)
 field("datum_hops", ProtoField.uint8, "rass.datum_hops", "Hand-overs so far")
 field("kind", ProtoField.uint8, "rass.kind", "Kind", base.DEC, KINDS)
-field("crc", ProtoField.uint32, "rass.crc", "CRC of the datum", base.HEX)
+field("crc", ProtoField.uint32, "rass.crc", "CRC", base.HEX)
 field("size", ProtoField.uint32, "rass.size", "Size, bytes")
 field("small_size", ProtoField.uint8, "rass.size", "Size, bytes")
 field("payload", ProtoField.bytes, "rass.payload", "Payload of the datum")
@@ -99,10 +98,13 @@ field("bitmap", ProtoField.bytes, "rass.bitmap", "Bitmap")
 field("committed", ProtoField.uint8, "rass.committed", "Committed pairs")
 field("refused", ProtoField.uint8, "rass.refused", "Refused numbers")
 field("refused_number", ProtoField.uint32, "rass.refused_number", "Refused hand-over", base.HEX)
-field("closed", ProtoField.uint32, "rass.closed", "All below have arrived")
-field("arrived", ProtoField.uint16, "rass.arrived", "Bitmap: closed + 1 + i has arrived too", base.HEX)
-field("lost", ProtoField.uint16, "rass.lost", "Bitmap: closed + i was told lost", base.HEX)
-field("floor", ProtoField.uint32, "rass.floor", "Of what is below nothing is said")
+field("serial", ProtoField.uint32, "rass.serial", "Serial of the statement")
+field("first", ProtoField.uint32, "rass.first", "First sequence")
+field("run", ProtoField.uint32, "rass.run", "Sequences that follow each other")
+field("entry_size", ProtoField.uint8, "rass.entry_size", "Bytes of bitmap", base.DEC, nil, 0x7f)
+field("lost", ProtoField.bool, "rass.lost", "Told lost", 8, nil, 0x80)
+field("entry_bitmap", ProtoField.bytes, "rass.entry_bitmap", "Bitmap: first + run + i too")
+field("given", ProtoField.uint32, "rass.given", "Sequences below this one have been given")
 field("word", ProtoField.uint8, "rass.word", "Word", base.DEC, WORDS)
 field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
 field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp")
@@ -384,28 +386,58 @@ READ[7] = function(r)
     return string.format("%s, %d committed, %d refused", info, committed, refused)
 end
 
+-- A number of at most five bytes, seven bits in each, the low ones first.
+local function varint(r, key)
+    local from, number = r.at, 0
+    for i = 0, 4 do
+        local byte = r:need(1):uint()
+        number = number + byte % 128 * 128 ^ i
+        if byte < 128 then
+            if byte == 0 and i > 0 or number >= 2 ^ 32 then error(CUT, 0) end
+            r.tree:add(f[key], r.tvb(from, r.at - from), number)
+            return number
+        end
+    end
+    error(CUT, 0)
+end
+
+-- How many bits the highest byte of a bitmap takes.
+local function bits_of(byte)
+    local bits = 0
+    while byte > 0 do
+        byte = math.floor(byte / 2)
+        bits = bits + 1
+    end
+    return bits
+end
+
 READ[8] = function(r)
     local from = r:number("base", 2)
     r:number("base_life", 4)
-    local counts = r:need(1)
-    r.tree:add(f.receipt_count, counts)
-    r.tree:add(f.spans, counts)
-    local entries = counts:uint() % 16
-    local spans = (counts:uint() - entries) / 16
-    local function entry()
+    r:number("serial", 4)
+    r:number("crc", 4)
+    local count = r:number("count", 1)
+    times(r, count, "Entry", function()
         r:number("origin", 2)
         r:number("epoch", 4)
-        local closed = r:number("closed", 4)
-        r:number("arrived", 2)
-        return closed
-    end
-    times(r, entries, "Origin", entry)
-    times(r, spans, "Span", function()
-        local closed = entry()
-        r:number("lost", 2)
-        if r:number("floor", 4) > closed then error(CUT, 0) end
+        local ends = varint(r, "first")
+        local run = varint(r, "run")
+        local about = r:need(1)
+        r.tree:add(f.entry_size, about)
+        r.tree:add(f.lost, about)
+        local size = about:uint() % 128
+        if size > 16 or run == 0 then error(CUT, 0) end
+        ends = ends + run
+        if size > 0 then
+            local bitmap = r:need(size)
+            local last = bitmap(size - 1, 1):uint()
+            if last == 0 or bitmap(0, 1):uint() % 2 == 1 then error(CUT, 0) end
+            r.tree:add(f.entry_bitmap, bitmap)
+            ends = ends + 8 * (size - 1) + bits_of(last)
+        end
+        if ends > 2 ^ 32 then error(CUT, 0) end
     end)
-    return string.format("base %d, of %d origins", from, entries + spans)
+    return string.format("base %d, %d entries", from, count)
 end
 
 READ[9] = function(r)
@@ -414,6 +446,7 @@ READ[9] = function(r)
         r:number("number", 4)
         info = info .. " " .. datum_id(r)
         r:number("reason", 1)
+        r:number("crc", 4)
     end)
     return info
 end
@@ -445,6 +478,14 @@ READ[13] = function(r)
         info = string.format("%s %s %s", info, WORDS[word] or tostring(word), id)
     end)
     return info
+end
+
+READ[14] = function(r)
+    local origin = r:number("origin", 2)
+    r:number("epoch", 4)
+    local given = r:number("given", 4)
+    r:number("crc", 4)
+    return string.format("%d has given %d", origin, given)
 end
 
 function rass.dissector(tvb, pinfo, root)

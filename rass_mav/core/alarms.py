@@ -16,6 +16,10 @@ class Alarm(enum.Enum):
     SQUATTED = "somebody made data under this node's numbers"
     """Data on offer bear own numbers that have not been given."""
     TWO_CONTENTS = "two contents under one datum id, both kept"
+    UNKNOWN = "data may have been made that nobody knows of"
+    """A node that lost count of its numbers says from which one on."""
+    DAMAGED = "the store of a node was damaged"
+    """A node says so, and how many data may be lost."""
 
 
 class Alarms:

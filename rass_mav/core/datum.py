@@ -55,10 +55,16 @@ class Fate(enum.Enum):
     """All copies were on drones that died for good or were wiped."""
     VANISHED = "vanished"
     """Sent without custody and never received."""
+    UNFOUNDED = "unfounded"
+    """In custody, and deleted on a word that no base and no other node can confirm."""
     UNKNOWN = "unknown"
-    """Of an epoch that ended uncleanly: numbers below the one in this id are known, the others may have been given."""
+    """Of a closed epoch: numbers from one on may have been given, and nobody knows. About no single datum."""
     DAMAGED = "damaged"
-    """Of a life (in the place of the epoch): at most so many data (the number) were lost with a damaged store."""
+    """A node's store was damaged, and data in it may be lost. About no single datum."""
+
+
+#: What is told like a loss, and is about no single datum.
+WOUNDS = (Fate.UNKNOWN, Fate.DAMAGED)
 
 
 class Datum(NamedTuple):

@@ -222,40 +222,45 @@ class Sack(NamedTuple):
 
 
 class ReceiptEntry(NamedTuple):
-    """What has arrived of the data of one origin and epoch, as long as little is missing."""
+    """Numbers of one origin and epoch that have arrived at a base, or that it was told are lost."""
 
     origin: int
     epoch: int
-    closed: int
-    """All sequence numbers below this one have arrived; this one has not."""
+    """Of the data."""
+    first: int
+    """This number and all up to, but not including, `first + run` are meant."""
+    run: int
+    """At least 1."""
     bitmap: int
-    """Bit i: sequence closed + 1 + i has arrived too. 16 bits."""
-
-
-class ReceiptSpan(NamedTuple):
-    """The same when there is more to say: numbers told lost, or a floor (see `core.news.arrivals`)."""
-
-    origin: int
-    epoch: int
-    closed: int
-    """All sequence numbers from `floor` up to, but not including, this one have arrived; this one has not."""
-    bitmap: int
-    """Bit i: sequence closed + 1 + i has arrived. 16 bits."""
-    lost: int
-    """Bit i: a base was told that sequence closed + i is lost, and has not got it. 16 bits."""
-    floor: int
-    """Of sequence numbers below this one nothing is said. At most `closed`."""
+    """Bit i: number `first + run + i` is meant too. 128 bits; bit 0 is never set, for the run would be longer."""
+    lost: bool
+    """The base was told that these are lost; False: it has got them. It may have got some of them since."""
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
 class Receipt(NamedTuple):
-    """A base's word that data have arrived, told on by whoever knows it."""
+    """One statement of one base about what it has itself, told on word by word by all who hear it."""
 
     base: int
-    """The base whose word it is; of several bases' words together, the one heard last."""
     base_life: int
+    """The base's (32 bits): a wiped base is another base."""
+    serial: int
+    """Raised by the base with each statement, 32 bits."""
+    crc: int
+    """CRC-32 of the rest (`receipt_crc`)."""
     entries: tuple[ReceiptEntry, ...]
-    spans: tuple[ReceiptSpan, ...] = ()
+
+
+@_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
+class Given(NamedTuple):
+    """An origin's answer to receipts that name numbers of its present epoch which it has not given."""
+
+    origin: int
+    epoch: int
+    given: int
+    """How many numbers it has given of this epoch: all below this one."""
+    crc: int
+    """CRC-32 of the rest (`given_crc`)."""
 
 
 class LossNoteEntry(NamedTuple):
@@ -265,12 +270,16 @@ class LossNoteEntry(NamedTuple):
     """Hand-over number of the note, as for data."""
     id: DatumId
     reason: int
-    """1 corrupted, 2 expired, 3 overflow, 4 died, 5 or any other: vanished."""
+    """1 corrupted, 2 expired, 3 overflow, 4 died, 5 or any other: vanished. 6: numbers of the id's origin and epoch
+    from its sequence on may have been given, nobody knows. 7: the store of the id's origin, whose life is the id's
+    epoch, was damaged; as many data as the id's sequence says may be lost."""
+    crc: int
+    """CRC-32 over id and reason (`note_crc`), made by whoever made the note."""
 
 
 @_kind(Target.NAMED, Urgency.DATA, _on_all_changes)
 class LossNote(NamedTuple):
-    """Word that data are lost; it percolates to the base like a datum and closes the hole there."""
+    """Word that data are lost; it percolates to the base like a datum."""
 
     sender: int
     target: int
@@ -351,4 +360,5 @@ class Words(NamedTuple):
 
 Message: TypeAlias = (
     Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Words
-)
+    | Given
+)  # fmt: skip

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 from rass_mav.core import messages
+from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
-from rass_mav.core.datum import MAX_PAYLOAD, Datum
+from rass_mav.core.datum import MAX_PAYLOAD, Datum, Fate
 from rass_mav.core.messages import Committed, Message
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.notes import LossNotes, NoLossNotes, fate_of
+from rass_mav.core.news.checksums import is_sound_note, make_given
+from rass_mav.core.news.notes import LossNotes, NoLossNotes, Note
 from rass_mav.core.news.receipts import NoReceipts, Receipts
+from rass_mav.core.news.voice import Serials
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import Policy
 from rass_mav.core.settings import NodeSettings
@@ -37,7 +41,7 @@ class Node(Participant):
         self.percolation = Percolation(
             keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
-        if self.base:
+        if isinstance(keeper, Sink):
             keeper.spares = AtBase(keeper)
         elif self.settings.mirror:
             keeper.spares = Mirrors(keeper, self.routing, self.pace, self.risk, self.rng, now)
@@ -46,10 +50,13 @@ class Node(Participant):
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
             return NoReceipts()
-        source = (self.id, self.store.life) if self.base else (0, 0)
         # Neighbours' turns should not come together, so ids are scattered (by Knuth's multiplicative hashing).
         phase = self.id * 2654435761 % (1 << 32) >> 16
-        return Receipts(source, archive=self.archive, period=self.settings.receipt_steps, phase=phase)
+        period = self.settings.receipt_steps
+        if self.archive is None:
+            return Receipts(period=period, phase=phase)
+        source, serials = (self.id, self.store.life), Serials(self.store)
+        return Receipts(source, archive=self.archive, serials=serials, period=period, phase=phase)
 
     def _make_keeper(self) -> Keeper:
         settings, store, numbers = self.settings, self.store, HandoverNumbers(self._first_number)
@@ -70,6 +77,8 @@ class Node(Participant):
         has_turn = self.receipts.due(self._steps)
         if has_turn and (receipt := self.receipts.turn(self.routing.neighbours.values())) is not None:
             out.append(receipt)
+        if has_turn and (denial := self.receipts.denial()) is not None:
+            out.append(denial)
         keeper.spares.step(now)
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
@@ -124,7 +133,7 @@ class Node(Participant):
             "corrupt_received": keeper.corrupt_received,
             "handovers_pending": len(self.holdings.pending),
             **keeper.spares.figures(),
-            **({} if self.archive is None else {"told_lost": self.archive.told_lost}),
+            **({} if self.archive is None else _told(self.archive)),
             **({"loss_notes": len(keeper.notes.waiting)} if keeper.notes.told else {}),
         }
 
@@ -199,16 +208,46 @@ class Node(Participant):
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
         changed = self.receipts.learn(receipt)
         if changed:
+            if (self.id, self.store.epoch) in changed:
+                self._contradict(receipt)
             self.keeper.heed(changed)
+        return []
+
+    def _contradict(self, receipt: messages.Receipt) -> None:
+        """A receipt is about own data: does it name numbers that were never given?"""
+        store = self.store
+        if store.given <= 0xFFFFFFFF and self.receipts.deny(make_given(self.id, store.epoch, store.given)):
+            self.alarms.ring(Alarm.DENIED, f"base {receipt.base}")
+
+    def _on_given(self, given: messages.Given, now: float) -> list[Message]:
+        if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
+            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has given {given.given}")
+        self.receipts.deny(given)
         return []
 
     def _on_loss_note(self, note: messages.LossNote, now: float) -> list[Message]:
         if not self.keeper.takes_notes:
             return []
-        taken = {number: self.keeper.take_note(id, fate_of(reason)) for number, id, reason in note.entries}
+        taken = {
+            number: self.keeper.take_note(id, Note(reason, crc, note.sender))
+            for number, id, reason, crc in note.entries
+            if is_sound_note(id, reason, crc)
+        }
+        if not taken:
+            return []
         committed = tuple([(number, 0) for number, good in taken.items() if good])
         refused = tuple([number for number, good in taken.items() if not good])
         return [Committed(self.id, note.sender, committed, refused)]
+
+
+def _told(archive: Archive) -> dict[str, int]:
+    """What a base was told, for `status`."""
+    wounds = Counter(archive.wounds.values())
+    return {
+        "told_lost": archive.told_lost,
+        "told_unknown": wounds[Fate.UNKNOWN],
+        "told_damaged": wounds[Fate.DAMAGED],
+    }
 
 
 #: How each message is taken in. Entries of a stigmergy are for `Replica`.
@@ -226,4 +265,5 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.Query: Node._ignore,
     messages.PassedOn: Node._on_passed_on,
     messages.Words: Node._on_words,
+    messages.Given: Node._on_given,
 }

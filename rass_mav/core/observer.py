@@ -24,4 +24,7 @@ class Observer:
         """A datum sent without custody found no room here."""
 
     def delivered(self, datum: Datum) -> None:
-        """A datum arrived here, at a base, for the first time."""
+        """A datum arrived here, at a base, for the first time; or again, after its bytes here had been damaged."""
+
+    def kept_apart(self, datum: Datum) -> None:
+        """Another content arrived here, at a base, under the id of a datum that has arrived; both are kept."""

@@ -219,4 +219,5 @@ HANDLERS: dict[type, Callable[[Replica, Any, float], list[Message]]] = {
     messages.Query: Replica._on_query,
     messages.PassedOn: Replica._ignore,
     messages.Words: Replica._ignore,
+    messages.Given: Replica._ignore,
 }

@@ -77,7 +77,7 @@ class CustodySettings(Section):
     mode: Literal["acknowledged", "none"] = "acknowledged"
     """acknowledged: a datum is kept until the receiver has it on disk; none: what is sent is deleted at once."""
     receipts: bool = True
-    """Bases say what has arrived; others tell it on, and drop their copies of it. What is lost is told to the bases."""
+    """Bases say what has arrived; others tell it on, and drop their spares of it. What is lost is told to the bases."""
     receipt_steps: Count = 6
     """A node sends one receipt frame in so many steps at most."""
     retry_steps: Count = 1
@@ -133,7 +133,7 @@ class NodeSettings:
     immediate: bool = False
     """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True
-    """A base says what has arrived; others tell it on, and drop what has. Lost data are told to the base."""
+    """A base says what has arrived; others tell it on, and drop their spares of it. Lost data are told to the base."""
     receipt_steps: int = 6
     """A node sends one receipt frame in so many steps at most."""
     retry_steps: int = 1

@@ -75,7 +75,8 @@ class Store(Protocol):
         """Store a datum, or replace the one with its id. Raises `StoreFullError` over quota; nothing changes then."""
 
     def keep_apart(self, datum: Datum) -> bool:
-        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no room."""
+        """Store a second content under the id of a stored datum, beside it. True also if this content is kept already.
+        False: there is no room; `MAX_APART_OF_ONE` an id are kept, and `MAX_APART` in all."""
 
     def apart(self) -> Iterable[StoredInfo]:
         """What is kept apart; told from what is stored by its CRC."""

@@ -6,7 +6,6 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.news.arrivals import WINDOW_BITS, has_arrived
 from rass_mav.core.news.notes import MAX_NOTES
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.swarm.errors import InvariantError
@@ -14,6 +13,9 @@ from rass_mav.swarm.errors import InvariantError
 if TYPE_CHECKING:
     from rass_mav.swarm.disk.power import Power
     from rass_mav.swarm.virtual import VirtualSwarm
+
+#: How many of the numbers that follow each other are looked up, the last ones.
+LOOKED_AT = 32
 
 
 def check(world: VirtualSwarm) -> None:
@@ -65,7 +67,8 @@ def _check_disks(world: VirtualSwarm, power: Power) -> Counter[DatumId]:
 
     Returns the copies on drones' disks.
     """
-    lost = world.ledger.losses()[Fate.VANISHED.value]
+    losses = world.ledger.losses()
+    lost = losses[Fate.VANISHED.value] + losses[Fate.UNFOUNDED.value]
     if lost and world.agents[0].settings.custody.mode == "acknowledged":
         raise InvariantError(f"step {world.t - 1}: {lost} data are lost that a disk had, and nothing took them")
     copies: Counter[DatumId] = Counter()
@@ -85,9 +88,9 @@ def _check_receipts(world: VirtualSwarm, node_id: int) -> None:
     """A node knows of no arrival that never was."""
     receipts = world.agents[node_id].node.receipts
     for (origin, epoch), known in receipts.known().items():
-        closed, _, _, floor = known
-        for sequence in range(max(floor, closed - WINDOW_BITS), closed + WINDOW_BITS + 1):
-            id = DatumId(origin, epoch, sequence)
-            # What is on its way to a base's disk has not arrived yet, and the base says nothing of it.
-            if has_arrived(known, sequence) and id not in world.ledger.arrived and world.stores[node_id].durable(id):
-                raise InvariantError(f"step {world.t - 1}: node {node_id} thinks that {id} has arrived")
+        for first, end in known:
+            for sequence in range(max(first, end - LOOKED_AT), end):
+                id = DatumId(origin, epoch, sequence)
+                # What is on its way to a base's disk has not arrived yet, and the base says nothing of it.
+                if id not in world.ledger.arrived and world.stores[node_id].durable(id):
+                    raise InvariantError(f"step {world.t - 1}: node {node_id} thinks that {id} has arrived")

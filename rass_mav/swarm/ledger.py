@@ -10,7 +10,7 @@ from rass_mav.core.store import Store
 from rass_mav.swarm.errors import InvariantError
 
 #: The fates that the summary counts as lost, in its order.
-LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED)
+LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED, Fate.UNFOUNDED)
 
 
 class Ledger:
@@ -19,7 +19,9 @@ class Ledger:
     A datum is lost when its last copy goes; should a copy turn up again (a late frame), it is held again.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, custody: bool) -> None:
+        """`custody`: nodes keep data until somebody else has them."""
+        self._baseless = Fate.UNFOUNDED if custody else Fate.VANISHED
         self.step = 0
         """The present step; the world sets it."""
         self.payloads: dict[DatumId, bytes] = {}
@@ -37,6 +39,8 @@ class Ledger:
         """Measurements refused by full nodes: created and lost, but they never got an id."""
         self.altered = 0
         """Delivered data whose bytes are not those created."""
+        self.apart = 0
+        """Second contents that bases have kept apart."""
         self.hops: list[int] = []
         self.stored = 0
         """Copies in all drones' stores."""
@@ -108,9 +112,9 @@ class Ledger:
         else:
             self.waiting -= 1
             # Another node was trusted to have it, and there is no copy: it has lost it since, and that is why it is
-            # lost. If nobody has, it was sent without custody, and is in the air until it turns up; or somebody
-            # promised what its disk did not know.
-            self.lost[id] = self.spoilt.get(id, Fate.VANISHED) if trusted else fate
+            # lost. If nobody has, it was sent without custody, and is in the air until it turns up; or, with custody,
+            # it was deleted on a word that was not true.
+            self.lost[id] = self.spoilt.get(id, self._baseless) if trusted else fate
 
     def decline(self, id: DatumId) -> None:
         """A datum sent without custody was not taken in. Unless there is another copy, it is lost."""
@@ -173,6 +177,9 @@ class _Book(Observer):
         else:
             self._ledger.deliver(datum)
 
+    def kept_apart(self, datum: Datum) -> None:
+        self._ledger.apart += 1
+
 
 class Diary(Observer):
     """The book of a node with a disk. It is told of what the disk knows: news wait for the commit that covers them, and
@@ -193,6 +200,9 @@ class Diary(Observer):
 
     def declined(self, id: DatumId) -> None:
         self._book.declined(id)
+
+    def kept_apart(self, datum: Datum) -> None:
+        self._book.kept_apart(datum)
 
     def gained(self, datum: Datum) -> None:
         self._waiting.append((datum.id, datum))

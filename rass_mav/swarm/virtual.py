@@ -61,12 +61,13 @@ class VirtualSwarm(ABC):
         :param off_steps: how long a node is off after a power cut.
         :param record: called with every frame put on the air, and its step.
         """
+        agents = list(agents)
         self.seed = seed
         self.topology = topology
         # One generator for each purpose: what one part draws does not disturb the others. Seeding with a text is
         # the same in every process.
         self.radio = Radio(radio, random.Random(f"{seed}:radio"), record=record)
-        self.ledger = Ledger()
+        self.ledger = Ledger(custody=agents[0].custody.mode == "acknowledged")
         self.t = 0
         """The step that comes next."""
         self.loops = 0

@@ -22,6 +22,7 @@ from rass_mav.core.messages import (
     Chunk,
     Committed,
     Data,
+    Given,
     Handover,
     LossNote,
     LossNoteEntry,
@@ -32,12 +33,13 @@ from rass_mav.core.messages import (
     Query,
     Receipt,
     ReceiptEntry,
-    ReceiptSpan,
     Sack,
     Target,
     WordEntry,
     Words,
 )
+from rass_mav.core.news.checksums import TOLD_LOST, entry_bytes, given_crc, receipt_crc
+from rass_mav.core.news.statements import RECEIPT_BITS
 from rass_mav.core.replica import QUERY_IDS
 from rass_mav.errors import MalformedError
 
@@ -47,6 +49,7 @@ MAX_TUNNEL = 128
 VERSION = 2
 
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
+GIVEN = 14
 
 # A beacon without its checksum, which stands at `_SEAL`, and covers all before and behind it.
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
@@ -61,10 +64,10 @@ _SACK = struct.Struct("<BHHHHB")
 _COMMITTED = struct.Struct("<BHHBB")
 _DONE = struct.Struct("<II")
 _NUMBER = struct.Struct("<I")
-_RECEIPT = struct.Struct("<BHIB")
-_RECEIPT_ENTRY = struct.Struct("<HIIH")
-_RECEIPT_SPAN = struct.Struct("<HIIHHI")
-_NOTE = struct.Struct("<IHIIB")
+_RECEIPT = struct.Struct("<BHIIIB")
+_PAIR = struct.Struct("<HI")
+_NOTE = struct.Struct("<IHIIBI")
+_GIVEN = struct.Struct("<BHIII")
 _PUT = struct.Struct("<BHHHHIIIBBIB")
 _ID = struct.Struct("<HII")
 _WORD = struct.Struct("<HIIB")
@@ -189,19 +192,15 @@ def _encode_committed(m: Committed, now: float) -> list[bytes]:
 
 
 def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
-    entries, spans = list(m.entries), list(m.spans)
-    frames = []
-    while True:
-        room = MAX_TUNNEL - _RECEIPT.size
-        some = entries[: room // _RECEIPT_ENTRY.size]
-        more = spans[: (room - len(some) * _RECEIPT_ENTRY.size) // _RECEIPT_SPAN.size]
-        del entries[: len(some)], spans[: len(more)]
-        parts = [_RECEIPT.pack(_head(RECEIPT), m.base, m.base_life, len(some) | len(more) << 4)]
-        parts += [_RECEIPT_ENTRY.pack(*entry) for entry in some]
-        parts += [_RECEIPT_SPAN.pack(*span) for span in more]
-        frames.append(b"".join(parts))
-        if not entries and not spans:
-            return frames
+    head = _RECEIPT.pack(_head(RECEIPT), m.base, m.base_life, m.serial, m.crc, len(m.entries))
+    payload = head + b"".join(map(entry_bytes, m.entries))
+    if len(payload) > MAX_TUNNEL:
+        raise ValueError(f"a receipt of {len(payload)} bytes")
+    return [payload]
+
+
+def _encode_given(m: Given, now: float) -> list[bytes]:
+    return [_GIVEN.pack(_head(GIVEN), *m)]
 
 
 def _encode_rows(
@@ -218,7 +217,7 @@ def _encode_rows(
 
 
 def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
-    return _encode_rows(LOSS_NOTE, m, _NOTE, [(e.number, *e.id, e.reason) for e in m.entries])
+    return _encode_rows(LOSS_NOTE, m, _NOTE, [(e.number, *e.id, e.reason, e.crc) for e in m.entries])
 
 
 def _encode_put(m: Put, now: float) -> list[bytes]:
@@ -342,18 +341,53 @@ def _decode_committed(p: bytes, now: float) -> Committed:
 
 
 def _decode_receipt(p: bytes, now: float) -> Receipt:
-    _, base, epoch, counts = _RECEIPT.unpack_from(p)
-    middle = _RECEIPT.size + (counts & 15) * _RECEIPT_ENTRY.size
-    end = middle + (counts >> 4) * _RECEIPT_SPAN.size
-    if end > len(p):
-        raise MalformedError("truncated receipt")
-    entries = tuple(map(ReceiptEntry._make, _RECEIPT_ENTRY.iter_unpack(p[_RECEIPT.size : middle])))
-    if middle == end:
-        return Receipt(base, epoch, entries)
-    spans = tuple(map(ReceiptSpan._make, _RECEIPT_SPAN.iter_unpack(p[middle:end])))
-    if any(span.floor > span.closed for span in spans):
-        raise MalformedError("a receipt of what lies below its own floor")
-    return Receipt(base, epoch, entries, spans)
+    _, base, life, serial, crc, count = _RECEIPT.unpack_from(p)
+    at = _RECEIPT.size
+    entries = []
+    for _ in range(count):
+        entry, at = _decode_receipt_entry(p, at)
+        entries.append(entry)
+    if receipt_crc(base, life, serial, entries) != crc:
+        raise MalformedError("a receipt whose checksum does not fit")
+    return Receipt(base, life, serial, crc, tuple(entries))
+
+
+def _decode_receipt_entry(p: bytes, at: int) -> tuple[ReceiptEntry, int]:
+    """An entry, and where the next one begins. There is one way only to say what it says."""
+    origin, epoch = _PAIR.unpack_from(p, at)
+    first, at = _decode_varint(p, at + _PAIR.size)
+    run, at = _decode_varint(p, at)
+    size = p[at] & ~TOLD_LOST
+    lost = p[at] >= TOLD_LOST
+    at += 1
+    bits = p[at : at + size]
+    if len(bits) != size or size > RECEIPT_BITS // 8 or (size and not bits[-1]):
+        raise MalformedError("a receipt with a bitmap of a wrong size")
+    bitmap = int.from_bytes(bits, "little")
+    if not run or bitmap & 1 or first + run + bitmap.bit_length() > 1 << 32:
+        raise MalformedError(f"a receipt of {run} numbers from {first}, and {bitmap:x}")
+    return ReceiptEntry(origin, epoch, first, run, bitmap, lost), at + size
+
+
+def _decode_varint(p: bytes, at: int) -> tuple[int, int]:
+    """A number of at most 5 bytes, the low seven bits first, and where it ends."""
+    number = 0
+    for shift in range(0, 35, 7):
+        byte = p[at]
+        at += 1
+        number |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            if not byte and shift:
+                break
+            return number, at
+    raise MalformedError("a number that is longer than it need be")
+
+
+def _decode_given(p: bytes, now: float) -> Given:
+    given = Given._make(_GIVEN.unpack_from(p)[1:])
+    if given_crc(*given[:3]) != given.crc:
+        raise MalformedError("a word on numbers given whose checksum does not fit")
+    return given
 
 
 def _decode_rows(p: bytes, row: struct.Struct) -> tuple[int, int, list[tuple[int, ...]]]:
@@ -364,7 +398,7 @@ def _decode_rows(p: bytes, row: struct.Struct) -> tuple[int, int, list[tuple[int
 
 def _decode_loss_note(p: bytes, now: float) -> LossNote:
     sender, target, rows = _decode_rows(p, _NOTE)
-    return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), row[4]) for row in rows]))
+    return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), *row[4:]) for row in rows]))
 
 
 def _decode_put(p: bytes, now: float) -> Put:
@@ -418,6 +452,7 @@ FORMATS: dict[type, Format] = {
     Query: Format(QUERY, _encode_query, _decode_query),
     PassedOn: Format(PASSED_ON, _encode_passed_on, _decode_passed_on),
     Words: Format(WORDS, _encode_words, _decode_words),
+    Given: Format(GIVEN, _encode_given, _decode_given),
 }
 _ENCODERS = {kind: format.encode for kind, format in FORMATS.items()}
 # By first byte.

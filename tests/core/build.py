@@ -6,7 +6,10 @@ import random
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover, Message, Route
+from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover, LossNoteEntry, Message, Receipt, Route
+from rass_mav.core.news.checksums import make_receipt, note_crc
+from rass_mav.core.news.ranges import Ranges
+from rass_mav.core.news.statements import blocks, entry_of
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import Policy
@@ -89,6 +92,26 @@ def datum(origin: int = 9, sequence: int = 0, payload: bytes = b"reading", *, cr
 
 def data(sender: int, target: int, *handovers: tuple[int, Datum]) -> Data:
     return Data(sender, target, tuple(Handover(*h) for h in handovers))
+
+
+def statement(*ids: DatumId, base: int = 0, life: int = 9, serial: int = 0, lost: bool = False) -> Receipt:
+    """A base's word that data have arrived, or that it was told they are lost."""
+    entries = []
+    for origin, epoch in dict.fromkeys(id[:2] for id in ids):
+        ranges = Ranges()
+        for id in ids:
+            if id[:2] == (origin, epoch):
+                ranges.add(id.sequence, id.sequence + 1)
+        for block in blocks(ranges):
+            entry = entry_of(origin, epoch, ranges, block, lost=lost)
+            assert entry is not None
+            entries.append(entry)
+    return make_receipt(base, life, serial, entries)
+
+
+def loss(number: int, id: DatumId, reason: int) -> LossNoteEntry:
+    """A sound entry of a loss note."""
+    return LossNoteEntry(number, id, reason, note_crc(id, reason))
 
 
 def of(kind: type, messages: list[Message]) -> list[Any]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo, info_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
 from rass_mav.errors import StoreFullError
 
 
@@ -94,7 +94,12 @@ class DurableStore:
         return self._live.data.get(id)
 
     def keep_apart(self, datum: Datum) -> bool:
-        self._live.apart[datum.id, datum.crc] = datum
+        apart = self._live.apart
+        if (datum.id, datum.crc) in apart:
+            return True
+        if len(apart) >= MAX_APART or sum(id == datum.id for id, _ in apart) >= MAX_APART_OF_ONE:
+            return False
+        apart[datum.id, datum.crc] = datum
         self._urgent = True
         return True
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable
 
-from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Receipt
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import Given, Receipt
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.receipts import MAX_ORIGINS, Receipts
+from rass_mav.core.news.ranges import Ranges
+from rass_mav.core.news.receipts import Receipts
+from rass_mav.core.news.table import MAX_STATEMENTS
+from rass_mav.core.news.voice import Serials
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import decode, encode
 
 from .build import beacon
+from .durable import DurableStore
 
 #: (hearer, speaker)
 Link = tuple[int, int]
@@ -52,18 +56,22 @@ class Net:
         self.rng = random.Random(seed)
         self.nodes = 1 + max(max(link) for link in self.links)
         self.archives = [Archive() for _ in range(bases)]
-        limits = [*bounds, *[MAX_ORIGINS] * self.nodes]
+        self.serials = [Serials(DurableStore(1000 + i)) for i in range(bases)]
+        limits = [*bounds, *[MAX_STATEMENTS] * self.nodes]
         self.period = period
         self.receipts = [self.start(i, limits[i]) for i in range(self.nodes)]
         self.t = 0
         self.frames: list[int] = []
         """Frames in each step."""
 
-    def start(self, i: int, bound: int = MAX_ORIGINS) -> Receipts:
-        archive = self.archives[i] if i < self.bases else None
-        source = (i, 1000 + i) if archive is not None else (0, 0)
+    def start(self, i: int, bound: int = MAX_STATEMENTS) -> Receipts:
         phase = self.rng.randrange(self.period)
-        return Receipts(source, archive=archive, period=self.period, phase=phase, max_origins=bound)
+        if i >= self.bases:
+            return Receipts(period=self.period, phase=phase, max_statements=bound)
+        return Receipts(
+            (i, 1000 + i), archive=self.archives[i], serials=self.serials[i], period=self.period, phase=phase,
+            max_statements=bound,
+        )  # fmt: skip
 
     def arrive(self, *ids: DatumId, base: int = 0) -> None:
         for id in ids:
@@ -72,7 +80,7 @@ class Net:
 
     def lose(self, *ids: DatumId, base: int = 0) -> None:
         for id in ids:
-            if self.archives[base].lose(id):
+            if self.archives[base].lose(id, Fate.CORRUPTED):
                 self.receipts[base].lost(id)
 
     def step(self) -> None:
@@ -84,6 +92,7 @@ class Net:
             for hearer in range(self.nodes)
         ]
         said: list[tuple[int, Receipt]] = []
+        denied: list[tuple[int, Given]] = []
         for i, receipts in enumerate(self.receipts):
             if receipts.due(self.t):
                 receipt = receipts.turn(heard[i])
@@ -93,11 +102,17 @@ class Net:
                     parsed = decode(frame, 0.0)
                     assert isinstance(parsed, Receipt)
                     said.append((i, parsed))
+            if receipts.due(self.t) and (given := receipts.denial()) is not None:
+                denied.append((i, given))
         for speaker, receipt in said:
             for hearer, other in sorted(self.links):
                 if other == speaker and not (self.loss and self.rng.random() < self.loss):
                     self.receipts[hearer].learn(receipt)
-        self.frames.append(len(said))
+        for speaker, given in denied:
+            for hearer, other in sorted(self.links):
+                if other == speaker:
+                    self.receipts[hearer].deny(given)
+        self.frames.append(len(said) + len(denied))
         self.t += 1
 
     def run(self, steps: int) -> int:
@@ -108,5 +123,11 @@ class Net:
         return sum(self.frames) - before
 
     def agree(self) -> bool:
-        known = [receipts.known() for receipts in self.receipts]
+        known = [all_known(receipts) for receipts in self.receipts]
         return all(k == known[0] for k in known) and len({receipts.digest for receipts in self.receipts}) == 1
+
+
+def all_known(receipts: Receipts) -> dict[tuple[int, int], tuple[Ranges, Ranges]]:
+    """What has arrived, and what was told lost, by origin and epoch."""
+    found = {pair: receipts.statements.sum(pair) for pair in receipts.statements.pairs()}
+    return {pair: (known.arrived, known.lost) for pair, known in found.items()}

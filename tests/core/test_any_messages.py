@@ -25,6 +25,7 @@ from rass_mav.core.messages import (
     Chunk,
     Committed,
     Data,
+    Given,
     Handover,
     LossNote,
     LossNoteEntry,
@@ -40,6 +41,7 @@ from rass_mav.core.messages import (
     WordEntry,
     Words,
 )
+from rass_mav.core.news.checksums import make_given, make_receipt, note_crc
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreFullError
@@ -252,13 +254,19 @@ def hears_put(world: World, sender: int, of: tuple[DatumId, int, int, bool]) -> 
 
 
 @message
-def hears_receipt(world: World, of: DatumId, closed: int, bitmap: int) -> Receipt:
-    return Receipt(1, 1, (ReceiptEntry(of.origin, of.epoch, closed, bitmap),), ())
+def hears_receipt(world: World, of: DatumId, base: int, serial: int, run: int, bitmap: int, lost: bool) -> Receipt:
+    entry = ReceiptEntry(of.origin, of.epoch, of.sequence, min(run, (1 << 32) - of.sequence), bitmap & ~1, lost)
+    return make_receipt(base, 1, serial, [entry])
+
+
+@message
+def hears_given(world: World, of: DatumId) -> Given:
+    return make_given(*of)
 
 
 @message
 def hears_loss_note(world: World, sender: int, entries: list[tuple[int, DatumId, int]]) -> LossNote:
-    return LossNote(sender, ME, tuple(LossNoteEntry(*entry) for entry in entries))
+    return LossNote(sender, ME, tuple(LossNoteEntry(number, id, why, note_crc(id, why)) for number, id, why in entries))
 
 
 @event
@@ -328,8 +336,12 @@ any_event = st.one_of(
     ),
     hears_query(sender=any_sender, ids=some_ids),
     hears_put(sender=any_sender, of=small_content),
-    hears_receipt(of=any_id, closed=st.integers(0, 3), bitmap=st.sampled_from([0, 1, 0xFFFF])),
-    hears_loss_note(sender=any_sender, entries=st.lists(st.tuples(any_number, any_id, st.integers(1, 5)), max_size=3)),
+    hears_receipt(
+        of=any_id, base=st.integers(0, 2), serial=st.integers(0, 3), run=st.sampled_from([1, 2, 3, 1 << 32]),
+        bitmap=st.sampled_from([0, 2, 0xFFFE]), lost=any_flag,
+    ),
+    hears_given(of=any_id),
+    hears_loss_note(sender=any_sender, entries=st.lists(st.tuples(any_number, any_id, st.integers(1, 7)), max_size=3)),
     steps(seconds=st.sampled_from([0.3, 1.0, 1.0, 1.0, 4.0, 40.0])),
     forwards(),
     puts(size=any_size),
@@ -373,7 +385,7 @@ def test_what_somebody_made_up_under_a_number_of_ours_is_refused(base: bool, for
         "datum": Data(4, ME, (Handover(5, d),)),
         "spare": Data(4, ME, (Handover(5, d),), True),
         "large": Offer(4, ME, 5, d.id, 0, 0.0, 1, d.crc, 2000, 123),
-        "note": LossNote(4, ME, (LossNoteEntry(5, d.id, 1),)),
+        "note": LossNote(4, ME, (LossNoteEntry(5, d.id, 1, note_crc(d.id, 1)),)),
     }
     # A note is swallowed: refused, it would be offered for ever.
     answer = Committed(ME, 4, ((5, 0),), ()) if forged == "note" else Committed(ME, 4, (), (5,))

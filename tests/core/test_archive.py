@@ -1,29 +1,32 @@
 from __future__ import annotations
 
+import random
+import time
+import tracemalloc
+
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.news.archive import Archive, SequenceSet
-from rass_mav.core.news.arrivals import has_arrived, is_told_lost
+from rass_mav.core.messages import LossNote
+from rass_mav.core.news.archive import MAX_EPOCHS, MAX_LOST_OF_ONE, MAX_PAIRS, MAX_TOLD_LOST, MAX_WOUNDS, Archive
+
+from .build import loss, make_node
+
+LAST = (1 << 32) - 1
 
 
 def ids(*sequences: int, origin: int = 1) -> list[DatumId]:
     return [DatumId(origin, 5, s) for s in sequences]
 
 
-@given(st.lists(st.integers(0, 30)))
-def test_a_sequence_set_is_a_set(numbers: list[int]) -> None:
-    compact = SequenceSet()
-    plain: set[int] = set()
-    for number in numbers:
-        assert compact.add(number) == (number not in plain)
-        plain.add(number)
-        assert {n for n in range(40) if n in compact} == plain
-        assert compact.closed not in compact.beyond
-
-
-@given(st.lists(st.tuples(st.sampled_from(["add", "lose"]), st.integers(0, 1), st.integers(0, 40))))
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["add", "lose"]), st.integers(0, 1), st.integers(0, 40) | st.integers(LAST - 20, LAST)
+        )
+    )
+)
 def test_a_datum_has_arrived_or_was_told_lost_or_neither(operations: list[tuple[str, int, int]]) -> None:
     archive = Archive()
     arrived: set[DatumId] = set()
@@ -36,35 +39,75 @@ def test_a_datum_has_arrived_or_was_told_lost_or_neither(operations: list[tuple[
             # It turned up all the same.
             lost.discard(id)
         else:
-            assert archive.lose(id) == (id not in arrived | lost)
+            assert archive.lose(id, Fate.CORRUPTED) == (id not in arrived | lost)
             if id not in arrived:
                 lost.add(id)
-    every = [DatumId(origin, 5, sequence) for origin in range(2) for sequence in range(45)]
+    every = [DatumId(origin, 5, s) for origin in range(2) for s in [*range(45), *range(LAST - 25, LAST + 1)]]
     assert {id for id in every if id in archive} == arrived
     assert {id for id in every if archive.is_lost(id)} == lost
     assert archive.told_lost == len(lost)
     assert set(archive) == {(id.origin, 5) for id in arrived | lost}
+    for pair in archive:
+        assert archive.end(pair) == max((id.sequence + 1 for id in arrived if id[:2] == pair), default=0)
     # A base that starts again knows the same.
     again = Archive(arrived, [(id, Fate.CORRUPTED) for id in lost])
     assert {id for id in every if id in again} == arrived
     assert {id for id in every if again.is_lost(id)} == lost
-    for pair in archive:
-        assert archive.known(pair) == again.known(pair)
-
-
-def test_what_a_base_tells_of_its_archive() -> None:
-    archive = Archive(ids(0, 1, 2, 4, 7), [(id, Fate.EXPIRED) for id in ids(3, 9)])
-    known = archive.known((1, 5))
-    assert [s for s in range(20) if has_arrived(known, s)] == [0, 1, 2, 4, 7]
-    assert [s for s in range(20) if is_told_lost(known, s)] == [3, 9]
-
-
-def test_a_loss_closes_the_hole_in_the_index() -> None:
-    archive = Archive(ids(0, *range(2, 5000)))
-    assert archive.lose(ids(1)[0])
-    assert archive._origins[1, 5].settled.beyond == set()
 
 
 def test_epochs_are_told_apart() -> None:
     assert DatumId(1, 6, 0) not in Archive(ids(0))
     assert (1, 5, 0) not in Archive(ids(0))
+
+
+def test_words_about_stores_are_no_losses_of_data() -> None:
+    archive = Archive(ids(0))
+    assert archive.lose(ids(7)[0], Fate.UNKNOWN)
+    assert not archive.lose(ids(7)[0], Fate.UNKNOWN)
+    assert not archive.is_lost(ids(7)[0])
+    assert archive.lose(ids(0)[0], Fate.DAMAGED)
+    assert (archive.told_lost, len(archive.wounds)) == (0, 2)
+    for sequence in range(2 * MAX_WOUNDS):
+        archive.lose(DatumId(9, 9, sequence), Fate.UNKNOWN)
+    assert len(archive.wounds) == MAX_WOUNDS
+
+
+def test_losses_are_bounded_by_pair_by_origin_and_in_all() -> None:
+    archive = Archive()
+    taken = sum(archive.lose(DatumId(1, 5, 2 * s), Fate.CORRUPTED) for s in range(2 * MAX_LOST_OF_ONE))
+    assert taken == MAX_LOST_OF_ONE
+    taken = sum(archive.lose(DatumId(2, epoch, 0), Fate.CORRUPTED) for epoch in range(1000))
+    assert taken == MAX_EPOCHS
+    # An epoch of which something has arrived is none of these.
+    archive.add(DatumId(2, 2000, 0))
+    assert archive.lose(DatumId(2, 2000, 1), Fate.CORRUPTED)
+    for origin in range(3, 3 + 2 * MAX_PAIRS):
+        archive.lose(DatumId(origin, 5, 0), Fate.CORRUPTED)
+    assert len(archive) <= MAX_PAIRS + 1
+    for origin in range(3, 50):
+        for sequence in range(MAX_LOST_OF_ONE):
+            archive.lose(DatumId(origin, 5, sequence), Fate.CORRUPTED)
+    assert archive.told_lost == MAX_TOLD_LOST
+
+
+def test_a_flood_of_loss_notes_neither_fills_a_base_nor_keeps_it() -> None:
+    base = make_node(0, base=True)
+    rng = random.Random(1)
+    flood = [
+        LossNote(7, 0, tuple([loss(n, DatumId(rng.getrandbits(15), n % 9, rng.getrandbits(32)), 1) for n in range(6)]))
+        for _ in range(10_000)
+    ]
+    tracemalloc.start()
+    for note in flood[:5000]:
+        base.receive(note, 0.0)
+    used, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert used < 10 << 20
+    assert len(list(base.store.losses())) <= MAX_TOLD_LOST
+    # It is full now: what else comes costs little time and no room.
+    began = time.process_time()
+    for note in flood[5000:]:
+        base.receive(note, 0.0)
+    # 200,000 of them in about a second; a loaded computer gets more.
+    assert time.process_time() - began < 30_000 * 25e-6
+    assert len(list(base.store.losses())) <= MAX_TOLD_LOST

@@ -26,18 +26,19 @@ def test_a_later_life_starts_elsewhere() -> None:
 
 
 def test_the_memory_names_giver_number_and_datum(numbers: HandoverNumbers) -> None:
-    numbers.accept(7, 100, X)
-    assert numbers.has_accepted(7, 100, X)
-    assert not numbers.has_accepted(8, 100, X)
-    assert not numbers.has_accepted(7, 101, X)
-    assert not numbers.has_accepted(7, 100, Y)
+    numbers.accept(7, 100, X, 5)
+    assert numbers.has_accepted(7, 100, X, 5)
+    assert not numbers.has_accepted(8, 100, X, 5)
+    assert not numbers.has_accepted(7, 101, X, 5)
+    assert not numbers.has_accepted(7, 100, Y, 5)
+    assert not numbers.has_accepted(7, 100, X, 6)
     numbers.forget(X)
-    assert not numbers.has_accepted(7, 100, X)
+    assert not numbers.has_accepted(7, 100, X, 5)
 
 
 def test_the_memory_is_bounded_and_forgets_the_oldest(numbers: HandoverNumbers) -> None:
     for number in range(MAX_ACCEPTED + 1):
-        numbers.accept(7, number, X)
-    assert not numbers.has_accepted(7, 0, X)
-    assert numbers.has_accepted(7, 1, X)
+        numbers.accept(7, number, X, 5)
+    assert not numbers.has_accepted(7, 0, X, 5)
+    assert numbers.has_accepted(7, 1, X, 5)
     assert len(numbers._accepted) == MAX_ACCEPTED

@@ -19,8 +19,6 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     PassedOn,
-    Receipt,
-    ReceiptEntry,
     Route,
     Word,
     WordEntry,
@@ -30,7 +28,7 @@ from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.spares.mirrors import ASK_STEPS
 
 from .books import mirrors, spares
-from .build import beacon, data, datum, make_node, of
+from .build import beacon, data, datum, make_node, of, statement
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
 
 # -- hand-overs --------------------------------------------------------------------------------------------------------
@@ -455,5 +453,5 @@ def test_what_a_base_has_taken_is_kept_until_a_receipt_for_anybody_may_say_that_
     node.receive(Committed(0, 1, ((handover.number, handover.datum.crc),), ()), 0.5)
     assert id not in node.holdings.custody
     assert (id in node.holdings) == kept
-    node.receive(Receipt(0, 9, (ReceiptEntry(id.origin, id.epoch, 1, 0),), ()), 1.0)
+    node.receive(statement(id), 1.0)
     assert (id in node.holdings) == (kept and not node.settings.receipts)

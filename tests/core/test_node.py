@@ -3,14 +3,14 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Receipt, ReceiptEntry, Route
+from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Route
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
 from rass_mav.core.routes.serial import newer
 from rass_mav.errors import DatumError, StoreFullError
 
-from .build import beacon, data, datum, make_node, of, talk
+from .build import beacon, data, datum, make_node, of, statement, talk
 from .durable import DurableStore
 
 ROUTE = Route(0, 9, 1, 0)
@@ -311,20 +311,8 @@ def test_a_base_keeps_everything_once_and_says_so() -> None:
     said, receipt = base.step(1.0)
     assert isinstance(said, Beacon)
     assert (said.hops, said.potential, said.free, said.flags) == (0, POTENTIAL_BASE, UNBOUNDED_FREE, BEACON_BASE)
-    assert receipt == Receipt(0, base.store.epoch, (ReceiptEntry(9, 77, 2, 0),))
+    assert receipt == statement(d.id, datum(sequence=1).id, life=base.store.life)
     assert len(base.step(2.0)) == 1
-
-
-def test_a_receipt_frees_the_copies() -> None:
-    node = make_node(1)
-    d, other = datum(), datum(sequence=1)
-    node.receive(data(7, 1, (5, d), (6, other)), 0.0)
-    node.receive(Receipt(0, 9, (ReceiptEntry(9, 77, 1, 0),)), 0.0)
-    assert list(node.holdings.custody) == [other.id]
-    # What has arrived need not be taken again.
-    [answer] = node.receive(data(8, 1, (9, d)), 0.0)
-    assert answer == Committed(1, 8, ((9, d.crc),), ())
-    assert list(node.holdings.custody) == [other.id]
 
 
 def test_a_restarted_base_knows_what_has_arrived() -> None:

@@ -7,14 +7,16 @@ from typing import Any
 
 import pytest
 
+from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Committed, Data, LossNote, LossNoteEntry, Receipt, ReceiptSpan
-from rass_mav.core.news.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, fate_of
+from rass_mav.core.messages import Committed, Data, LossNote
+from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.news.notes import MAX_NOTES, NOTES_IN_FRAME, LossNotes, Note, fate_of
 from rass_mav.core.node import Node
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
 
-from .build import data, datum, make_node, of, talk
+from .build import data, datum, loss, make_node, of, statement, talk
 from .durable import DurableStore
 from .mirror_net import Net as MirrorNet
 from .test_node import with_base
@@ -23,12 +25,12 @@ ID = DatumId(9, 77, 0)
 
 
 def note(sender: int, target: int, *entries: tuple[int, DatumId, int]) -> LossNote:
-    return LossNote(sender, target, tuple(LossNoteEntry(*entry) for entry in entries))
+    return LossNote(sender, target, tuple(loss(*entry) for entry in entries))
 
 
-def told_lost(*sequences: int) -> Receipt:
-    """A base's word that data of origin 9 are lost, the first ones if none has arrived."""
-    return Receipt(0, 9, (), (ReceiptSpan(9, 77, 0, 0, sum(1 << s for s in sequences), 0),))
+def handed(id: DatumId, giver: int, reason: int = 1) -> Note:
+    """What a neighbour hands on."""
+    return Note(reason, note_crc(id, reason), giver)
 
 
 def corrupt(node: Node, id: DatumId) -> None:
@@ -41,6 +43,7 @@ def corrupt(node: Node, id: DatumId) -> None:
 def test_a_frame_holds_as_many_notes_as_are_sent_at_a_time() -> None:
     full = note(1, 2, *[(n, ID, 1) for n in range(NOTES_IN_FRAME)])
     assert [len(frame) <= MAX_TUNNEL for frame in encode(full, 0.0)] == [True]
+    assert len(encode(note(1, 2, *[(n, ID, 1) for n in range(NOTES_IN_FRAME + 1)]), 0.0)) == 2
 
 
 def test_a_corrupt_datum_is_told_to_the_next_hop_until_it_answers() -> None:
@@ -102,26 +105,108 @@ def test_a_note_that_comes_round_is_not_deleted_by_a_late_answer() -> None:
     notes.make(ID, Fate.CORRUPTED)
     said = notes.turn(1, 5, itertools.count(1).__next__)
     assert said is not None
-    assert notes.take(ID, Fate.CORRUPTED)
+    assert notes.take(ID, handed(ID, 6))
     notes.committed(said.entries[0].number, 5)
     assert ID in notes.waiting
 
 
-def test_notes_are_bounded_own_ones_push_out_the_oldest_and_neighbours_are_refused() -> None:
+def test_notes_are_bounded_and_of_only_own_ones_the_oldest_goes() -> None:
     store = DurableStore(1)
     notes = LossNotes(store)
     for sequence in range(MAX_NOTES + 3):
         notes.make(DatumId(9, 77, sequence), Fate.CORRUPTED)
     assert list(notes.waiting) == [DatumId(9, 77, s) for s in range(3, MAX_NOTES + 3)]
-    assert dict(store.losses()) == notes.waiting
+    assert dict(store.losses()).keys() == notes.waiting.keys()
     assert store.counters() == {"notes_dropped": 3}
-    assert not notes.take(DatumId(8, 77, 0), Fate.EXPIRED)
-    assert notes.take(DatumId(9, 77, 5), Fate.EXPIRED)  # known already
+    other = DatumId(8, 77, 0)
+    assert not notes.take(other, handed(other, 5))
+    known = DatumId(9, 77, 5)
+    assert notes.take(known, handed(known, 5))
     assert len(notes.waiting) == MAX_NOTES
     # A table of an earlier version may be longer.
     store.lose(DatumId(9, 77, 999), Fate.CORRUPTED)
     assert len(LossNotes(store).waiting) == MAX_NOTES
     assert len(dict(store.losses())) == MAX_NOTES
+
+
+def test_a_flood_takes_no_room_from_own_notes_nor_from_other_neighbours() -> None:
+    store = DurableStore(1)
+    notes = LossNotes(store)
+    own = [DatumId(1, 77, s) for s in range(100)]
+    for id in own[:50]:
+        notes.make(id, Fate.CORRUPTED)
+    flood = [DatumId(9, 1, s) for s in range(1000)]
+    taken = [notes.take(id, handed(id, 7)) for id in flood]
+    assert sum(taken) == MAX_NOTES - 50
+    for id in own[50:]:
+        notes.make(id, Fate.EXPIRED)
+    # Another neighbour, and another origin by way of the same one, get their share.
+    others = [DatumId(2, 1, s) for s in range(20)]
+    assert all(notes.take(id, handed(id, 5)) for id in others)
+    relayed = [DatumId(3, 1, s) for s in range(10)]
+    assert all(notes.take(id, handed(id, 7)) for id in relayed)
+    assert {*own, *others, *relayed} <= notes.waiting.keys()
+    assert len(notes.waiting) == MAX_NOTES
+    assert dict(store.losses()).keys() == notes.waiting.keys()
+
+
+def test_a_note_whose_checksum_does_not_fit_is_neither_taken_nor_answered() -> None:
+    for node in (make_node(1), make_node(1, base=True)):
+        good, bad = DatumId(9, 77, 1), DatumId(9, 77, 2)
+        message = LossNote(7, 1, (loss(5, good, 1), loss(6, bad, 1)._replace(reason=2)))
+        assert node.receive(message, 0.0) == [Committed(1, 7, ((5, 0),), ())]
+        assert dict(node.store.losses()) == {good: Fate.CORRUPTED}
+        assert node.receive(LossNote(7, 1, message.entries[1:]), 0.0) == []
+
+
+def test_a_note_that_was_struck_in_memory_is_not_handed_on() -> None:
+    notes = LossNotes(DurableStore(1))
+    notes.make(ID, Fate.CORRUPTED)
+    for flipped in (1 ^ 2, 1 ^ 1 << 30):
+        notes.waiting[ID] = notes.waiting[ID]._replace(reason=flipped)
+        assert notes.turn(1, 5, itertools.count(1).__next__) is None
+        # The disk knows what it was.
+        said = notes.turn(1, 5, itertools.count(1).__next__)
+        assert said is not None
+        assert said.entries[0] == loss(1, ID, 1)
+
+
+def test_a_reason_that_is_not_known_is_carried_along() -> None:
+    node = make_node(1, receipt_steps=1)
+    node.receive(note(7, 1, (6, ID, 77)), 0.0)
+    [said] = of(LossNote, with_base(node).step(1.0))
+    assert said.entries[0][1:] == loss(0, ID, 77)[1:]
+
+
+@pytest.mark.parametrize(
+    ("fate", "alarm", "figure"),
+    [(Fate.UNKNOWN, Alarm.UNKNOWN, "told_unknown"), (Fate.DAMAGED, Alarm.DAMAGED, "told_damaged")],
+)
+def test_word_of_damage_travels_to_the_base_which_tells_the_ground(fate: Fate, alarm: Alarm, figure: str) -> None:
+    stores = {i: DurableStore(1000 + i) for i in range(3)}
+    about = DatumId(2, 77, 0)
+    # As a store that was found damaged says it. A datum with the same numbers is another thing.
+    stores[2].lose(about, fate)
+    nodes = {i: make_node(i, base=i == 0, store=stores[i], receipt_steps=1) for i in range(3)}
+    nodes[2].receive(data(7, 2, (5, datum(2))), 0.0)
+    nodes[1].receive(data(7, 1, (5, datum(2))), 0.0)
+    near = {0: [1], 1: [0, 2], 2: [1]}
+    for t in range(1, 14):
+        for i, node in nodes.items():
+            out = node.step(float(t))
+            talk({j: nodes[j] for j in (i, *near[i])}, out, float(t))
+    assert [dict(stores[i].losses()) for i in range(3)] == [{about: fate}, {}, {}]
+    assert nodes[0].figures()[figure] == 1
+    assert nodes[0].figures()["told_lost"] == 0
+    assert nodes[0].alarms.counts == {alarm: 1}
+    assert not any(node.receipts.told_lost(about) for node in nodes.values())
+    # The base knows it after a restart, and rings no more for it.
+    stores[0].commit()
+    again = make_node(0, base=True, store=stores[0].crashed())
+    assert again.figures()[figure] == 1
+    [answer] = again.receive(note(7, 0, (9, about, {Fate.UNKNOWN: 6, Fate.DAMAGED: 7}[fate])), 0.0)
+    assert answer == Committed(0, 7, ((9, 0),), ())
+    assert again.alarms.counts == {}
 
 
 def test_a_refused_note_is_offered_again() -> None:
@@ -231,23 +316,22 @@ def test_who_gets_the_datum_has_no_note_of_it_any_more() -> None:
     assert list(node.store.losses()) == []
 
 
-def test_what_the_base_knows_need_not_be_told() -> None:
+def test_a_receipt_ends_no_note() -> None:
     node = make_node(1)
-    for sequence in range(3):
-        node.receive(note(7, 1, (6, DatumId(9, 77, sequence), 1)), 0.0)
-    node.receive(told_lost(0), 0.0)
-    node.receive(Receipt(0, 9, (), (ReceiptSpan(9, 77, 0, 1, 1, 0),)), 0.0)
-    assert [id.sequence for id, _ in node.store.losses()] == [2]
-    [answer] = node.receive(note(7, 1, (9, ID, 1)), 0.0)
-    assert answer == Committed(1, 7, ((9, 0),), ())
-    assert [id.sequence for id, _ in node.store.losses()] == [2]
+    lost = [DatumId(9, 77, s) for s in range(3)]
+    for id in lost[:2]:
+        node.receive(note(7, 1, (6, id, 1)), 0.0)
+    node.receive(statement(lost[0], lost[2]), 0.0)
+    node.receive(statement(lost[1], serial=1, lost=True), 0.0)
+    node.receive(note(7, 1, (9, lost[2], 1)), 0.0)
+    assert [id for id, _ in node.store.losses()] == lost
 
 
 def test_a_good_copy_is_kept_and_handed_on_though_a_base_was_told_that_it_is_lost() -> None:
     node = make_node(1)
     d = datum()
     node.receive(data(7, 1, (5, d)), 0.0)
-    node.receive(told_lost(0), 0.0)
+    node.receive(statement(d.id, lost=True), 0.0)
     assert list(node.holdings.custody) == [d.id]
     # It is not answered as if it had arrived, either.
     [answer] = node.receive(data(7, 1, (8, datum(sequence=1))), 0.0)
@@ -262,8 +346,11 @@ def test_a_spare_is_taken_into_custody_when_the_datum_is_told_lost() -> None:
     net.step(4)
     assert net.custody(id) == [3]
     assert 1 in net.spares(id)
-    said = Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, 0, 0, 1 << id.sequence, 0),))
-    net.nodes[1].receive(said, net.now)
+    net.nodes[1].receive(statement(id, lost=True), net.now)
     assert id in net.nodes[1].holdings.custody
-    net.nodes[1].receive(Receipt(0, 9, (), (ReceiptSpan(id.origin, id.epoch, id.sequence + 1, 0, 0, 0),)), net.now)
-    assert id not in net.nodes[1].holdings
+    # 2 has a spare, which ends with a receipt; custody does not.
+    assert id in net.nodes[2].holdings
+    for node in net.nodes.values():
+        node.receive(statement(id, serial=1), net.now)
+    assert net.custody(id) == [1, 3]
+    assert id not in net.nodes[2].holdings

@@ -1,5 +1,8 @@
+"""The gossip of statements: all come to know what bases have said, and then all are silent."""
+
 from __future__ import annotations
 
+import itertools
 import random
 import struct
 import zlib
@@ -9,24 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Receipt, ReceiptEntry, ReceiptSpan
-from rass_mav.core.news.arrivals import has_arrived, is_told_lost
-from rass_mav.core.news.receipts import (
-    ENTRY_BYTES,
-    MAX_ORIGINS,
-    MAX_ROUNDS,
-    PATIENCE,
-    PAUSE,
-    RECEIPT_BYTES,
-    SPAN_BYTES,
-    Receipts,
-)
+from rass_mav.core.messages import Receipt, ReceiptEntry, Route
+from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.checksums import make_given, make_receipt
+from rass_mav.core.news.receipts import DENIAL_TURNS, MAX_ROUNDS, PATIENCE, PAUSE, Receipts
+from rass_mav.core.news.statements import covers
+from rass_mav.core.news.table import MAX_BASES, MAX_DENIED, MAX_STATEMENTS
+from rass_mav.core.news.voice import LISTEN_TURNS, RECEIPT_BYTES, SERIALS_CLAIMED, Serials
+from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
 
-from .gossip_net import Net, grid, line
+from .build import beacon, statement
+from .durable import DurableStore
+from .gossip_net import Net, all_known, grid, line
 
-#: Steps in which all rounds that can come are over, for nodes with a turn every `PERIOD` steps and few pairs.
+#: Steps in which all rounds that can come are over, for nodes with a turn every `PERIOD` steps and few statements.
 PERIOD = 4
 ROUNDS_OVER = PERIOD * (PAUSE << (MAX_ROUNDS + 1))
 
@@ -37,30 +38,30 @@ def ids(origin: int, *sequences: int) -> list[DatumId]:
 
 def truth(net: Net, receipts: Receipts) -> None:
     """What a node believes to have arrived or to be lost is so."""
-    for (origin, epoch), known in receipts.known().items():
-        for sequence in range(known[0] + 20):
-            id = DatumId(origin, epoch, sequence)
-            if has_arrived(known, sequence):
-                assert any(id in archive for archive in net.archives)
-            if is_told_lost(known, sequence):
-                assert any(archive.is_lost(id) for archive in net.archives)
+    assert receipts.disagreement() == ""
+    for (origin, epoch), (arrived, lost) in all_known(receipts).items():
+        for first, end in arrived:
+            for sequence in range(first, end):
+                assert any(DatumId(origin, epoch, sequence) in archive for archive in net.archives)
+        for first, end in lost:
+            for sequence in range(first, end):
+                id = DatumId(origin, epoch, sequence)
+                assert any(archive.is_lost(id) or id in archive for archive in net.archives)
 
 
 def digest_of(receipts: Receipts) -> int:
     """By the words of docs/protocol.md."""
     digest = 1
-    for (origin, epoch), (closed, bitmap, lost, floor) in receipts.known().items():
-        x = zlib.crc32(struct.pack("<HIIHHI", origin, epoch, closed, bitmap, lost, floor))
+    for base, life, serial, crc in receipts.statements.of:
+        x = zlib.crc32(struct.pack("<HIII", base, life, serial, crc))
         digest ^= x * x >> 16 & 0xFFFFFFFF
     return digest or 1
 
 
-def test_the_sizes_are_those_on_the_wire() -> None:
-    one = len(encode(Receipt(0, 0, (ReceiptEntry(1, 2, 3, 4),)), 0.0)[0])
-    two = len(encode(Receipt(0, 0, (ReceiptEntry(1, 2, 3, 4),) * 2), 0.0)[0])
-    span = len(encode(Receipt(0, 0, (ReceiptEntry(1, 2, 3, 4),), (ReceiptSpan(1, 2, 3, 4, 5, 0),)), 0.0)[0])
-    assert (two - one, span - one) == (ENTRY_BYTES, SPAN_BYTES)
-    assert one - ENTRY_BYTES + RECEIPT_BYTES == MAX_TUNNEL
+def test_a_statement_fills_a_frame_at_most() -> None:
+    whole = make_receipt(0, 0, 0, [ReceiptEntry(1, 2, 1 << 31, 1 << 28, (1 << 128) - 2, False)] * 3)
+    [payload] = encode(whole, 0.0)
+    assert MAX_TUNNEL - 16 == RECEIPT_BYTES >= len(payload) - 16
 
 
 @pytest.mark.parametrize("links", [line(12), grid(6)], ids=["line", "grid"])
@@ -70,7 +71,9 @@ def test_all_learn_what_has_arrived_and_then_all_are_silent(links: set[tuple[int
     for origin in range(25):
         net.arrive(*ids(origin, 0, 1, 2, 5))
     net.lose(*ids(3, 3))
-    net.run(60 * PERIOD if loss == 0.0 else ROUNDS_OVER)
+    for _ in range(0, 80 * PERIOD if loss == 0.0 else ROUNDS_OVER, 80):
+        if net.run(80) == 0 and net.agree():
+            break
     assert net.agree()
     for receipts in net.receipts:
         truth(net, receipts)
@@ -100,12 +103,12 @@ def test_a_node_has_its_turn_only_once_in_so_many_steps() -> None:
 def test_a_node_that_was_away_learns_while_news_flows_on() -> None:
     links = grid(4)
     away = 15
-    net = Net({link for link in links if away not in link} | {(away, away - 1)}, period=PERIOD)
+    net = Net(links, period=PERIOD)
     net.links = {link for link in links if away not in link}
     for origin in range(60):
         net.arrive(*ids(origin, *range(10)))
     net.run(400)
-    assert len(net.receipts[away]) == 0
+    assert not net.receipts[away].statements.of
     net.links = links
     for flow in range(400):
         # Others go on, at a rate that leaves no node without news.
@@ -123,34 +126,86 @@ def test_a_restarted_node_learns_again_and_a_restarted_base_says_nothing_new() -
     net.run(40 * PERIOD)
     assert net.agree()
     net.receipts[0] = net.start(0)
+    net.run(2 * LISTEN_TURNS * PERIOD)
     assert net.agree()
+    assert max(serial for _, _, serial, _ in net.receipts[3].statements.of) < SERIALS_CLAIMED
     assert net.run(40 * PERIOD) == 0
 
 
-def test_a_wiped_base_takes_nothing_back_and_learns_what_has_arrived() -> None:
+def test_a_restarted_base_says_what_it_did_not_come_to_say() -> None:
+    net = Net(line(4), period=PERIOD)
+    net.arrive(*ids(1, *range(30)))
+    net.receipts[0] = net.start(0)
+    net.run(2 * LISTEN_TURNS * PERIOD)
+    assert all(id in net.receipts[3] for id in ids(1, *range(30)))
+
+
+def test_serials_are_not_used_twice() -> None:
+    store = DurableStore(1)
+    drawn = []
+    for _ in range(3):
+        serials = Serials(store)
+        drawn += [serials.draw() for _ in range(SERIALS_CLAIMED + 10)]
+        store.commit()
+        store = store.crashed()
+    assert drawn == sorted(set(drawn))
+
+
+def test_a_wiped_base_takes_nothing_back_and_does_not_say_what_it_has_not() -> None:
     net = Net(line(4), period=PERIOD)
     net.arrive(*ids(1, *range(30)))
     net.run(200)
-    net.archives[0] = type(net.archives[0])()
-    net.receipts[0] = Receipts((0, 4711), archive=net.archives[0], period=PERIOD)
+    net.archives[0] = Archive()
+    serials = Serials(DurableStore(4711))
+    net.receipts[0] = Receipts((0, 4711), archive=net.archives[0], serials=serials, period=PERIOD)
     net.arrive(*ids(2, 0))
-    net.run(200)
+    net.run(300)
     for receipts in net.receipts:
         assert all(id in receipts for id in [*ids(1, 0, 29), *ids(2, 0)])
+        assert not any(identity[1] == 4711 and kept.receipt.entries[0].origin == 1
+                       for identity, kept in receipts.statements.of.items())  # fmt: skip
     assert net.agree()
     # What is here is another question.
     assert ids(1, 0)[0] not in net.archives[0]
 
 
-def test_what_arrived_at_one_of_two_bases_has_arrived() -> None:
-    net = Net(line(6), bases=2, period=PERIOD)
-    net.arrive(*ids(1, *range(0, 20, 2)), base=0)
-    net.lose(*ids(1, 1, 3), base=0)
-    net.arrive(*ids(1, *range(1, 20, 2)), base=1)
-    net.run(300)
+@pytest.mark.parametrize("bases", [2, 3, 10])
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_scattered_parts_at_several_bases_are_known_to_all_in_the_end(bases: int, loss: float) -> None:
+    net = Net(line(bases + 3), bases=bases, period=1, loss=loss)
+    rng = random.Random(bases)
+    for sequence in range(300):
+        for origin in (20, 21, 22):
+            net.arrive(*ids(origin, sequence), base=rng.randrange(bases))
+        net.step()
+    net.lose(*ids(20, 300), base=bases - 1)
+    net.run(PAUSE << (MAX_ROUNDS + 1))
     assert net.agree()
-    assert all(id in net.receipts[5] for id in ids(1, *range(20)))
-    assert not any(net.receipts[5].told_lost(id) for id in ids(1, *range(20)))
+    assert net.run(300) == 0
+    for receipts in net.receipts:
+        assert {pair: list(arrived) for pair, (arrived, _) in all_known(receipts).items()} == {
+            (origin, 7): [(0, 300)] for origin in (20, 21, 22)
+        }
+        assert receipts.told_lost(*ids(20, 300))
+    # Each speaks for itself only.
+    for base, archive in enumerate(net.archives):
+        for kept in net.receipts[-1].statements.by((base, 1000 + base)):
+            for entry in kept.receipt.entries:
+                assert all(
+                    first <= entry.first and entry.first + entry.run <= end
+                    for first, end in archive.ranges((entry.origin, 7), lost=entry.lost)
+                    if first <= entry.first < end
+                )
+
+
+def test_light_statements_are_said_again_and_die() -> None:
+    net = Net(line(3), period=1)
+    for origin in range(300):
+        net.arrive(*ids(origin, 0))
+        net.run(3)
+    net.run(100)
+    assert net.agree()
+    assert len(net.receipts[2].statements.of) <= 300 // 5 + 1
 
 
 def test_who_is_not_heard_is_not_talked_to_for_ever() -> None:
@@ -174,71 +229,196 @@ def test_who_is_not_heard_is_not_talked_to_for_ever() -> None:
     st.integers(0, 1000),
     st.sampled_from([0.0, 0.2]),
     st.sampled_from([line(5), {(i, j) for i in range(5) for j in range(5) if i != j}]),
+    st.sampled_from([1, 3]),
 )
 @settings(max_examples=25)
 def test_nodes_that_have_to_forget_do_not_talk_for_ever(
-    bounds: list[int], seed: int, loss: float, links: set[tuple[int, int]]
+    bounds: list[int], seed: int, loss: float, links: set[tuple[int, int]], bases: int
 ) -> None:
-    net = Net(links, period=1, bounds=bounds, loss=loss, seed=seed)
+    net = Net(links, bases=bases, period=1, bounds=bounds, loss=loss, seed=seed)
     rng = random.Random(seed)
     for _ in range(60):
-        net.arrive(DatumId(rng.randrange(12), 7, rng.randrange(6)))
+        net.arrive(DatumId(rng.randrange(12), 7, rng.randrange(300)), base=rng.randrange(bases))
         net.step()
     net.run(PAUSE << (MAX_ROUNDS + 1))
     assert net.run(300) == 0
-    for receipts, bound in list(zip(net.receipts, bounds, strict=True))[1:]:
-        assert len(receipts) <= bound
-        assert receipts.digest == (0 if receipts.forgetful else digest_of(receipts))
+    for receipts, bound in zip(net.receipts, bounds, strict=True):
+        assert len(receipts.statements.of) <= bound
+        assert receipts.digest == (0 if receipts.statements.forgetful else digest_of(receipts))
         truth(net, receipts)
 
 
-def test_the_longest_unchanged_is_forgotten_first() -> None:
-    receipts = Receipts(max_origins=3)
-    for origin in range(3):
-        receipts.learn(Receipt(0, 1, (ReceiptEntry(origin, 7, 1, 0),)))
-    receipts.learn(Receipt(0, 1, (ReceiptEntry(0, 7, 2, 0),)))
-    receipts.learn(Receipt(0, 1, (ReceiptEntry(9, 7, 1, 0),)))
-    assert set(receipts.known()) == {(0, 7), (2, 7), (9, 7)}
-    assert receipts.forgetful
+# -- what lives depends on what was heard, not on the order ------------------------------------------------------------
 
-
-def test_what_strangers_say_is_bounded_at_a_base_too() -> None:
-    net = Net(line(2), bounds=[10])
-    net.arrive(*[DatumId(origin, 7, 0) for origin in range(30)])
-    for origin in range(1000, 3000):
-        net.receipts[0].learn(Receipt(5, 5, (ReceiptEntry(origin, 8, 1, 0),)))
-    assert len(net.receipts[0]) <= 30 + 10
-    assert all(DatumId(origin, 7, 0) in net.receipts[0] for origin in range(30))
-    assert MAX_ORIGINS >= 1000
-
-
-entries = st.builds(ReceiptEntry, st.integers(0, 2), st.just(7), st.integers(0, 60), st.integers(0, 0xFFFF))
-spans = st.builds(
-    ReceiptSpan, st.integers(0, 2), st.just(7), st.integers(30, 60), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF),
-    st.integers(0, 30),
+entries = st.builds(
+    ReceiptEntry, st.integers(0, 1), st.just(7), st.integers(0, 6), st.integers(1, 6),
+    st.integers(0, 7).map(lambda bits: bits << 1), st.booleans(),
 )  # fmt: skip
-frames = st.builds(Receipt, st.just(0), st.just(1), st.lists(entries, max_size=4), st.lists(spans, max_size=3))
+said_frames = st.builds(
+    make_receipt, st.integers(0, 1), st.just(1), st.integers(0, 3), st.lists(entries, min_size=1, max_size=4)
+)
 
 
-@given(st.lists(frames, max_size=12), st.integers(1, 4))
-def test_the_digest_is_that_of_all_that_is_known(said: list[Receipt], bound: int) -> None:
-    receipts = Receipts(max_origins=bound)
+def living(receipts: Receipts) -> dict[tuple[int, ...], set[ReceiptEntry]]:
+    return {identity: kept.live for identity, kept in receipts.statements.of.items()}
+
+
+@given(st.lists(said_frames, max_size=8, unique_by=lambda receipt: receipt[:4]), st.randoms())
+def test_what_lives_does_not_depend_on_the_order(said: list[Receipt], rng: random.Random) -> None:
+    one, other = Receipts(), Receipts()
     for receipt in said:
-        changed = receipts.learn(receipt)
-        said_of = {(e.origin, e.epoch) for e in receipt.entries} | {(s.origin, s.epoch) for s in receipt.spans}
-        assert changed <= said_of
-        assert receipts.forgetful or receipts.digest == digest_of(receipts)
-        assert len(receipts) <= bound
+        changed = one.learn(receipt)
+        assert changed <= {(e.origin, e.epoch) for e in receipt.entries}
+        assert one.disagreement() == ""
+        assert one.digest == digest_of(one)
+    for receipt in rng.sample(said + said, 2 * len(said)):
+        other.learn(receipt)
+    assert living(one) == living(other)
+    assert one.digest == other.digest
+    assert all_known(one) == all_known(other)
+    # By the words of docs/protocol.md.
+    every = {(receipt[:4], entry) for receipt in said for entry in receipt.entries}
+    alive = {
+        (identity, entry)
+        for identity, entry in every
+        if not any(
+            (base[:2], other_entry[:2], other_entry.lost) == (identity[:2], entry[:2], entry.lost)
+            and covers(other_entry, entry)
+            and (other_entry != entry or base > identity)
+            for base, other_entry in every
+        )
+    }
+    assert {(identity, entry) for identity, live in living(one).items() for entry in live} == alive
+
+
+def test_the_base_with_the_most_statements_forgets_its_oldest() -> None:
+    receipts = Receipts(max_statements=6)
+    for base, serial in [(1, 0), (1, 1), (2, 0), (2, 1), (2, 2), (2, 3), (2, 4)]:
+        receipts.learn(statement(*ids(serial, base), base=base, serial=serial))
+    assert {identity[:1] + identity[2:3] for identity in receipts.statements.of} == {
+        (1, 0), (1, 1), (2, 1), (2, 2), (2, 3), (2, 4)
+    }  # fmt: skip
+    assert receipts.statements.forgetful
+    assert receipts.disagreement() == ""
+
+
+def test_a_flood_of_invented_bases_leaves_the_named_one_alone() -> None:
+    receipts = Receipts()
+    named = Neighbour(beacon(5, 1, Route(1, 9, 1, 0)), 0.0)
+    receipts.learn(statement(*ids(1, 0), base=1, life=9))
+    receipts.turn([named])
+    for base in range(100, 3000):
+        receipts.learn(statement(*ids(1, 0), base=base, life=base))
+    assert ids(1, 0)[0] in receipts
+    assert len({identity[:2] for identity in receipts.statements.of}) == MAX_BASES
+    # One that is named takes the place of an invented one.
+    receipts.turn([named, Neighbour(beacon(6, 1, Route(2, 9, 1, 0)), 0.0)])
+    receipts.learn(statement(*ids(1, 5), base=2, life=9))
+    assert ids(1, 5)[0] in receipts
+    assert any(identity[:2] == (1, 9) for identity in receipts.statements.of)
+    # Nor does a base that says very much push out another one.
+    for serial in range(2 * MAX_STATEMENTS):
+        receipts.learn(statement(DatumId(serial, 8, 0), base=2, serial=serial, life=9))
+    assert len(receipts.statements.of) == MAX_STATEMENTS
+    assert any(identity[:2] == (1, 9) for identity in receipts.statements.of)
 
 
 def test_equal_changes_of_two_entries_do_not_cancel_in_the_digest() -> None:
     receipts = Receipts()
     seen = set()
-    for closed in range(1, 200):
-        receipts.learn(Receipt(0, 1, (ReceiptEntry(1, 7, closed, 0), ReceiptEntry(2, 7, closed, 0))))
+    for serial in range(1, 200):
+        receipts.learn(statement(*ids(1, *range(serial)), *ids(2, *range(serial)), serial=serial))
         seen.add(receipts.digest)
     assert len(seen) == 199
+    assert len(receipts.statements.of) == 1
 
 
 def test_to_know_nothing_is_not_the_same_as_not_to_be_compared() -> None:
     assert Receipts().digest != 0
+
+
+# -- flipped bits ------------------------------------------------------------------------------------------------------
+
+
+def test_a_flipped_bit_in_one_table_does_not_spread() -> None:
+    for place in range(6):
+        net = Net(line(5), period=1)
+        net.arrive(*ids(1, *range(20)), *ids(2, 0, 5))
+        net.run(60)
+        assert net.agree()
+        kept = next(iter(net.receipts[2].statements.of.values()))
+        entry = kept.receipt.entries[0]
+        struck = ReceiptEntry._make([*entry[:place], entry[place] ^ 1 if place == 5 else entry[place] ^ 16,
+                                     *entry[place + 1 :]])  # fmt: skip
+        kept.receipt = kept.receipt._replace(entries=(struck, *kept.receipt.entries[1:]))
+        # Nobody asks node 2 at first; then all around it do.
+        for asking in ([4], [1, 3]):
+            for node in asking:
+                net.receipts[node] = net.start(node)
+            net.run(400)
+            for receipts in net.receipts if asking == [1, 3] else net.receipts[:2] + net.receipts[3:]:
+                truth(net, receipts)
+            assert net.agree()
+
+
+def test_a_flipped_bit_in_what_bases_say_together_is_found_before_it_decides() -> None:
+    receipts = Receipts()
+    receipts.learn(statement(*ids(1, *range(20))))
+    assert ids(1, 19)[0] in receipts
+    known = receipts.statements.sum((1, 7)).arrived
+    known._bounds[1] ^= 1 << 20
+    assert ids(1, 5000)[0] not in receipts
+    assert ids(1, 19)[0] in receipts
+    known = receipts.statements.sum((1, 7)).arrived
+    known._bounds[1] ^= 1 << 20
+    receipts.learn(statement(*ids(1, 30), serial=1))
+    assert ids(1, 5000)[0] not in receipts
+    assert {ids(1, 19)[0] in receipts, ids(1, 30)[0] in receipts} == {True}
+
+
+# -- denials -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("links", [line(9), grid(5)], ids=["line", "grid"])
+def test_a_denial_reaches_who_believes_it_not_and_dies_out(links: set[tuple[int, int]]) -> None:
+    net = Net(links, period=2)
+    net.arrive(*ids(1, *range(10)), *ids(2, *range(10)))
+    net.run(200)
+    forged = statement(*ids(1, 5000), *ids(2, 0), base=0, life=1000, serial=99)
+    net.receipts[4].learn(forged)
+    net.run(200)
+    assert all(ids(1, 5000)[0] in receipts for receipts in net.receipts)
+    assert net.receipts[3].deny(make_given(1, 7, 10))
+    net.run(400 * DENIAL_TURNS)
+    assert not any(ids(1, 5000)[0] in receipts for receipts in net.receipts)
+    assert all(id in receipts for receipts in net.receipts for id in [*ids(1, 9), *ids(2, 0)])
+    assert len({receipts.digest for receipts in net.receipts}) == 1
+    assert net.run(300) == 0
+    # Who has not heard of it is told as soon as it says it.
+    net.receipts[2] = net.start(2)
+    net.receipts[2].learn(forged)
+    net.run(100 * DENIAL_TURNS)
+    assert not any(ids(1, 5000)[0] in receipts for receipts in net.receipts)
+
+
+def test_a_denial_that_concerns_nobody_is_not_told_on() -> None:
+    receipts = Receipts()
+    receipts.learn(statement(*ids(1, 0, 1)))
+    assert not receipts.deny(make_given(1, 7, 2))
+    assert not receipts.deny(make_given(9, 7, 0))
+    assert [receipts.denial() for _ in range(3)] == [None] * 3
+    # A forged one costs spares their end, and nothing else; the base's next word is believed again.
+    assert receipts.deny(make_given(1, 7, 1))
+    assert ids(1, 1)[0] not in receipts
+    receipts.learn(statement(*ids(1, 0, 1, 2), serial=1))
+    assert ids(1, 1)[0] in receipts
+
+
+def test_denials_are_bounded() -> None:
+    receipts = Receipts()
+    for origin, serial in itertools.product(range(50), range(20)):
+        receipts.learn(statement(*ids(origin, 100 + 200 * serial), serial=serial))
+        receipts.deny(make_given(origin, 7, 0))
+    assert len(receipts.statements._denied) == MAX_DENIED
+    assert len(receipts._denials) <= 64
+    assert receipts.disagreement() == ""

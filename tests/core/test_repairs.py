@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Data, PassedOn, Receipt, ReceiptEntry, Word, WordEntry, Words
+from rass_mav.core.messages import BROADCAST, Data, PassedOn, Word, WordEntry, Words
 from rass_mav.core.spares.mirrors import ASK_STEPS
 from rass_mav.core.spares.repairs import MAX_SEARCHES
 
 from .books import mirrors
-from .build import datum, make_node, of
+from .build import datum, make_node, of, statement
 from .mirror_net import CHAIN, RISKS, Net, at_rest
 
 
@@ -102,11 +102,9 @@ def test_what_a_neighbour_says_to_a_search() -> None:
         assert net.nodes[node].receive(wanted, net.now) == [Words(node, 9, (WordEntry(id, word),))]
     unknown = Words(9, BROADCAST, (WordEntry(DatumId(7, 7, 7), Word.WANTED),))
     assert net.nodes[1].receive(unknown, net.now) == []
-    # What has arrived is not missing.
-    net.nodes[1].receive(Receipt(0, 1, (ReceiptEntry(7, 7, 8, 0),), ()), net.now)
-    assert net.nodes[1].receive(unknown, net.now) == [
-        Words(1, 9, (WordEntry(DatumId(7, 7, 7), Word.TAKEN),)),
-    ]
+    # A receipt is no reason to say that somebody has it.
+    net.nodes[1].receive(statement(DatumId(7, 7, 7)), net.now)
+    assert net.nodes[1].receive(unknown, net.now) == []
 
 
 def test_a_late_answer_to_a_search_is_ignored() -> None:

@@ -16,12 +16,12 @@ from rass_mav.core.messages import (
     Data,
     Message,
     PassedOn,
-    Receipt,
     ReceiptEntry,
     Route,
     Word,
     Words,
 )
+from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.spares.unconfirmed import PATIENCE_TURNS
@@ -246,7 +246,7 @@ def test_data_that_take_long_are_waited_for_longer() -> None:
     alone = Alone(ways={3: 1}, data=30)
     alone.times(50)
     id = alone.ids[0]
-    alone.node.receive(Receipt(1, 1, (ReceiptEntry(id.origin, id.epoch, 30, 0),), ()), alone.now)
+    alone.node.receive(make_receipt(1, 1, 1, [ReceiptEntry(id.origin, id.epoch, 0, 30, 0, False)]), alone.now)
     assert len(alone.node.holdings) == 0
     alone.ids = [alone.node.put(b"x", alone.now)]
     [first, second] = alone.times(200)
@@ -257,7 +257,7 @@ def test_what_takes_long_because_of_a_liar_does_not_make_it_wait_longer_for_what
     alone = Alone(ways={3: 1}, data=30)
     alone.times(50)
     id = alone.ids[0]
-    alone.node.receive(Receipt(1, 1, (ReceiptEntry(id.origin, id.epoch, 29, 0),), ()), alone.now)
+    alone.node.receive(make_receipt(1, 1, 1, [ReceiptEntry(id.origin, id.epoch, 0, 29, 0, False)]), alone.now)
     assert list(alone.node.holdings) == [alone.ids[29]]
     [(turn, _)] = alone.times(100)
     assert turn <= PATIENCE_TURNS - 50 + 10

@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 
 from rass_mav.config.loading import convert
-from rass_mav.core.messages import Receipt, ReceiptEntry
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import ReceiptEntry
+from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.receipts import MAX_ROUNDS, PAUSE, Receipts
 from rass_mav.swarm.errors import InvariantError
 from rass_mav.swarm.invariants import check
@@ -112,7 +114,7 @@ def test_differing_digests_do_not_keep_a_quiet_swarm_talking() -> None:
     )
     world.run(100)
     # One of them is full of what others said long ago, and had to forget.
-    receipts_of(world)[4].forgetful = True
+    receipts_of(world)[4].statements.forgetful = True
     world.run(PAUSE << (MAX_ROUNDS + 1))
     sent = world.radio.sent
     world.run(20)
@@ -122,8 +124,55 @@ def test_differing_digests_do_not_keep_a_quiet_swarm_talking() -> None:
 def test_a_swarm_that_believes_in_an_arrival_that_never_was_is_found_out() -> None:
     world = world_of(nodes=4, steps=10, radiation={"sources": []})
     world.run(10, after=check)
-    forged = Receipt(0, 1, (ReceiptEntry(1, 1, 5, 0),))
+    forged = make_receipt(0, 1, 0, [ReceiptEntry(1, 1, 0, 5, 0, False)])
     for receipts in receipts_of(world):
         receipts.learn(forged)
     with pytest.raises(InvariantError, match="has arrived"):
         check(world)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+@pytest.mark.parametrize("real_name", [False, True])
+def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
+    """Three frames say that everything has arrived at a base, far from it; the last one of numbers never given."""
+    world = world_of(
+        nodes=25, steps=200, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 100},
+        custody={"mirror": mirror, "receipt_steps": 2}, policy={"name": "hop-count"}, radio={"loss": 0.1},
+    )  # fmt: skip
+    world.run(50)
+    base = world.agents[0].node
+    life = base.store.life if real_name else base.store.life ^ 1
+    stores = [agent.node.store for agent in world.agents]
+    all_given = [
+        [ReceiptEntry(id, stores[id].epoch, 0, stores[id].given, 0, False) for id in some]
+        for some in (range(1, 10), range(10, 19))
+    ]
+    never_given = [ReceiptEntry(id, stores[id].epoch, (1 << 32) - 2, 2, 0, False) for id in (20, 21)]
+    for serial, entries in enumerate([*all_given, never_given]):
+        forged = make_receipt(0, life, 50_000 + serial, entries)
+        for agent in world.agents[12:]:
+            agent.node.receive(forged, float(world.t))
+    before = world.ledger.created
+    world.run(150)
+    assert world.ledger.created > before
+    assert world.ledger.losses() == dict.fromkeys(world.ledger.losses(), 0)
+    assert world.ledger.held == 0
+    assert len(world.ledger.arrived) == world.ledger.created
+    # Whoever hears numbers that it never gave says so, and everybody believes it.
+    for agent in world.agents:
+        assert DatumId(20, stores[20].epoch, (1 << 32) - 1) not in agent.node.receipts
+
+
+def test_what_is_deleted_on_a_false_word_is_told_apart() -> None:
+    world = world_of(nodes=4, steps=10, radiation={"sources": []}, topology="line", data={"until_step": 3})
+    world.run(4)
+    far = world.agents[3].node
+    id = next(iter(far.holdings.custody), None) or far.put(b"x", float(world.t))
+    world.ledger.lost.clear()
+    for agent in world.agents[1:]:
+        node = node_of(agent)
+        holding = node.holdings.get(id)
+        if holding is not None:
+            node.keeper.drop(holding, Fate.DELIVERED)
+    assert world.ledger.losses()["unfounded"] == 1
+    assert world.statistics.summary()["reliability"] < 1.0

@@ -95,7 +95,7 @@ def test_without_the_gate_the_same_run_finds_losses() -> None:
     with disks(world) as power:
         world.run(900)
         assert power.figures()["cuts"] >= 200
-        assert lost(world)["vanished"] > 3
+        assert lost(world)["unfounded"] > 3
 
 
 def test_without_the_gate_the_check_fails() -> None:

@@ -12,6 +12,7 @@ from rass_mav.core.messages import (
     Chunk,
     Committed,
     Data,
+    Given,
     Handover,
     LossNote,
     LossNoteEntry,
@@ -22,12 +23,12 @@ from rass_mav.core.messages import (
     Query,
     Receipt,
     ReceiptEntry,
-    ReceiptSpan,
     Sack,
     Word,
     WordEntry,
     Words,
 )
+from rass_mav.core.news.checksums import make_given, make_receipt, note_crc
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
 #: The moment at which the samples are encoded and decoded, seconds.
@@ -53,11 +54,17 @@ SAMPLES: dict[str, Message] = {
     "sack": Sack(2, 3, 0xA1B2, 10, 0b101),
     "committed": Committed(2, 3, ((0x01020304, HELLO.crc),), (0x01020305,)),
     "committed-refused": Committed(2, 3, (), (0x01020305,)),
-    "receipt": Receipt(1, 0x0BADF00D, (ReceiptEntry(3, 0xCAFEBABE, 7, 0b10),)),
-    "receipt-span": Receipt(
-        1, 0x0BADF00D, (ReceiptEntry(4, 0x12345678, 70, 0),), (ReceiptSpan(3, 0xCAFEBABE, 40, 0b10, 0b1, 12),)
+    "receipt": make_receipt(1, 0x0BADF00D, 513, [ReceiptEntry(3, 0xCAFEBABE, 0, 7, 0b100, False)]),
+    "receipt-lost": make_receipt(
+        1,
+        0x0BADF00D,
+        514,
+        [ReceiptEntry(4, 0x12345678, 300, 70, 0, False), ReceiptEntry(3, 0xCAFEBABE, 9, 1, 0, True)],
     ),
-    "loss-note": LossNote(3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1),)),
+    "loss-note": LossNote(
+        3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1, note_crc(DatumId(3, 0xCAFEBABE, 9), 1)),)
+    ),
+    "given": make_given(3, 0xCAFEBABE, 11),
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
@@ -77,10 +84,13 @@ def data(largest: int) -> st.SearchStrategy[Datum]:
     return st.builds(Datum, ids, u8, moments, u8, u32, st.binary(min_size=1, max_size=largest), st.booleans())
 
 
-#: A span's floor is not above its end.
-spans = st.builds(ReceiptSpan, u16, u32, u32, u16, u16, u32).map(
-    lambda s: s._replace(closed=max(s.closed, s.floor), floor=min(s.closed, s.floor))
-)
+#: All numbers have 32 bits; a run does not reach into its bitmap.
+receipt_entries = st.builds(
+    lambda origin, epoch, first, run, bits, lost: ReceiptEntry(
+        origin, epoch, first, max(1, min(run, (1 << 32) - first - 128)), bits << 1, lost
+    ),
+    u16, u32, st.integers(0, (1 << 32) - 129), u32, st.integers(0, (1 << 127) - 1), st.booleans(),
+)  # fmt: skip
 handovers = st.builds(Handover, u32, data(INLINE_BYTES))
 by_type: dict[type, st.SearchStrategy[Message]] = {
     Beacon: st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32, u16),
@@ -109,14 +119,11 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         st.lists(st.tuples(u32, u32), max_size=40).map(tuple),
         st.lists(u32, max_size=60).map(tuple),
     ),
-    Receipt: st.builds(
-        Receipt,
-        u16,
-        u32,
-        st.lists(st.builds(ReceiptEntry, u16, u32, u32, u16), max_size=25).map(tuple),
-        st.lists(spans, max_size=15).map(tuple),
+    Receipt: st.builds(make_receipt, u16, u32, u32, st.lists(receipt_entries, max_size=3)),
+    LossNote: st.builds(
+        LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8, u32), max_size=20).map(tuple)
     ),
-    LossNote: st.builds(LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8), max_size=20).map(tuple)),
+    Given: st.builds(make_given, u16, u32, u32),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
     PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple)),

@@ -6,10 +6,11 @@ cancels that hand-over, and a late answer to its number is ignored; therefore tw
 the word of each other.
 
 The receiver remembers the numbers it has accepted (bounded). A retransmission of a number that it has accepted is
-answered COMMITTED even when the datum has been passed on since: the giver acts on it only while that number is still
-pending, that is while it has not taken the datum back. Without this memory each lost answer on a lossy link makes a
-second copy at each hop. It is a memory of hand-overs, not of data: the same datum offered under another number is
-accepted like any other. Entries of a datum whose copy is found corrupt are forgotten, so that it can be sent again.
+answered COMMITTED even when the datum has been passed on since, if it has the checksum of the datum that was accepted:
+the giver acts on it only while that number is still pending, that is while it has not taken the datum back. Without
+this memory each lost answer on a lossy link makes a second copy at each hop. It is a memory of hand-overs, not of data:
+the same datum offered under another number is accepted like any other. Entries of a datum whose copy is found corrupt
+are forgotten, so that it can be sent again.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class HandoverNumbers:
     def __init__(self, first: int) -> None:
         """`first`: 32 bits drawn at random, for an answer to a hand-over of an earlier life must name none of this."""
         self._next = first
-        self._accepted: dict[tuple[int, int], DatumId] = {}
-        """By giver and number, the oldest first."""
+        self._accepted: dict[tuple[int, int], tuple[DatumId, int]] = {}
+        """What was accepted, and its checksum, by giver and number, the oldest first."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
         """The same by datum."""
 
@@ -38,26 +39,27 @@ class HandoverNumbers:
         self._next = (self._next + 1) & 0xFFFFFFFF or 1
         return self._next
 
-    def accept(self, giver: int, number: int, id: DatumId) -> None:
-        """Remember that this hand-over was accepted."""
+    def accept(self, giver: int, number: int, id: DatumId, crc: int) -> None:
+        """Remember that this hand-over was accepted, of a datum with this checksum."""
         key = (giver, number)
         # A restarted giver may draw a number again.
         self._drop(key)
-        self._accepted[key] = id
+        self._accepted[key] = id, crc
         self._of.setdefault(id, set()).add(key)
         if len(self._accepted) > MAX_ACCEPTED:
             self._drop(next(iter(self._accepted)))
 
     def _drop(self, key: tuple[int, int]) -> None:
-        id = self._accepted.pop(key, None)
-        if id is not None:
+        accepted = self._accepted.pop(key, None)
+        if accepted is not None:
+            id, _ = accepted
             self._of[id].remove(key)
             if not self._of[id]:
                 del self._of[id]
 
-    def has_accepted(self, giver: int, number: int, id: DatumId) -> bool:
+    def has_accepted(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
         """Whether this very hand-over was accepted before."""
-        return self._accepted.get((giver, number)) == id
+        return self._accepted.get((giver, number)) == (id, crc)
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it is not true any more that it was taken."""

@@ -48,7 +48,7 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
         State.PASSED_ON,
         State.CUSTODY,
     ): "a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
-    (State.CUSTODY, None): "handed over and no spare kept, arrived elsewhere, corrupt, expired, or no room",
+    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no room",
     (
         State.SPARE,
         None,
@@ -336,6 +336,12 @@ class Holdings:
         for number in holding.offers:
             del self.offers[number]
         holding.offers.clear()
+
+    def want_none(self, holding: Holding) -> None:
+        """No spares of a datum in custody are offered any more, for as long as it stays what it is to its holder."""
+        self.withdraw(holding)
+        if holding.offer_at is not None:
+            holding.offer_at = inf
 
     # -- the indexes ---------------------------------------------------------------------------------------------------
 

@@ -9,10 +9,11 @@ from rass_mav.core.alarms import Alarm, Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
 from rass_mav.core.news.archive import Archive
-from rass_mav.core.news.notes import NoLossNotes
-from rass_mav.core.news.receipts import NoReceipts, Pair
+from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
+from rass_mav.core.news.receipts import NoReceipts
+from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
@@ -44,7 +45,7 @@ class Keeper:
         self.spares = NoSpares()
         """Spare copies; whoever keeps them for this node sets itself here."""
         self.arrived: Container[DatumId] = receipts
-        """What has reached a base, as far as this node knows."""
+        """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""
         self.holdings = self._take_up()
         self.refused = 0
         """Hand-overs refused for want of room."""
@@ -74,7 +75,7 @@ class Keeper:
             return False
         self.keep(datum.arrived(), giver)
         if number:
-            self.numbers.accept(giver, number, id)
+            self.numbers.accept(giver, number, id, datum.crc)
         return True
 
     def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
@@ -92,20 +93,21 @@ class Keeper:
         return True
 
     def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
-        """Whether a datum on offer needs no taking: it has arrived, or is here, or this offer was taken.
+        """Whether a datum on offer needs no taking: it is here, or this offer was taken. A receipt does not count: with
+        what it says that has arrived, the giver goes to the base.
 
         False while something is held under `id`: that is another datum, so the offer is refused.
         """
         holding = self.holdings.get(id)
-        accepted = number != 0 and self.numbers.has_accepted(giver, number, id)
-        if holding is not None and id not in self.arrived:
+        accepted = number != 0 and self.numbers.has_accepted(giver, number, id, crc)
+        if holding is not None:
             # The giver will delete its copy on our word, so ours must be good at this moment; a bad one is dropped.
             if self.load(holding) is None or holding.crc != crc:
                 return False
             if not accepted:
                 self._comes_round(holding, giver, number)
                 return True
-        elif not accepted and id not in self.arrived:
+        elif not accepted:
             return False
         if holding is None or holding.state is not State.CUSTODY:
             self.spares.not_here(id, giver)
@@ -116,7 +118,7 @@ class Keeper:
         # Whatever we offered of it, nobody's answer may delete it any more.
         self.holdings.cancel(holding)
         if number:
-            self.numbers.accept(giver, number, holding.id)
+            self.numbers.accept(giver, number, holding.id, holding.crc)
         self.spares.take_back(holding)
         self.spares.took(holding, giver)
 
@@ -188,35 +190,32 @@ class Keeper:
     # -- receipts and loss notes ---------------------------------------------------------------------------------------
 
     def heed(self, changed: set[Pair]) -> None:
-        """Receipts told something new of these (origin, epoch) pairs."""
-        receipts, holdings, notes = self.receipts, self.holdings, self.notes
-        for id in [id for id in holdings if id[:2] in changed]:
-            holding = holdings.get(id)
-            assert holding is not None
-            if id in receipts:
-                self.drop(holding, Fate.DELIVERED)
-            elif receipts.told_lost(id):
-                # Whoever had custody thought it the last copy.
-                self.spares.rescue(holding)
-        for id in [id for id in notes.waiting if id[:2] in changed and (id in receipts or receipts.told_lost(id))]:
-            notes.forget(id)
+        """Receipts told something new of these (origin, epoch) pairs: it is the end of spares, but not of custody."""
+        receipts, holdings = self.receipts, self.holdings
+        for spares in (holdings.spare, holdings.passed_on):
+            for id in [id for id in spares if id[:2] in changed]:
+                if id in receipts:
+                    self.drop(spares[id], Fate.DELIVERED)
+                elif receipts.told_lost(id):
+                    # Whoever had custody thought it the last copy.
+                    self.spares.rescue(spares[id])
 
     @property
     def takes_notes(self) -> bool:
         """Whether loss notes are taken; if not they are not answered, so they are not lost."""
         return self.notes.told
 
-    def take_note(self, id: DatumId, fate: Fate) -> bool:
+    def take_note(self, id: DatumId, note: Note) -> bool:
         """A neighbour hands on the note that a datum is lost. False: there is no room for it."""
-        if self.is_squatted(id) or id in self.arrived:
+        if self.is_squatted(id):
             # A note of what was never made goes no further: if it were refused, it would be offered for ever.
             return True
-        holding = self.holdings.get(id)
+        holding = None if fate_of(note.reason) in WOUNDS else self.holdings.get(id)
         if holding is not None and self.load(holding) is not None:
             # It is not: a good copy is here.
             self.spares.take_back(holding)
             return True
-        return self.receipts.told_lost(id) or self.notes.take(id, fate)
+        return self.notes.take(id, note)
 
     # -- care of what is held ------------------------------------------------------------------------------------------
 
@@ -242,7 +241,7 @@ class Keeper:
 class Sink(Keeper):
     """The keeping half of a base: what comes here has arrived for good."""
 
-    __slots__ = ("archive",)
+    __slots__ = ("_alarms", "archive")
 
     def __init__(
         self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, archive: Archive,
@@ -252,6 +251,7 @@ class Sink(Keeper):
         self.archive = archive
         """What has become of all data."""
         self.arrived = archive
+        self._alarms = alarms
 
     def _take_up(self) -> Holdings:
         # What has arrived is the archive's.
@@ -265,13 +265,32 @@ class Sink(Keeper):
         """Nothing that has arrived makes room."""
         return False
 
+    def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
+        """Whether this very datum has arrived. The giver may delete the last copy on this, so the store is asked."""
+        stored = self.store.get(id)
+        return stored is not None and stored.crc == crc and stored.intact
+
+    def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
+        """A datum arrives. False: no room, the giver keeps it. Of two contents under one id both are kept."""
+        stored = self.store.get(datum.id)
+        if stored is None or not stored.intact:
+            return super().take_custody(giver, number, datum)
+        if stored.crc == datum.crc:
+            return True
+        if not (self.may_accept(len(datum.payload)) and self.store.keep_apart(datum)):
+            self.refused += 1
+            return False
+        self._alarms.ring(Alarm.TWO_CONTENTS, str(datum.id))
+        self.observer.kept_apart(datum)
+        return True
+
     def keep(self, datum: Datum, giver: int | None = None) -> None:
         """A datum has arrived."""
         self.store.put(datum)
         if self.archive.is_lost(datum.id):
             self.store.found(datum.id)
-        self.archive.add(datum.id)
-        self.receipts.arrived(datum.id)
+        if self.archive.add(datum.id):
+            self.receipts.arrived(datum.id)
         self.observer.delivered(datum)
 
     def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
@@ -286,12 +305,21 @@ class Sink(Keeper):
         """Whether bases speak of arrivals and losses at all."""
         return self.receipts.told
 
-    def take_note(self, id: DatumId, fate: Fate) -> bool:
-        """A neighbour says that a datum is lost. False: there is no room for the note."""
-        if self.is_squatted(id) or id in self.archive or self.archive.is_lost(id):
+    def take_note(self, id: DatumId, note: Note) -> bool:
+        """A neighbour says that a datum is lost, or a store damaged. False: there is no room for the note."""
+        archive, fate = self.archive, fate_of(note.reason)
+        if self.is_squatted(id) or (id in archive.wounds if fate in WOUNDS else archive.is_lost(id) or self.has(id)):
             return True
-        if not self.archive.lose(id):
+        if not archive.lose(id, fate):
             return False
         self.store.lose(id, fate)
-        self.receipts.lost(id)
+        if fate in WOUNDS:
+            self._alarms.ring(Alarm.UNKNOWN if fate is Fate.UNKNOWN else Alarm.DAMAGED, str(id))
+        else:
+            self.receipts.lost(id)
         return True
+
+    def has(self, id: DatumId) -> bool:
+        """Whether a good copy has arrived: not what the index in memory says, but what the store has."""
+        stored = self.store.get(id)
+        return stored is not None and stored.intact

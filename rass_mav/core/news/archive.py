@@ -4,114 +4,109 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.news.arrivals import NOTHING, Known, completed, one
+from rass_mav.core.datum import WOUNDS, DatumId, Fate
+from rass_mav.core.news.ranges import Ranges
 
-#: How many losses a base believes. Nobody proves them, so there must be an end.
-MAX_TOLD_LOST = 1 << 20
-
-
-class SequenceSet:
-    """A set of sequence numbers that mostly grows without holes: all below `closed`, and some beyond."""
-
-    __slots__ = ("beyond", "closed")
-
-    def __init__(self) -> None:
-        self.closed = 0
-        self.beyond: set[int] = set()
-
-    def add(self, sequence: int) -> bool:
-        """False if it was there already."""
-        if sequence in self:
-            return False
-        self.beyond.add(sequence)
-        while self.closed in self.beyond:
-            self.beyond.remove(self.closed)
-            self.closed += 1
-        return True
-
-    def __contains__(self, sequence: int) -> bool:
-        return sequence < self.closed or sequence in self.beyond
+#: How many losses a base believes of one origin and epoch, and in all. Nobody proves them, so there must be an end.
+MAX_LOST_OF_ONE = 4096
+MAX_TOLD_LOST = 32768
+#: Epochs of one origin, and pairs of origin and epoch in all, of which a base knows losses and nothing else.
+MAX_EPOCHS = 64
+MAX_PAIRS = 4096
+#: How many words on damaged stores and unknown numbers a base keeps.
+MAX_WOUNDS = 1024
 
 
 class _Origin:
     """The data of one origin and epoch."""
 
-    __slots__ = ("lost", "settled")
+    __slots__ = ("arrived", "lost", "told")
 
     def __init__(self) -> None:
-        self.settled = SequenceSet()
-        """Arrived, or told lost: a loss note closes the hole."""
-        self.lost: set[int] = set()
-        """Told lost, and not arrived."""
-
-    def arrived(self, sequence: int) -> bool:
-        return sequence in self.settled and sequence not in self.lost
-
-    def last(self) -> int:
-        """The highest number that has arrived; -1: none."""
-        beyond = self.settled.beyond - self.lost
-        if beyond:
-            return max(beyond)
-        last = self.settled.closed - 1
-        while last in self.lost:
-            last -= 1
-        return last
+        self.arrived = Ranges()
+        self.lost = Ranges()
+        """Told lost; some of them may have arrived since."""
+        self.told = 0
+        """How many numbers that are."""
 
 
 class Archive:
-    """What has become of all data, as far as one base knows. As large as what it has been told."""
+    """What has become of all data, as far as one base knows. As large as what has arrived, in ranges, and bounded for
+    what it was told is lost."""
 
-    __slots__ = ("_origins", "told_lost")
+    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "told_lost", "wounds")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
         """What its store holds, and its table of losses."""
         self._origins: dict[tuple[int, int], _Origin] = {}
+        self._losses_only: set[tuple[int, int]] = set()
+        """Pairs of which nothing has arrived."""
+        self._epochs: dict[int, int] = {}
+        """How many of these an origin has."""
+        self._told = 0
+        """Data ever told lost."""
         self.told_lost = 0
         """Data told lost that have not arrived."""
+        self.wounds: dict[DatumId, Fate] = {}
+        """Words that are about no single datum: of damaged stores, and of numbers that nobody knows of."""
         for id in ids:
             self.add(id)
-        for id, _ in losses:
-            self.lose(id)
+        for id, fate in losses:
+            self.lose(id, fate)
 
-    def _origin(self, id: DatumId) -> _Origin:
+    def add(self, id: DatumId) -> bool:
+        """A datum has arrived; if it was told lost, it is lost no longer. False: it had arrived before."""
         key = (id.origin, id.epoch)
         origin = self._origins.get(key)
         if origin is None:
             origin = self._origins[key] = _Origin()
-        return origin
-
-    def add(self, id: DatumId) -> bool:
-        """A datum has arrived; if it was told lost, it is lost no longer. False: it had arrived before."""
-        origin = self._origin(id)
+        elif key in self._losses_only:
+            self._losses_only.remove(key)
+            self._epochs[id.origin] -= 1
+        if id.sequence in origin.arrived:
+            return False
+        origin.arrived.add(id.sequence, id.sequence + 1)
         if id.sequence in origin.lost:
-            origin.lost.remove(id.sequence)
             self.told_lost -= 1
-            return True
-        return origin.settled.add(id.sequence)
+        return True
 
-    def lose(self, id: DatumId) -> bool:
-        """A datum was told lost. False: that is known, or it has arrived, or there is no end of losses."""
-        if self.told_lost >= MAX_TOLD_LOST:
+    def lose(self, id: DatumId, fate: Fate) -> bool:
+        """A datum was told lost, or a store damaged. False: that is known, or it has arrived, or there is no room."""
+        if fate in WOUNDS:
+            if id in self.wounds or len(self.wounds) >= MAX_WOUNDS:
+                return False
+            self.wounds[id] = fate
+            return True
+        if self._told >= MAX_TOLD_LOST:
             return False
-        origin = self._origin(id)
-        if not origin.settled.add(id.sequence):
+        key = (id.origin, id.epoch)
+        origin = self._origins.get(key)
+        if origin is None:
+            epochs = self._epochs.get(id.origin, 0)
+            if epochs >= MAX_EPOCHS or len(self._losses_only) >= MAX_PAIRS:
+                return False
+            self._epochs[id.origin] = epochs + 1
+            self._losses_only.add(key)
+            origin = self._origins[key] = _Origin()
+        elif origin.told >= MAX_LOST_OF_ONE or id.sequence in origin.lost or id.sequence in origin.arrived:
             return False
-        origin.lost.add(id.sequence)
+        origin.lost.add(id.sequence, id.sequence + 1)
+        origin.told += 1
+        self._told += 1
         self.told_lost += 1
         return True
 
     def is_lost(self, id: DatumId) -> bool:
         """Whether a datum was told lost, and has not arrived."""
         origin = self._origins.get((id.origin, id.epoch))
-        return origin is not None and id.sequence in origin.lost
+        return origin is not None and id.sequence in origin.lost and id.sequence not in origin.arrived
 
     def __contains__(self, id: object) -> bool:
         """Whether a datum has arrived."""
         if not isinstance(id, DatumId):
             return False
         origin = self._origins.get((id.origin, id.epoch))
-        return origin is not None and origin.arrived(id.sequence)
+        return origin is not None and id.sequence in origin.arrived
 
     def __len__(self) -> int:
         """How many (origin, epoch) pairs there are."""
@@ -125,12 +120,12 @@ class Archive:
         """Whether anything is known of an (origin, epoch)."""
         return key in self._origins
 
-    def known(self, key: tuple[int, int]) -> Known:
-        """What can be told of an (origin, epoch); KeyError if nothing is known of it."""
-        last = self._origins[key].last()
-        return self.completed(key, NOTHING if last < 0 else one(last))
-
-    def completed(self, key: tuple[int, int], known: Known) -> Known:
-        """A piece of knowledge of an (origin, epoch) with what this base can add to it."""
+    def end(self, key: tuple[int, int]) -> int:
+        """One behind the highest number of an (origin, epoch) that has arrived; 0: none has."""
         origin = self._origins.get(key)
-        return known if origin is None else completed(known, origin.arrived, origin.lost.__contains__)
+        return 0 if origin is None else origin.arrived.end
+
+    def ranges(self, key: tuple[int, int], *, lost: bool) -> Ranges:
+        """What has arrived of an (origin, epoch), or was told lost; KeyError if nothing is known of it."""
+        origin = self._origins[key]
+        return origin.lost if lost else origin.arrived

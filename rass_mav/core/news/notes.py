@@ -3,33 +3,50 @@
 A node that finds a datum in its custody beyond repair makes a note of it. Notes are handed from node to node along the
 route, with a number and COMMITTED, like data; a node keeps them in its store's table of losses until then. A base that
 takes one knows what has become of the datum. A note is only a belief of its maker: somebody may have a good copy all
-the same. So a note deletes nothing anywhere, and who has a good copy, or knows that a base has the datum, swallows it.
+the same. So a note deletes nothing anywhere, and who has a good copy swallows it. A receipt ends no note: notes go to a
+base, which knows.
+
+Each note has a checksum, made by whoever made the note and carried along. Two kinds are about no single datum
+(`WOUNDS`): a damaged store, and numbers of which nobody knows whether they were given.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from itertools import islice
+from typing import NamedTuple
 
-from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.datum import WOUNDS, DatumId, Fate
 from rass_mav.core.messages import LossNote, LossNoteEntry
+from rass_mav.core.news.checksums import is_sound_note, note_crc
 from rass_mav.core.store import Store
 
-#: Notes a node keeps at most. For one of its own the oldest goes; one of a neighbour's is refused.
+#: Notes a node keeps at most. Its own take the place of others'; others share what is left, by neighbour and by origin.
 MAX_NOTES = 256
 #: Notes in a frame, and on their way unanswered.
-NOTES_IN_FRAME = 8
+NOTES_IN_FRAME = 6
 
-_REASONS = {
+REASONS = {
     Fate.CORRUPTED: 1, Fate.EXPIRED: 2, Fate.OVERFLOW: 3, Fate.DIED: 4, Fate.VANISHED: 5, Fate.UNKNOWN: 6,
     Fate.DAMAGED: 7,
 }  # fmt: skip
-_FATES = {reason: fate for fate, reason in _REASONS.items()}
+_FATES = {reason: fate for fate, reason in REASONS.items()}
 
 
 def fate_of(reason: int) -> Fate:
     """What a note says. A reason that is not known counts as `VANISHED`."""
     return _FATES.get(reason, Fate.VANISHED)
+
+
+class Note(NamedTuple):
+    """What a node knows of a note, beside the id that it is about."""
+
+    reason: int
+    """As it travels."""
+    crc: int
+    giver: int | None
+    """Who handed it on; None: it is this node's own, or of an earlier run."""
 
 
 class NoLossNotes:
@@ -42,7 +59,7 @@ class NoLossNotes:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self.waiting: dict[DatumId, Fate] = {}
+        self.waiting: dict[DatumId, Note] = {}
         """Notes to hand on, the oldest first."""
 
     def make(self, id: DatumId, fate: Fate) -> None:
@@ -55,8 +72,8 @@ class NoLossNotes:
     def suspect(self, id: DatumId, fate: Fate) -> None:
         """The copy in own custody is gone, and another node is asked for the datum: `make` or `forget` follow."""
 
-    def take(self, id: DatumId, fate: Fate) -> bool:
-        """A neighbour hands a note on. False: there is no room."""
+    def take(self, id: DatumId, note: Note) -> bool:
+        """A neighbour hands a sound note on. False: there is no room."""
         return False
 
     def forget(self, id: DatumId) -> None:
@@ -90,15 +107,19 @@ class LossNotes(NoLossNotes):
         """Notes that are on their way, by hand-over number."""
         self._target = 0
         """To whom."""
-        for id, fate in store.losses():
-            self.waiting[id] = fate
-            self._bound()
+        self._take_up()
+
+    def _take_up(self) -> None:
+        self.waiting = {}
+        for id, fate in self._store.losses():
+            if id not in self.suspected:
+                self._add(id, _own(id, fate))
 
     def make(self, id: DatumId, fate: Fate) -> None:
         self._store.lose(id, fate)
         self.suspected.pop(id, None)
-        self.waiting.setdefault(id, fate)
-        self._bound()
+        if id not in self.waiting:
+            self._add(id, _own(id, fate))
 
     def give_up(self, id: DatumId, fate: Fate) -> None:
         self.make(id, fate)
@@ -107,27 +128,60 @@ class LossNotes(NoLossNotes):
         self._store.lose(id, fate)
         self.suspected[id] = fate
 
-    def _bound(self) -> None:
+    def _add(self, id: DatumId, note: Note) -> None:
+        self.waiting[id] = note
         if len(self.waiting) > MAX_NOTES:
-            self.forget(next(iter(self.waiting)))
+            self._end(self._superfluous() or next(iter(self.waiting)))
             self._store.count("notes_dropped")
 
-    def take(self, id: DatumId, fate: Fate) -> bool:
-        if id in self.waiting:
+    def _superfluous(self) -> DatumId | None:
+        """The latest note of whoever has handed on the most, of the origin that has most of these; None: all are
+        own."""
+        givers = Counter(note.giver for note in self.waiting.values() if note.giver is not None)
+        if not givers:
+            return None
+        [(most, _)] = givers.most_common(1)
+        theirs = [id for id, note in self.waiting.items() if note.giver == most]
+        [(origin, _)] = Counter(id.origin for id in theirs).most_common(1)
+        return next(id for id in reversed(theirs) if id.origin == origin)
+
+    def take(self, id: DatumId, note: Note) -> bool:
+        known = self.waiting.get(id)
+        if known is not None:
+            if (fate_of(known.reason) in WOUNDS) != (fate_of(note.reason) in WOUNDS):
+                # Two words that happen to bear one id: the one has to leave first.
+                return False
             # It has come round: whatever was offered of it, nobody's answer may delete it any more.
             self._cancel(id)
             return True
         if len(self.waiting) >= MAX_NOTES:
-            return False
-        self.make(id, fate)
+            other = self._superfluous()
+            if other is None:
+                return False
+            if self._share(id.origin, note.giver) >= self._share(other.origin, self.waiting[other].giver):
+                return False
+        self._store.lose(id, fate_of(note.reason))
+        self.suspected.pop(id, None)
+        self._add(id, note)
         return True
 
+    def _share(self, origin: int, giver: int | None) -> tuple[int, int]:
+        """How many notes are of a giver, and how many of these of an origin."""
+        theirs = [id for id, note in self.waiting.items() if note.giver == giver]
+        return len(theirs), sum(id.origin == origin for id in theirs)
+
     def forget(self, id: DatumId) -> None:
-        if self.waiting and self.waiting.pop(id, None) is not None:
-            self._cancel(id)
-            self._store.found(id)
+        note = self.waiting.get(id) if self.waiting else None
+        if note is not None:
+            if fate_of(note.reason) not in WOUNDS:
+                self._end(id)
         elif self.suspected and self.suspected.pop(id, None) is not None:
             self._store.found(id)
+
+    def _end(self, id: DatumId) -> None:
+        del self.waiting[id]
+        self._cancel(id)
+        self._store.found(id)
 
     def _cancel(self, id: DatumId) -> None:
         self._numbers = {number: other for number, other in self._numbers.items() if other != id}
@@ -138,14 +192,27 @@ class LossNotes(NoLossNotes):
         if next_hop != self._target or not self._numbers:
             self._target = next_hop
             self._numbers = {draw(): id for id in islice(self.waiting, NOTES_IN_FRAME)}
-        entries = [LossNoteEntry(number, id, _REASONS[self.waiting[id]]) for number, id in self._numbers.items()]
+        entries = []
+        for number, id in self._numbers.items():
+            reason, crc, _ = self.waiting[id]
+            entries.append(LossNoteEntry(number, id, reason, crc))
+        if not all(is_sound_note(id, reason, crc) for _, id, reason, crc in entries):
+            # Bits have flipped here. The disk knows better.
+            self._numbers = {}
+            self._take_up()
+            return None
         return LossNote(sender, next_hop, tuple(entries))
 
     def committed(self, number: int, sender: int) -> None:
         id = self._numbers.get(number)
         if id is not None and sender == self._target:
-            self.forget(id)
+            self._end(id)
 
     def refused(self, number: int, sender: int) -> None:
         if sender == self._target:
             self._numbers.pop(number, None)
+
+
+def _own(id: DatumId, fate: Fate) -> Note:
+    reason = REASONS.get(fate, REASONS[Fate.VANISHED])
+    return Note(reason, note_crc(id, reason), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.keeper import Sink
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.messages import Message, PassedOn, Word, Words
 
@@ -12,11 +12,11 @@ class AtBase(NoSpares):
 
     __slots__ = ("_keeper",)
 
-    def __init__(self, keeper: Keeper) -> None:
+    def __init__(self, keeper: Sink) -> None:
         self._keeper = keeper
 
     def on_words(self, message: Words, now: float, out: list[Message]) -> None:
         """Somebody did not know that it gave to a base, and asks after its spares."""
-        arrived = tuple(id for id, word in message.entries if word == Word.STILL and id in self._keeper.arrived)
+        arrived = tuple(id for id, word in message.entries if word == Word.STILL and self._keeper.has(id))
         if arrived:
             out.append(PassedOn(self._keeper.settings.node_id, message.sender, arrived))

@@ -120,7 +120,8 @@ class Mirrors(NoSpares):
         holdings = keeper.holdings
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = (not to_base or self._until_receipt) and len(holdings) - len(holdings.custody) < MAX_SPARES
+        stays = id not in keeper.arrived and (not to_base or self._until_receipt)
+        stays = stays and len(holdings) - len(holdings.custody) < MAX_SPARES
         if stays:
             self._leave(holding, to)
             if to_base:
@@ -167,8 +168,6 @@ class Mirrors(NoSpares):
         keeper = self._keeper
         holdings = keeper.holdings
         id = datum.id
-        if id in keeper.arrived:
-            return True
         holding = holdings.get(id)
         if holding is not None and keeper.load(holding) is not None:
             if holding.crc != datum.crc:
@@ -178,7 +177,7 @@ class Mirrors(NoSpares):
             if holding.state is State.SPARE:
                 self._pair(holding, giver)
             return True
-        full = len(holdings) - len(holdings.custody) >= MAX_SPARES
+        full = id in keeper.arrived or len(holdings) - len(holdings.custody) >= MAX_SPARES
         if full or not keeper.store.accepting or not self._make_way(len(datum.payload), counted_on=False):
             return False
         holding = holdings.add(datum.arrived(), State.SPARE)
@@ -353,7 +352,7 @@ class Mirrors(NoSpares):
         # answers for the datum then, or both would take it for the other's. Else, whoever it was given to has it, but
         # for the asker, which has just lost it.
         looking = keeper.settings.node_id > asker and self._repairs.is_under_way(id)
-        return looking or id in keeper.arrived or self._passed.get(id, asker) != asker
+        return looking or self._passed.get(id, asker) != asker
 
     def _on_still(self, id: DatumId, backer: int) -> None:
         """A backer asks after a datum of which it has a spare."""
@@ -362,7 +361,7 @@ class Mirrors(NoSpares):
         if holding is not None and holding.state is State.CUSTODY:
             if holding.partner is None:
                 self._back(holding, backer)
-        elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed or id in keeper.arrived):
+        elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed):
             self._speech.passed_on(backer, id)
         else:
             self._speech.say(backer, id, Word.AGAIN)

@@ -112,6 +112,10 @@ class SpareOffers:
     def _offer(self, needy: list[Holding], now: float, out: list[Message]) -> None:
         if self._pace.left <= 0:
             return
+        for holding in (needed := [holding for holding in needy if holding.id in self._keeper.arrived]):
+            # A base says that it has it.
+            self._keeper.holdings.want_none(holding)
+        needy = [holding for holding in needy if holding not in needed] if needed else needy
         safest = self._safest_first(now)
         room = {neighbour.id: neighbour.beacon.free for neighbour in safest}
         batches: dict[int, list[Handover]] = {}

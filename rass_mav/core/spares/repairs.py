@@ -103,8 +103,6 @@ class Repairs:
         holding = keeper.holdings.get(id)
         if holding is not None and keeper.load(holding) is not None:
             self._speech.say(asker, id, Word.TAKEN if holding.state is State.CUSTODY else Word.HERE)
-        elif id in keeper.arrived:
-            self._speech.say(asker, id, Word.TAKEN)
 
     def _ask(self, id: DatumId, search: Search) -> None:
         self.searches[id] = search

@@ -18,6 +18,7 @@ from rass_mav.core.messages import (
     Message,
     Offer,
 )
+from rass_mav.core.news.checksums import note_crc
 from rass_mav.core.policy import POTENTIAL_BASE
 
 from .attacker import MAX_REMEMBERED, Attacker, Said
@@ -187,7 +188,7 @@ class Flooder(Attacker):
             target = rng.choice(list(self.beacons) or [0])
             if rng.random() < 0.2:
                 id = DatumId(rng.randrange(100), rng.getrandbits(32), rng.getrandbits(32))
-                yield LossNote(self.id, target, (LossNoteEntry(rng.getrandbits(32), id, 1),))
+                yield LossNote(self.id, target, (LossNoteEntry(rng.getrandbits(32), id, 1, note_crc(id, 1)),))
                 continue
             head = (heads[0] & 0xF0) | rng.randrange(16)
             yield (

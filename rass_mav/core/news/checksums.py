@@ -1,0 +1,82 @@
+"""The checksums of what is told on from node to node: noise on the way and flipped bits in memory do not spread.
+
+Whoever makes a word computes its checksum, and it travels with the word. Entries are packed here as they travel, for
+the checksum is over their bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from zlib import crc32
+
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import Given, Receipt, ReceiptEntry
+
+#: In the last byte before a bitmap: these numbers were told lost.
+TOLD_LOST = 0x80
+
+_pack_head = struct.Struct("<HIIB").pack
+_pack_pair = struct.Struct("<HI").pack
+_pack_given = struct.Struct("<HII").pack
+_pack_note = struct.Struct("<HIIB").pack
+
+
+def entry_bytes(entry: ReceiptEntry) -> bytes:
+    """An entry of a receipt as it travels, 9 to 33 bytes."""
+    origin, epoch, first, run, bitmap, lost = entry
+    size = bitmap.bit_length() + 7 >> 3
+    rest = bytearray(_pack_pair(origin, epoch))
+    for number in (first, run):
+        while number > 0x7F:
+            rest.append(number & 0x7F | 0x80)
+            number >>= 7
+        rest.append(number)
+    rest.append(size | TOLD_LOST if lost else size)
+    return bytes(rest) + bitmap.to_bytes(size, "little")
+
+
+def receipt_crc(base: int, life: int, serial: int, entries: Iterable[ReceiptEntry]) -> int:
+    """CRC-32 of a statement: `<HIIB` base, its life, serial, count, and the entries."""
+    packed = [entry_bytes(entry) for entry in entries]
+    return crc32(b"".join(packed), crc32(_pack_head(base, life, serial, len(packed))))
+
+
+def is_sound(receipt: Receipt) -> bool:
+    """Whether a statement is still what its base said."""
+    base, life, serial, crc, entries = receipt
+    try:
+        return receipt_crc(base, life, serial, entries) == crc
+    except (struct.error, OverflowError, ValueError):
+        # A flipped bit has made a number longer than any that travels.
+        return False
+
+
+def given_crc(origin: int, epoch: int, given: int) -> int:
+    """CRC-32 of an origin's word on its numbers, `<HII`."""
+    return crc32(_pack_given(origin, epoch, given))
+
+
+def note_crc(id: DatumId, reason: int) -> int:
+    """CRC-32 of a loss note, `<HIIB`."""
+    return crc32(_pack_note(*id, reason))
+
+
+def is_sound_note(id: DatumId, reason: int, crc: int) -> bool:
+    """Whether a loss note is still what its maker wrote."""
+    try:
+        return note_crc(id, reason) == crc
+    except struct.error:
+        # As above.
+        return False
+
+
+def make_receipt(base: int, life: int, serial: int, entries: Iterable[ReceiptEntry]) -> Receipt:
+    """A statement with its checksum."""
+    entries = tuple(entries)
+    return Receipt(base, life, serial, receipt_crc(base, life, serial, entries), entries)
+
+
+def make_given(origin: int, epoch: int, given: int) -> Given:
+    """An origin's word with its checksum."""
+    return Given(origin, epoch, given, given_crc(origin, epoch, given))

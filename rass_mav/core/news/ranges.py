@@ -1,0 +1,62 @@
+"""Sets of sequence numbers as ranges: small as long as most numbers follow each other, however large they are."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from zlib import crc32
+
+
+class Ranges:
+    """A set of numbers 0 .. 2^32 - 1, as sorted ranges that neither overlap nor touch."""
+
+    __slots__ = ("_bounds",)
+
+    def __init__(self) -> None:
+        self._bounds = array("Q")
+        """The first number of each range and the one behind its last, in turn: what lies behind an odd number of
+        bounds is in the set."""
+
+    def __contains__(self, number: int) -> bool:
+        return bool(bisect_right(self._bounds, number) & 1)
+
+    def __len__(self) -> int:
+        """How many ranges there are."""
+        return len(self._bounds) >> 1
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """Each range as (first, one behind the last)."""
+        bounds = self._bounds
+        return zip(bounds[::2], bounds[1::2], strict=True)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Ranges) and self._bounds == other._bounds
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def add(self, first: int, end: int) -> None:
+        """Add the numbers from `first` up to, but not including, `end`; at least one."""
+        bounds = self._bounds
+        i, j = bisect_left(bounds, first), bisect_right(bounds, end)
+        if i == j == len(bounds):
+            # As most data come: nothing lies behind.
+            bounds.extend((first, end))
+            return
+        bounds[i:j] = array("Q", ([] if i & 1 else [first]) + ([] if j & 1 else [end]))
+
+    def behind(self, number: int) -> Iterator[tuple[int, int]]:
+        """The ranges that reach beyond `number`, whole."""
+        bounds = self._bounds
+        for i in range(bisect_right(bounds, number) & ~1, len(bounds), 2):
+            yield bounds[i], bounds[i + 1]
+
+    @property
+    def end(self) -> int:
+        """One behind the last number; 0: there is none."""
+        return self._bounds[-1] if self._bounds else 0
+
+    @property
+    def check(self) -> int:
+        """CRC-32 of all bounds."""
+        return crc32(self._bounds)

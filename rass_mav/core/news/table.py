@@ -1,0 +1,302 @@
+"""The statements of bases that one node keeps, and what they say together.
+
+A statement is kept as its base said it, to be told on word by word. One of its entries is dead when another entry of
+the same base life about the same data contains it; between two that say the same, that of the higher serial lives. A
+statement without a live entry is forgotten. So what lives depends only on which statements were heard, not on their
+order, and a digest over it tells whether two nodes know the same.
+
+For the node's own use the live entries of all bases are merged. A copy may be deleted on that: it has a check word, and
+is made again from the statements when that does not fit. Statements have their own checksums. So one flipped bit in
+memory is found before anything is deleted or told on because of it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator
+from zlib import crc32
+
+from rass_mav.core.messages import Given, Receipt, ReceiptEntry
+from rass_mav.core.news.checksums import is_sound
+from rass_mav.core.news.ranges import Ranges
+from rass_mav.core.news.statements import covers, last_of, ranges_of
+
+#: How many statements a node keeps, and of how many base lives.
+MAX_STATEMENTS = 1024
+MAX_BASES = 16
+#: How many entries a node remembers that their origin has denied.
+MAX_DENIED = 256
+#: The digest of no knowledge at all. 0 means "do not compare".
+EMPTY = 1
+
+#: Origin and epoch.
+Pair = tuple[int, int]
+#: Node id and life of a base.
+Source = tuple[int, int]
+#: What names a statement: base, its life, serial, checksum.
+Identity = tuple[int, int, int, int]
+
+_pack_identity = struct.Struct("<HIII").pack
+
+
+def mark(identity: Identity) -> int:
+    """32 bits that stand for a statement in the digest."""
+    # The middle of the square of a CRC. Not the CRC itself: it is linear, so marks could cancel each other.
+    x = crc32(_pack_identity(*identity))
+    return x * x >> 16 & 0xFFFFFFFF
+
+
+class Kept:
+    """A statement, and what still lives of it."""
+
+    __slots__ = ("identity", "live", "receipt")
+
+    def __init__(self, receipt: Receipt) -> None:
+        self.receipt = receipt
+        self.identity: Identity = receipt[:4]
+        self.live: set[ReceiptEntry] = set()
+
+
+class Sum:
+    """What all bases together say of an origin and epoch."""
+
+    __slots__ = ("_check", "arrived", "lost")
+
+    def __init__(self) -> None:
+        self.arrived = Ranges()
+        self.lost = Ranges()
+        """Told lost; some of it may have arrived."""
+        self._check = self.arrived.check
+
+    def add(self, entry: ReceiptEntry) -> None:
+        """Merge an entry into a sound sum."""
+        into = self.lost if entry.lost else self.arrived
+        for first, end in ranges_of(entry):
+            into.add(first, end)
+        self._check = self.arrived.check
+
+    @property
+    def sound(self) -> bool:
+        """Whether what has arrived is still what the statements said."""
+        return self.arrived.check == self._check
+
+
+class Statements:
+    """What one node knows, statement by statement. Bounded; a base's own archive is another thing."""
+
+    __slots__ = (
+        "_denied", "_live", "_max_statements", "_sources", "_sums", "digest", "forgetful", "gone", "named", "of",
+    )  # fmt: skip
+
+    def __init__(self, max_statements: int = MAX_STATEMENTS) -> None:
+        self._max_statements = max_statements
+        self.of: dict[Identity, Kept] = {}
+        """All of them, the latest heard last."""
+        self._sources: dict[Source, dict[Identity, Kept]] = {}
+        """The same by base life."""
+        self._live: dict[tuple[int, int, int, int, bool], dict[ReceiptEntry, Kept]] = {}
+        """Live entries by base, its life, origin, epoch, and whether they tell losses."""
+        self._sums: dict[Pair, Sum] = {}
+        """As far as somebody has asked."""
+        self._denied: dict[tuple[Identity, Pair], Given] = {}
+        """Entries that their origin has denied, the oldest first."""
+        self.digest = EMPTY
+        self.forgetful = False
+        """Whether anything was forgotten or not taken in for want of room."""
+        self.named: Collection[Source] = ()
+        """Bases that neighbours' beacons name: what others say makes no room for itself at their cost."""
+        self.gone: list[Identity] = []
+        """Statements forgotten since somebody emptied this list."""
+
+    # -- what is known -------------------------------------------------------------------------------------------------
+
+    def sum(self, pair: Pair) -> Sum:
+        """What all bases together say of an origin and epoch; sound."""
+        found = self._sums.get(pair)
+        if found is None or not found.sound:
+            found = self._make_sum(pair)
+        return found
+
+    def _make_sum(self, pair: Pair) -> Sum:
+        made, damaged, any_live = Sum(), list[Kept](), False
+        for entry, kept in self.live_of(pair):
+            if entry in kept.receipt.entries and is_sound(kept.receipt):
+                made.add(entry)
+                any_live = True
+            else:
+                damaged.append(kept)
+        for kept in damaged:
+            self.forget(kept)
+        self._sums.pop(pair, None)
+        if any_live:
+            self._sums[pair] = made
+        return made
+
+    def live_of(self, pair: Pair) -> list[tuple[ReceiptEntry, Kept]]:
+        """The live entries about an origin and epoch."""
+        found: list[tuple[ReceiptEntry, Kept]] = []
+        for source in self._sources:
+            for lost in (False, True):
+                live = self._live.get((*source, *pair, lost))
+                if live:
+                    found += live.items()
+        return found
+
+    def pairs(self) -> set[Pair]:
+        """All origins and epochs of which anything is said."""
+        return {(entry.origin, entry.epoch) for kept in self.of.values() for entry in kept.live}
+
+    def by(self, source: Source) -> Collection[Kept]:
+        """The statements of one base life."""
+        return self._sources.get(source, {}).values()
+
+    def says(self, source: Source, entry: ReceiptEntry) -> bool:
+        """Whether a base is known to have said all that an entry says."""
+        live = self._live.get((*source, entry.origin, entry.epoch, entry.lost), ())
+        return any(covers(other, entry) for other in live)
+
+    def disagreement(self) -> str:
+        """What is wrong with its own books, for tests; empty: nothing."""
+        digest = EMPTY
+        for identity in self.of:
+            digest ^= mark(identity)
+        if digest != self.digest:
+            return "the digest is not that of what is known"
+        if any(not kept.live or not kept.live <= set(kept.receipt.entries) for kept in self.of.values()):
+            return "a statement is kept of which nothing lives"
+        live = [(entry, kept) for entries in self._live.values() for entry, kept in entries.items()]
+        if sum(len(kept.live) for kept in self.of.values()) != len(live):
+            return "the entries that live are not those of the statements"
+        if any(entry not in kept.live or self.of.get(kept.identity) is not kept for entry, kept in live):
+            return "an entry lives of a statement that is not kept"
+        if any(not self.sum(pair).sound for pair in list(self._sums)):
+            return "a sum cannot be made sound"
+        return "too much is known" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
+
+    # -- taking in -----------------------------------------------------------------------------------------------------
+
+    def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
+        """Take in a sound statement that is not kept. Returns the pairs of which something new is known; whether it is
+        news to be told on; and, if nothing of it lives, what says more."""
+        kept, changed, killed, better = Kept(receipt), set[Pair](), False, list[Kept]()
+        if not self._admits(receipt[:2]):
+            return changed, False, better
+        for entry in receipt.entries:
+            pair = (entry.origin, entry.epoch)
+            if (kept.identity, pair) in self._denied:
+                continue
+            above = self._above(kept, entry)
+            if above is not None:
+                better.append(above)
+                continue
+            killed |= self._enter(kept, entry)
+            changed.add(pair)
+        if not kept.live:
+            return changed, False, better
+        identity = kept.identity
+        self.of[identity] = self._sources.setdefault(receipt[:2], {})[identity] = kept
+        self.digest ^= mark(identity)
+        full = len(self.of) > self._max_statements
+        if full:
+            self.forgetful = True
+            most = max(self._sources.values(), key=len)
+            self.forget(most[min(most, key=lambda identity: identity[2:])])
+        return changed, identity in self.of and (killed or not full), []
+
+    def _above(self, kept: Kept, entry: ReceiptEntry) -> Kept | None:
+        """The statement because of which an entry is dead from the beginning."""
+        live = self._live.get((*kept.identity[:2], entry.origin, entry.epoch, entry.lost))
+        if not live:
+            return None
+        for other, above in list(live.items()):
+            if covers(other, entry) and (other != entry or above.identity >= kept.identity):
+                if above is kept or is_sound(above.receipt):
+                    return above
+                self.forget(above)
+        return None
+
+    def _enter(self, kept: Kept, entry: ReceiptEntry) -> bool:
+        """An entry lives. Whether others die of it."""
+        key = (*kept.identity[:2], entry.origin, entry.epoch, entry.lost)
+        live = self._live.setdefault(key, {})
+        dead = [other for other in live if covers(entry, other)]
+        kept.live.add(entry)
+        for other in dead:
+            self._end(live.pop(other), other)
+        live[entry] = kept
+        found = self._sums.get((entry.origin, entry.epoch))
+        if found is not None:
+            if found.sound:
+                found.add(entry)
+            else:
+                del self._sums[entry.origin, entry.epoch]
+        return bool(dead)
+
+    def _end(self, kept: Kept, entry: ReceiptEntry) -> None:
+        kept.live.discard(entry)
+        if not kept.live and kept.identity in self.of:
+            self._leave(kept)
+
+    def _admits(self, source: Source) -> bool:
+        """Whether there is room for another base life. One that beacons name takes the place of one that none does."""
+        if source in self._sources or len(self._sources) < MAX_BASES:
+            return True
+        self.forgetful = True
+        others = [other for other in self._sources if other not in self.named]
+        if source not in self.named or not others:
+            return False
+        for kept in list(self._sources[others[0]].values()):
+            self.forget(kept)
+        return True
+
+    def forget(self, kept: Kept) -> None:
+        """Let go of a statement, whatever lives of it."""
+        # By identity: of a damaged statement nothing else can be relied on.
+        for key in [key for key, live in self._live.items() if key[:2] == kept.identity[:2] and kept in live.values()]:
+            live = self._live[key]
+            for entry in [entry for entry, other in live.items() if other is kept]:
+                del live[entry]
+            if not live:
+                del self._live[key]
+            self._sums.pop(key[2:4], None)
+        kept.live.clear()
+        if kept.identity in self.of:
+            self._leave(kept)
+
+    def _leave(self, kept: Kept) -> None:
+        identity = kept.identity
+        del self.of[identity]
+        source = self._sources[identity[:2]]
+        del source[identity]
+        if not source:
+            del self._sources[identity[:2]]
+        self.digest ^= mark(identity)
+        self.gone.append(identity)
+
+    # -- what origins deny ---------------------------------------------------------------------------------------------
+
+    def deny(self, given: Given) -> bool:
+        """An origin says how many numbers it has given: entries that name others are dead. Whether there are any."""
+        pair = (given.origin, given.epoch)
+        false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given]
+        for entry, kept in false:
+            self._denied[kept.identity, pair] = given
+            if len(self._denied) > MAX_DENIED:
+                del self._denied[next(iter(self._denied))]
+            key = (*kept.identity[:2], *pair, entry.lost)
+            del self._live[key][entry]
+            if not self._live[key]:
+                del self._live[key]
+            self._end(kept, entry)
+        if false:
+            self._sums.pop(pair, None)
+        return bool(false)
+
+    def denials(self, receipt: Receipt) -> Iterator[Given]:
+        """What origins have said against a statement."""
+        if self._denied:
+            identity: Identity = receipt[:4]
+            for pair in {(entry.origin, entry.epoch) for entry in receipt.entries}:
+                given = self._denied.get((identity, pair))
+                if given is not None:
+                    yield given

@@ -1,0 +1,137 @@
+"""What a base has to say of its archive, statement by statement."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import Receipt, ReceiptEntry
+from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.checksums import entry_bytes, make_receipt
+from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_of
+from rass_mav.core.news.table import Pair, Source, Statements
+from rass_mav.core.store import Store
+
+#: Bytes for entries in a receipt frame.
+RECEIPT_BYTES = 112
+#: Turns after a start in which a base listens whether neighbours know what it said before, and need not be told.
+LISTEN_TURNS = 24
+#: A statement of which so few entries live is said again, in other words, where there is room.
+LIGHT = 5
+#: How many serials a base claims on disk at a time.
+SERIALS_CLAIMED = 256
+
+#: Origin and epoch, told lost or not, block.
+_Place = tuple[Pair, bool, int]
+
+
+class Serials:
+    """The serials of a base's statements: none is used twice, not even in another run."""
+
+    __slots__ = ("_claimed", "_next", "_store")
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._next = self._claimed = store.get_meta("statement") or 0
+
+    def draw(self) -> int:
+        """The next one, 32 bits."""
+        if self._next == self._claimed:
+            self._claimed = self._next + SERIALS_CLAIMED & 0xFFFFFFFF
+            self._store.set_meta("statement", self._claimed)
+        serial = self._next
+        self._next = serial + 1 & 0xFFFFFFFF
+        return serial
+
+
+class Voice:
+    """A base's own word."""
+
+    __slots__ = ("_archive", "_listening", "_serials", "_statements", "_unsaid", "_unsure", "source")
+
+    def __init__(self, source: Source, archive: Archive, serials: Serials, statements: Statements) -> None:
+        """`statements`: what is known in the swarm, also of this base's own earlier words."""
+        self.source = source
+        """The base: (node id, life)."""
+        self._archive = archive
+        self._serials = serials
+        self._statements = statements
+        self._unsaid: dict[_Place, None] = {}
+        """What has changed since it was said, the longest waiting first."""
+        self._unsure: dict[_Place, None] = {
+            (pair, lost, block): None
+            for pair in archive
+            for lost in (False, True)
+            for block in blocks(archive.ranges(pair, lost=lost))
+        }
+        """What was there at the start: in an earlier run it may have been said, or not."""
+        self._listening = LISTEN_TURNS
+
+    def changed(self, id: DatumId, *, lost: bool) -> None:
+        """A datum has arrived, or was told lost; the archive knows."""
+        self._unsaid[(id.origin, id.epoch), lost, id.sequence // RECEIPT_BITS] = None
+
+    def turn(self) -> None:
+        """Once a turn."""
+        if self._unsure:
+            self._listening -= 1
+            if not self._listening:
+                self._unsaid.update(self._unsure)
+                self._unsure = {}
+
+    def statement(self) -> Receipt | None:
+        """What is to be said next; None: nothing."""
+        entries: list[ReceiptEntry] = []
+        room = RECEIPT_BYTES
+        while room and self._unsaid:
+            for place in list(islice(self._unsaid, 16)):
+                entry = self._entry(*place)
+                if entry is not None and not self._statements.says(self.source, entry):
+                    size = _growth(entries, entry)
+                    if size > room:
+                        return self._made(entries)
+                    if size:
+                        entries.append(entry)
+                        room -= size
+                del self._unsaid[place]
+        if not entries:
+            return None
+        self._restate(entries, room)
+        return self._made(entries)
+
+    def _made(self, entries: list[ReceiptEntry]) -> Receipt:
+        return make_receipt(*self.source, self._serials.draw(), entries)
+
+    def _entry(self, pair: Pair, lost: bool, block: int) -> ReceiptEntry | None:
+        return entry_of(*pair, self._archive.ranges(pair, lost=lost), block, lost=lost)
+
+    def _restate(self, entries: list[ReceiptEntry], room: int) -> None:
+        """Say once more what light statements say, so that they can be forgotten."""
+        light = [kept for kept in self._statements.by(self.source) if len(kept.live) <= LIGHT]
+        for kept in sorted(light, key=lambda kept: (len(kept.live), kept.receipt.serial)):
+            more: list[ReceiptEntry] = []
+            size = 0
+            for old in kept.live:
+                pair = (old.origin, old.epoch)
+                new = None
+                if self._archive.has(pair):
+                    new = self._entry(pair, old.lost, (old.first + old.run - 1) // RECEIPT_BITS)
+                if new is None or not covers(new, old):
+                    # Not its own word, or of a time before a restart.
+                    break
+                size += (growth := _growth(entries + more, new))
+                if growth:
+                    more.append(new)
+            else:
+                if size > room:
+                    return
+                entries += more
+                room -= size
+
+
+def _growth(entries: list[ReceiptEntry], entry: ReceiptEntry) -> int:
+    """Bytes that another entry takes; 0: the others say it already."""
+    for other in entries:
+        if other[:2] == entry[:2] and other.lost == entry.lost and covers(other, entry):
+            return 0
+    return len(entry_bytes(entry))
