@@ -419,17 +419,6 @@ def test_a_large_datum_made_under_a_number_that_a_neighbour_gave_away_is_never_s
         world.step(1.0)
 
 
-def test_a_rotten_copy_that_has_lost_its_backer_is_dropped_once() -> None:
-    """Handed over to this node just now, and without its backer again: it needs a spare for two reasons."""
-    world = World(mirror=True, copies_auto=True)
-    world.meet()
-    world.hear(Data(3, ME, (Handover(5, make_datum(IDS[4], 0, 0.0, b"x")),)))
-    world.node.holdings.unpair(world.node.holdings.custody[IDS[4]])
-    world.store.flip_bit(IDS[4])
-    world.forward()
-    world.step(1.0)
-
-
 @settings(max_examples=EXAMPLES, phases=PHASES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(any_options, st.integers(1, 100).flatmap(lambda n: st.lists(any_event, min_size=n, max_size=n)))
 def test_any_messages_in_any_order_leave_a_node_with_right_books(options: dict[str, Any], events: list[Event]) -> None:

@@ -97,7 +97,7 @@ def test_the_invariants_hold_whatever_is_set(
 
 def test_where_drones_come_and_go_more_copies_save_more() -> None:
     base: dict[str, Any] = {
-        "nodes": 60, "steps": 200, "seed": 1, "topology": "random-walk", "policy": {"name": "survival"},
+        "nodes": 60, "steps": 200, "seed": 3, "topology": "random-walk", "policy": {"name": "survival"},
         "node": {"forward": "immediate"}, "radiation": {"random_sources": 3, "noise": 0.05},
     }  # fmt: skip
     one = run(**base, custody={**RECEIPT, "copies": 1})
