@@ -55,17 +55,11 @@ def on_a_disk(disk: Disk) -> SqliteStore:
     return open_store(disk.directory / "node.db", vfs=disk.vfs)
 
 
-@pytest.mark.parametrize("clean", [True, False])
-def test_a_read_only_disk(clean: bool) -> None:
+def test_a_read_only_disk() -> None:
     with Disk(Random(1)) as disk:
         store = filled(disk.directory / "node.db", vfs=disk.vfs)
         life = store.life
-        if clean:
-            store.close()
-        else:
-            disk.cut()
-            store.abandon()
-            disk.restart()
+        store.close()
         disk.read_only = True
         with on_a_disk(disk) as store:
             assert store.report.unwritable
@@ -155,6 +149,7 @@ def test_on_a_real_file_system(tmp_path: Path, how: str, said: str) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
+        check=False,
     )
     if ran.returncode in (1, 77) and "Traceback" not in ran.stderr:
         pytest.skip("may not mount here")
@@ -162,17 +157,16 @@ def test_on_a_real_file_system(tmp_path: Path, how: str, said: str) -> None:
 
 
 def test_a_store_whose_disk_fills_up_goes_on_when_there_is_room() -> None:
-    with Disk(Random(1)) as disk:
-        with filled(disk.directory / "node.db", vfs=disk.vfs) as store:
-            disk.full = True
-            store.put(datum(9, 20_000))
-            with pytest.raises(StoreFullError):
-                commit(store)
-            assert not store.accepting
-            assert store.durable(datum(0).id)
-            disk.full = False
+    with Disk(Random(1)) as disk, filled(disk.directory / "node.db", vfs=disk.vfs) as store:
+        disk.full = True
+        store.put(datum(9, 20_000))
+        with pytest.raises(StoreFullError):
             commit(store)
-            assert store.accepting
+        assert not store.accepting
+        assert store.durable(datum(0).id)
+        disk.full = False
+        commit(store)
+        assert store.accepting
 
 
 @pytest.mark.parametrize("umask", [0, 0o777, 0o022])
