@@ -17,17 +17,18 @@ import socket
 import stat
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
-from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Kind
+from rass_mav.core.datum import MAX_PAYLOAD, Kind
 from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError, why
 
 from .driver import Driver
 from .jsonlines import dump_line, load_bytes, load_line
-from .payloads import age, describe, parse_id, unpack_file
+from .payloads import age, describe, parse_name, unpack_file
 from .status import status
 
 log = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ class PutRequest(Section):
 
 
 class GetRequest(Section):
-    """The bytes of a datum that this node holds."""
+    """The bytes of a datum that this node holds; of one that is kept apart, by the name that `ls` gives it."""
 
     id: str
 
@@ -211,20 +212,21 @@ class ControlServer:
         elif isinstance(request, PutRequest):
             yield {"id": str(await driver.put(payload, request.kind))}
         elif isinstance(request, GetRequest):
-            yield self._get(parse_id(request.id))
+            yield self._get(request.id)
         else:
             async for page in self._ls():
                 yield page
 
-    def _get(self, id: DatumId) -> dict[str, Any]:
+    def _get(self, name: str) -> dict[str, Any]:
         store = self._driver.agent.store
-        datum = store.get(id)
+        id, crc = parse_name(name)
+        datum = store.get(id) if crc is None else store.get_apart(id, crc)
         if datum is None:
-            raise ControlError(f"{id}: not here")
+            raise ControlError(f"{name}: not here")
         if not datum.intact:
-            raise ControlError(f"{id}: corrupt, its checksum does not fit")
+            raise ControlError(f"{name}: corrupt, its checksum does not fit")
         answer: dict[str, Any] = {
-            "id": str(id),
+            "id": name,
             "kind": datum.kind,
             "hops": datum.hops,
             **age(datum, self._driver.now(), self._wall()),
@@ -241,13 +243,14 @@ class ControlServer:
         store = self._driver.agent.store
         now, wall = self._driver.now(), self._wall()
         page: list[dict[str, Any]] = []
-        for info in store.held():
+        apart = ((info, True) for info in store.apart())
+        for info, is_apart in chain(((info, False) for info in store.held()), apart):
             if len(page) == LS_PAGE:
                 yield {"data": page, "more": True}
                 page = []
                 # Let a step come in between.
                 await asyncio.sleep(0)
-            page.append(describe(info, store, now, wall))
+            page.append(describe(info, store, now, wall, apart=is_apart))
         yield {"data": page, "more": False}
 
 

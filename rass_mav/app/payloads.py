@@ -10,15 +10,16 @@ from rass_mav.core.store import Store, StoredInfo
 from rass_mav.errors import DatumError, MalformedError
 from rass_mav.wire.measurement import decode_measurement
 
-_ID = re.compile(r"(\d{1,5})-([0-9a-f]{8})-(\d{1,10})", re.ASCII)
+_ID = re.compile(r"(\d{1,5})-([0-9a-f]{8})-(\d{1,10})(?:#([0-9a-f]{8}))?", re.ASCII)
 
 
-def parse_id(text: str) -> DatumId:
-    """The opposite of `str(DatumId)`. Raises `DatumError`."""
+def parse_name(text: str) -> tuple[DatumId, int | None]:
+    """What `ls` prints: an id; a second content under it has its CRC behind a #. Raises `DatumError`."""
     match = _ID.fullmatch(text)
     if match is None:
         raise DatumError(f"expected an id like 7-0123abcd-42, got {text!r}")
-    return DatumId(int(match[1]), int(match[2], 16), int(match[3]))
+    id = DatumId(int(match[1]), int(match[2], 16), int(match[3]))
+    return id, None if match[4] is None else int(match[4], 16)
 
 
 def pack_file(name: str, content: bytes) -> bytes:
@@ -56,21 +57,24 @@ def age(datum: Datum | StoredInfo, now: float, wall: float) -> dict[str, Any]:
     }
 
 
-def describe(info: StoredInfo, store: Store, now: float, wall: float) -> dict[str, Any]:
-    """One datum of a list, as plain values; measurements and file names decoded. Times as in `age`."""
+def describe(info: StoredInfo, store: Store, now: float, wall: float, *, apart: bool = False) -> dict[str, Any]:
+    """One datum of a list, as plain values; measurements and file names decoded. Times as in `age`. `apart`: a second
+    content of an id."""
     try:
         kind: str | int = Kind(info.kind).name.lower()
     except ValueError:
         kind = info.kind
     entry: dict[str, Any] = {
-        "id": str(info.id),
+        "id": f"{info.id}#{info.crc:08x}" if apart else str(info.id),
         "kind": kind,
         "size": info.size,
         "hops": info.hops,
         **age(info, now, wall),
     }
+    if apart:
+        entry["apart"] = True
     if info.kind in (Kind.MEASUREMENT, Kind.FILE):
-        datum = store.get(info.id)
+        datum = store.get_apart(info.id, info.crc) if apart else store.get(info.id)
         if datum is not None:
             try:
                 if info.kind == Kind.MEASUREMENT:

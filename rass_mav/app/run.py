@@ -15,7 +15,7 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
-from rass_mav.errors import StoreDamagedError
+from rass_mav.errors import ControlError, StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
@@ -121,7 +121,13 @@ class Runtime:
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
             control = ControlServer(driver, config.socket_path)
-            await control.start()
+            try:
+                await control.start()
+            except ControlError as error:
+                # Its socket lies beside the store, unless it was set otherwise.
+                if not store.report.unwritable:
+                    raise
+                log.error("%s; nobody can ask this node", error)
             self._driver = driver
             if self._stopped:
                 driver.stop()

@@ -155,10 +155,10 @@ def _put(options: argparse.Namespace) -> int:
 
 
 def _get(options: argparse.Namespace) -> int:
-    from rass_mav.app.payloads import parse_id, unpack_file
+    from rass_mav.app.payloads import parse_name, unpack_file
     from rass_mav.core.datum import Kind
 
-    parse_id(options.id)
+    parse_name(options.id)
     with _client(options) as client:
         found = client.ask("get", id=options.id)
     content = base64.b64decode(found.pop("payload"))

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from rass_mav.core.datum import MAX_PAYLOAD
-from rass_mav.errors import StoreError
+from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store.reader import SqliteReader
 
 from .finding import Finding, failed, passed, warned
@@ -42,10 +42,10 @@ def store(path: Path, free: int | None = None) -> Finding:
         try:
             with SqliteReader(path) as reader:
                 held = f"{len(reader.ids())} data"
+        except StoreDamagedError as error:
+            return warned("store", str(error), "the node will set it aside and salvage what it can; copy it first")
         except StoreError as error:
-            return warned(
-                "store", str(error), "the node will set it aside and begin anew; copy it first if its data matter"
-            )
+            return warned("store", str(error), "start the node; its log says more")
     else:
         held = "not made yet"
     free = free_bytes(folder) if free is None else free
@@ -54,7 +54,7 @@ def store(path: Path, free: int | None = None) -> Finding:
         return failed("store", f"{path}: {room}", "make room on the disk")
     if free < LOW_BYTES:
         return warned("store", f"{path}: {room}", "make room on the disk")
-    aside = sorted(folder.glob(f"{path.name}.damaged-[0-9]*"))
+    aside = sorted(file for file in folder.glob(f"{path.name}.damaged-[0-9]*") if file.name[-1].isdigit())
     if aside:
         return warned(
             "store", f"{path}: {held}, {room}; {aside[-1].name} was set aside as damaged",

@@ -12,7 +12,7 @@ from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 from .conversion import OLD_VERSION
 from .drafts import connect, draw
-from .errors import explained
+from .errors import Unsound, explained
 from .files import LOG_ENDINGS, beside
 from .opening import version_of
 from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own
@@ -30,7 +30,8 @@ def why_unwritable(error: StoreError, path: Path) -> str:
     if isinstance(cause, OSError) and cause.errno in _UNWRITABLE:
         return "disk full" if cause.errno in (errno.ENOSPC, errno.EDQUOT) else os.strerror(cause.errno).lower()
     if isinstance(cause, sqlite3.Error):
-        if "readonly" in str(cause):
+        # A database that is there cannot be opened: SQLite cannot make a log beside it.
+        if "readonly" in str(cause) or ("unable to open" in str(cause) and path.exists()):
             return "read-only"
         if not isinstance(error, StoreDamagedError) and _room(path) < _NO_ROOM:
             return "disk full"
@@ -54,38 +55,35 @@ def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> 
 
 
 def _opened(path: Path, vfs: str | None) -> sqlite3.Connection:
-    # Without a log there is nothing to miss; with one, SQLite makes its index beside it, or else in memory.
-    log = beside(path, LOG_ENDINGS[0])
-    if not log.exists() or not log.stat().st_size:
-        return _checked(path, connect(path, "ro", vfs=vfs, immutable=True))
-    try:
-        return _checked(path, connect(path, "ro", vfs=vfs))
-    except StoreDamagedError:
-        raise
-    except StoreError:
-        # Nobody else can write either, so no locks are needed.
-        connection = connect(path, "ro", vfs="unix-none")
-        connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
-        return _checked(path, connection)
+    with explained(path, "opening the store to read"):
+        # Without a log there is nothing to miss; with one, SQLite makes its index beside it, or else in memory.
+        log = beside(path, LOG_ENDINGS[0])
+        if not log.exists() or not log.stat().st_size:
+            return _checked(path, connect(path, "ro", vfs=vfs, immutable=True))
+        try:
+            return _checked(path, connect(path, "ro", vfs=vfs))
+        except sqlite3.OperationalError:
+            if vfs is not None:
+                raise
+            # Nobody else can write either, so no locks are needed.
+            connection = connect(path, "ro", vfs="unix-none")
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
+            return _checked(path, connection)
 
 
 def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     """The connection, if all that is read at the start can be read; else it is closed."""
     try:
-        with explained(path, "opening the store to read"):
-            if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
-                raise StoreDamagedError(f"{path}: another program's database")
-            if version_of(connection, path) == OLD_VERSION:
-                raise StoreError(
-                    f"{path}: made by the last version, and cannot be converted where nothing can be written"
-                )
-            for _ in read_infos(connection):
+        if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
+            raise Unsound("another program's database")
+        if version_of(connection, path) == OLD_VERSION:
+            raise StoreError(f"{path}: made by the last version, and cannot be converted where nothing can be written")
+        for table in ("datum", "apart"):
+            for _ in read_infos(connection, table):
                 pass
-            for _ in read_infos(connection, "apart"):
-                pass
-            read_losses(connection)
-            read_numbers(connection, "counter")
-            read_own(read_numbers(connection, "meta"))
+        read_losses(connection)
+        read_numbers(connection, "counter")
+        read_own(read_numbers(connection, "meta"))
     except BaseException:
         connection.close()
         raise

@@ -21,7 +21,7 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
-from rass_mav.app.payloads import parse_id
+from rass_mav.app.payloads import parse_name
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import ConfigError, ControlError, SwarmError, os_errors_as
@@ -134,7 +134,8 @@ class NodeProcess:
 
     def ask_held(self) -> list[DatumId]:
         """Ask for what it holds. Raises `SwarmError`."""
-        return [parse_id(entry["id"]) for page in self._ask("ls") for entry in page["data"]]
+        names = [parse_name(entry["id"]) for page in self._ask("ls") for entry in page["data"]]
+        return [id for id, apart in names if apart is None]
 
     def _ask(self, command: str) -> list[dict[str, Any]]:
         try:

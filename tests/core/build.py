@@ -49,7 +49,7 @@ def make_node(
         observer=observer,
         newborn=store.fresh if newborn is None else newborn,
     )
-    if base:
+    if base and not store.busy:
         # It announces nothing before its first number is on disk.
         store.commit()
     return node

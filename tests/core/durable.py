@@ -169,6 +169,11 @@ class DurableStore:
         self._out = self._live.snapshot()
         return self._out
 
+    @property
+    def busy(self) -> bool:
+        """Whether a batch is on its way to the disk."""
+        return self._out is not None
+
     def roll_back(self) -> None:
         self._live = (self._out or self.disk).snapshot()
         self._urgent = self._lazy = False

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import random
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,7 +56,7 @@ def live(store: SqliteStore, rng: random.Random, past: Past) -> None:
 
 
 @pytest.fixture(scope="module")
-def pasts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Past]]:
+def pasts(tmp_path_factory: pytest.TempPathFactory) -> list[Past]:
     """Stores as `kill -9` or a clean end left them."""
     pasts = []
     for seed in range(12):
@@ -80,7 +79,7 @@ def pasts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Past]]:
                     if path.with_name(name).exists():
                         shutil.copy(path.with_name(name), directory / name)
         pasts.append(past)
-    yield pasts
+    return pasts
 
 
 def opened(path: Path, rng: random.Random) -> SqliteStore:
@@ -126,7 +125,7 @@ def test_no_number_is_given_twice_and_every_loss_is_told(pasts: list[Past], tmp_
             store = opened(path, rng)
         except StoreError as error:
             # The version of the tables has grown.
-            assert "newer version" in str(error), done
+            assert "newer version" in str(error), done  # noqa: PT017
             refused += 1
             continue
         with store:
