@@ -15,7 +15,7 @@ import pytest
 
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
-from rass_mav.store import SqliteStore
+from rass_mav.store import SqliteStore, mark
 
 from .store_helpers import commit, payload
 
@@ -108,10 +108,17 @@ def strike(path: Path, rng: random.Random) -> str:
     return f"{file.name} {kind}"
 
 
-@pytest.mark.parametrize("part", range(4))
-def test_no_number_is_given_twice_and_every_loss_is_told(pasts: list[Past], tmp_path: Path, part: int) -> None:
+@pytest.mark.parametrize("rebooted", [False, True])
+@pytest.mark.parametrize("part", range(2))
+def test_no_number_is_given_twice_and_every_loss_is_told(
+    pasts: list[Past], tmp_path: Path, part: int, rebooted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if rebooted:
+        # As after a power cut: whether the mark is the last one that was written nobody knows.
+        (tmp_path / "boot_id").write_text(f"{part:032x}")
+        monkeypatch.setattr(mark, "_BOOT_ID", tmp_path / "boot_id")
     whole = refused = 0
-    for seed in range(part, STRIKES, 4):
+    for seed in range(2 * part + rebooted, STRIKES, 4):
         rng = random.Random(seed)
         past = pasts[rng.randrange(len(pasts))]
         directory = tmp_path / str(seed)
