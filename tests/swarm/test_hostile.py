@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rass_mav.core.datum import Fate
 from rass_mav.errors import ConfigError
 from rass_mav.experiment.measures import ATTACK, HEALING
 from rass_mav.swarm.catalogue import load_scenario
@@ -43,8 +44,10 @@ def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, poli
     world.run(ATTACK[1])
     made = set(world.ledger.born)
     world.run(HEALING)
-    assert made - world.ledger.arrived.keys() == set()
-    assert world.ledger.losses()["unfounded"] == 0
+    missing = made - world.ledger.arrived.keys()
+    # A spare may have had to go for want of room, when the thief had the datum.
+    assert {world.ledger.lost.get(id) for id in missing} <= {Fate.OVERFLOW}
+    assert len(missing) <= 0.02 * len(made)
 
 
 @pytest.mark.parametrize("kind", KINDS)
