@@ -11,6 +11,9 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.hostile.kinds import KINDS
 from rass_mav.swarm.world import World
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 #: What these do must not matter.
 HARMLESS = (
     "number-squatter", "request-forger", "impostor", "id-inventor", "replayer", "flooder", "bit-flipper",
@@ -34,7 +37,7 @@ def test_liars_that_cost_nothing(kind: str, policy: str) -> None:
     world = swarm(kind, f"policy.name={policy}")
     world.run(500)
     summary = world.statistics.summary()
-    assert summary["created"] + summary["lost"]["overflow"] >= 710
+    assert summary["created"] == 720
     assert summary["delivered"] >= 0.99 * 720
     assert summary["lost"]["unfounded"] == 0
     assert summary["altered"] == 0
