@@ -190,7 +190,7 @@ def _counting(options: argparse.Namespace) -> int:
 def _begin(options: argparse.Namespace) -> None:
     from rass_mav.experiment.figures import need_matplotlib
 
-    start_logging(options.verbose, "error")
+    start_logging(options.verbose, "critical")
     need_matplotlib()
 
 

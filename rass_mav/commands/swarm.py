@@ -56,7 +56,7 @@ def _scenario(options: argparse.Namespace) -> Scenario:
 
 
 def _swarm(options: argparse.Namespace) -> int:
-    start_logging(options.verbose, "error")
+    start_logging(options.verbose, "critical")
     if options.list:
         from rass_mav.swarm.catalogue import load_scenario, shipped
 
