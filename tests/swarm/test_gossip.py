@@ -165,7 +165,7 @@ def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
 
 
 def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own() -> None:
-    """They say all that the base has said, and more. When the origins deny the rest, what is true must not go with it."""
+    """They say all that the base has said, and more. When origins deny the rest, what is true must not go with it."""
     world = world_of(
         nodes=25, steps=400, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 60},
         custody={"mirror": True, "receipt_steps": 2}, policy={"name": "hop-count"},

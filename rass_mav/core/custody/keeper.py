@@ -126,8 +126,8 @@ class Keeper:
         self.spares.took(holding, giver)
 
     def rejuvenate(self, id: DatumId, created: float, *, at_least: bool) -> None:
-        """Custody of a datum was taken that is here already. No checksum covers its age, and the giver lets go of its copy:
-        what somebody made out to be older must not expire here sooner than it would have there."""
+        """Custody of a datum was taken that is here already. No checksum covers its age, and the giver lets go of its
+        copy: what somebody made out to be older must not expire here sooner than it would have there."""
         holding = self.holdings.get(id)
         if self.settings.lifetime_s is None or holding is None or created <= holding.created + _AGES_DIFFER_S:
             return
