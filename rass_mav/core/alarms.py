@@ -13,6 +13,8 @@ class Alarm(enum.Enum):
 
     DENIED = "a base claims data that this node never made"
     """A receipt names numbers that this origin has not given."""
+    FORGED = "receipts in this base's name of data that it does not have"
+    """Somebody speaks in its name, or its store has lost data."""
     SQUATTED = "somebody made data under this node's numbers"
     """Data on offer bear own numbers that have not been given."""
     TWO_CONTENTS = "two contents under one datum id, both kept"

@@ -212,6 +212,9 @@ class Node(Participant):
         return out
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
+        if self.receipts.contradicts(receipt):
+            self.alarms.ring(Alarm.FORGED, f"statement {receipt.serial}")
+            return []
         changed = self.receipts.learn(receipt)
         if changed:
             if (self.id, self.store.epoch) in changed:
@@ -222,13 +225,15 @@ class Node(Participant):
     def _contradict(self, receipt: messages.Receipt) -> None:
         """A receipt is about own data: does it name numbers that were never given?"""
         store = self.store
-        if store.given <= 0xFFFFFFFF and self.receipts.deny(make_given(self.id, store.epoch, store.given)):
+        if store.given <= 0xFFFFFFFF and self.receipts.deny(make_given(self.id, store.epoch, store.given), own=True):
             self.alarms.ring(Alarm.DENIED, f"base {receipt.base}")
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:
         if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
             self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has given {given.given}")
-        self.receipts.deny(given)
+        if (given.origin, given.epoch) != (self.id, self.store.epoch):
+            # What it has given itself, it knows better.
+            self.receipts.deny(given)
         return []
 
     def _on_loss_note(self, note: messages.LossNote, now: float) -> list[Message]:

@@ -21,8 +21,8 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
 
-from .books import mirrors, spares
-from .build import data, datum, make_node, of
+from .books import check_node, mirrors, spares
+from .build import beacon, data, datum, make_node, of
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
 
 # -- partners that go --------------------------------------------------------------------------------------------------
@@ -277,3 +277,19 @@ def test_the_memory_of_what_was_passed_on_is_bounded() -> None:
     node = net.nodes[1]
     assert len(node.holdings.spare) == MAX_PASSED + 5
     assert len(mirrors(node)._passed) == MAX_PASSED
+
+
+@pytest.mark.parametrize("word", list(Word))
+@pytest.mark.parametrize("damaged", [False, True])
+def test_words_that_name_a_datum_twice_are_words_about_one_datum(word: Word, damaged: bool) -> None:
+    node, d = make_node(2, mirror=True), datum()
+    node.receive(data(3, 2, (5, d)), 0.0)
+    for sender in (3, 4):
+        node.receive(beacon(sender), 0.0)
+    node.step(1.0)
+    node.store.commit()  # type: ignore[attr-defined]
+    if damaged:
+        node.store.flip_bit(d.id)  # type: ignore[attr-defined]
+    node.receive(Words(3, 2, (WordEntry(d.id, word),) * 2), 1.2)
+    check_node(node)
+    assert (d.id in node.holdings.custody) or damaged

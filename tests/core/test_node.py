@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Route
 from rass_mav.core.node import Node
@@ -270,6 +271,30 @@ def test_data_expire() -> None:
     node.step(5.5)
     assert list(node.holdings.custody) == [young]
     assert book.fates == [(old, Fate.EXPIRED)]
+
+
+@pytest.mark.parametrize("size", [20, 300])
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_copy_that_somebody_made_out_to_be_old_does_not_end_the_datum(size: int, mirror: bool) -> None:
+    node = make_node(2, lifetime_s=100.0, mirror=mirror)
+    d = datum(payload=b"x" * size, created=1000.0)
+    node.receive(beacon(9), 1000.0)
+    made_old = Sending(d._replace(created=901.0), 2, 5, 123)
+    if size > 97:
+        [accept] = node.receive(made_old.offer(9), 1000.0)
+        for chunk in made_old.on_accept(accept):  # type: ignore[arg-type]
+            node.receive(chunk, 1000.0)
+        answers = node.receive(Sending(d, 2, 6, 123).offer(3), 1000.5)
+    else:
+        node.receive(data(9, 2, (5, made_old.datum)), 1000.0)
+        answers = node.receive(data(3, 2, (6, d)), 1000.5)
+    assert Committed(2, 3, ((6, d.crc),), ()) in answers
+    node.step(1050.0)
+    assert list(node.holdings.custody) == [d.id]
+    # Nor does it live any longer than it should.
+    node.receive(data(9, 2, (7, d._replace(created=950.0))), 1060.0)
+    node.step(1100.5)
+    assert not node.holdings.custody
 
 
 def test_a_full_node_counts_its_own_measurement_as_overflow_and_gives_no_number_away() -> None:

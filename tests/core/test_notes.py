@@ -220,6 +220,25 @@ def test_a_refused_note_is_offered_again() -> None:
     assert again.entries[0].number == 2
 
 
+def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:
+    """A liar hands on words of damage, of which the base has as many as it keeps."""
+    notes = LossNotes(DurableStore(1))
+    numbers = itertools.count(1)
+    unwanted = {DatumId(60, 1, n) for n in range(2 * NOTES_IN_FRAME)}
+    for id in unwanted:
+        assert notes.take(id, handed(id, 9, 7))
+    notes.make(ID, Fate.CORRUPTED)
+    said: set[DatumId] = set()
+    for _ in range(3):
+        frame = notes.turn(1, 5, numbers.__next__)
+        assert frame is not None
+        for number, id, _, _ in frame.entries:
+            said.add(id)
+            (notes.refused if id in unwanted else notes.committed)(number, 5)
+    assert said == {*unwanted, ID}
+    assert notes.waiting.keys() == unwanted
+
+
 def test_notes_outlive_a_restart() -> None:
     store = DurableStore(1)
     node = with_base(make_node(1, store=store, receipt_steps=1))

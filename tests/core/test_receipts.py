@@ -414,11 +414,40 @@ def test_a_denial_that_concerns_nobody_is_not_told_on() -> None:
     assert ids(1, 1)[0] in receipts
 
 
+def test_a_forged_denial_is_answered_by_the_base_and_dies_out() -> None:
+    net = Net(grid(3), period=2)
+    net.arrive(*ids(1, *range(10)), *ids(2, *range(10)))
+    net.run(200)
+    for hearer in (8, 0):
+        # An old word of the origin, said again: it names fewer numbers than it has given by now.
+        assert net.receipts[hearer].deny(make_given(1, 7, 4))
+        net.run(100 * DENIAL_TURNS)
+    net.run(ROUNDS_OVER)
+    assert all(id in receipts for receipts in net.receipts for id in ids(1, *range(10)))
+    assert net.run(300) == 0
+
+
+def test_a_base_knows_what_it_has_not_said() -> None:
+    net = Net(line(2))
+    net.arrive(*ids(1, *range(10)))
+    [base, drone] = net.receipts
+    for said, forged in (
+        (statement(*ids(1, *range(11)), life=1000, serial=9), True),
+        (statement(*ids(2, 0), life=1000, serial=9), True),
+        (statement(*ids(1, *range(9)), life=1000, serial=9), False),
+        # It may have forgotten what it was told is lost, and what another base has it cannot know.
+        (statement(*ids(2, 0), life=1000, serial=9, lost=True), False),
+        (statement(*ids(2, 0), life=999, serial=9), False),
+    ):
+        assert base.contradicts(said) is forged
+        assert not drone.contradicts(said)
+
+
 def test_denials_are_bounded() -> None:
     receipts = Receipts()
     for origin, serial in itertools.product(range(50), range(20)):
         receipts.learn(statement(*ids(origin, 100 + 200 * serial), serial=serial))
-        receipts.deny(make_given(origin, 7, 0))
+        receipts.deny(make_given(origin, 7, serial))
     assert len(receipts.statements._denied) == MAX_DENIED
     assert len(receipts._denials) <= 64
     assert receipts.disagreement() == ""

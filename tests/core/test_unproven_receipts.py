@@ -49,6 +49,10 @@ def test_a_receipt_near_the_end_of_all_numbers_does_no_harm() -> None:
     assert datum(sequence=0).id not in drone.keeper.arrived
     base.receive(statement(*[d.id for d in handed], base=3), 5.0)
     base.step(6.0)
+    base.store.commit()  # type: ignore[attr-defined]
+    again = make_node(0, base=True, store=base.store.crashed(), now=7.0, receipt_steps=1)  # type: ignore[attr-defined]
+    assert all(d.id in again.keeper.arrived for d in handed)
+    again.step(8.0)
 
 
 # -- one id, one content -----------------------------------------------------------------------------------------------

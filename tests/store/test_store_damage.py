@@ -14,8 +14,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import Beacon, Data
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import OpenReport, SqliteReader
+from tests.core.build import make_node, of
 
 from .store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
@@ -413,3 +415,40 @@ def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
                 assert 24 - len(held) <= report.lost <= 24
             else:
                 assert report.closed
+
+
+def test_what_is_made_after_a_bit_flipped_in_the_log_arrives_beside_what_was_made_before(tmp_path: Path) -> None:
+    base = make_node(0, base=True)
+
+    def life(path: Path, count: int, start: float) -> list[DatumId]:
+        """A drone of its own makes data, and hands all over to the base."""
+        with open_store(path, draw_epoch=draw) as store:
+            node = make_node(7, store=store, now=start, newborn=start == 0.0, capacity_items=100)  # type: ignore[arg-type]
+            made = [node.put(b"%d, made at %d" % (n, start), start) for n in range(count)]
+            for turn in range(40):
+                commit(store)
+                for beacon in of(Beacon, base.step(start + turn)):
+                    node.receive(beacon, start + turn)
+                for message in of(Data, node.step(start + turn)):
+                    for answer in base.receive(message, start + turn):
+                        node.receive(answer, start + turn)
+            commit(store)
+            assert not node.holdings.custody
+            copy = tmp_path / "copy.db"
+            if path != copy:
+                copy.write_bytes(path.read_bytes())
+                log = bytearray((tmp_path / "node.db-wal").read_bytes())
+                log[40] ^= 1
+                (tmp_path / "copy.db-wal").write_bytes(log)
+                (tmp_path / "copy.db.mark").write_bytes((tmp_path / "node.db.mark").read_bytes())
+            return made
+
+    draw = epochs()
+    before = life(tmp_path / "node.db", 8, 0.0)
+    after = life(tmp_path / "copy.db", 30, 100.0)
+    assert not set(before) & set(after)
+    for ids, start in ((before, 0), (after, 100)):
+        for n, id in enumerate(ids):
+            arrived = base.store.get(id)
+            assert arrived is not None
+            assert arrived.payload == b"%d, made at %d" % (n, start)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from rass_mav.config.loading import convert
+from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import ReceiptEntry
 from rass_mav.core.news.checksums import make_receipt
@@ -164,6 +165,32 @@ def test_forged_receipts_delete_nothing(mirror: bool, real_name: bool) -> None:
     # Whoever hears numbers that it never gave says so, and everybody believes it.
     for agent in world.agents:
         assert DatumId(20, stores[20].epoch, (1 << 32) - 1) not in agent.node.receipts
+
+
+def test_what_a_base_has_is_known_again_after_forged_receipts_swallowed_its_own() -> None:
+    """They say all that the base has said, and more. When origins deny the rest, what is true must not go with it."""
+    world = world_of(
+        nodes=25, steps=400, seed=4, topology="grid", radiation={"sources": []}, data={"until_step": 60},
+        custody={"mirror": True, "receipt_steps": 2}, policy={"name": "hop-count"},
+    )  # fmt: skip
+    world.run(50)
+    base = world.agents[0].node
+    for serial in range(6):
+        entries = [
+            ReceiptEntry(node.id, node.store.epoch, 0, node.store.given + 50, 0, False)
+            for node in (agent.node for agent in world.agents[1 + 4 * serial : 5 + 4 * serial])
+        ]
+        forged = make_receipt(0, base.store.life, 50_000 + serial, entries)
+        for agent in world.agents:
+            agent.node.receive(forged, float(world.t))
+    world.run(350)
+    assert base.alarms.counts[Alarm.FORGED] > 0
+    assert len(world.ledger.arrived) == world.ledger.created
+    for agent in world.agents[1:]:
+        holdings = node_of(agent).holdings
+        assert not holdings.spare
+        assert not holdings.passed_on
+        assert agent.node.figures()["sent_again_unconfirmed"] == 0
 
 
 def test_what_is_deleted_on_a_false_word_is_told_apart() -> None:

@@ -20,6 +20,8 @@ from rass_mav.core.store import Store
 
 #: What is dropped for one of these reasons is gone, as far as this node knows.
 _BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
+#: Ages of one datum may differ by so much among honest nodes, seconds.
+_AGES_DIFFER_S = 1.0
 
 
 class Keeper:
@@ -66,6 +68,7 @@ class Keeper:
             self.refused += 1
             return False
         if self.has_custody(giver, number, id, datum.crc):
+            self.rejuvenate(id, datum.created, at_least=datum.at_least)
             return True
         size = len(datum.payload)
         if id in self.holdings or not (self.may_accept(size) or self.make_room(size, own=False)):
@@ -121,6 +124,17 @@ class Keeper:
             self.numbers.accept(giver, number, holding.id, holding.crc)
         self.spares.take_back(holding)
         self.spares.took(holding, giver)
+
+    def rejuvenate(self, id: DatumId, created: float, *, at_least: bool) -> None:
+        """Custody of a datum was taken that is here already. No checksum covers its age, and the giver lets go of its
+        copy: what somebody made out to be older must not expire here sooner than it would have there."""
+        holding = self.holdings.get(id)
+        if self.settings.lifetime_s is None or holding is None or created <= holding.created + _AGES_DIFFER_S:
+            return
+        datum = self.store.get(id)
+        if datum is not None:
+            self.store.put(datum._replace(created=created, at_least=at_least))
+            holding.created = created
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether another datum of `size` bytes of payload can be stored, if need be in place of spares.

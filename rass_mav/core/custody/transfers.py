@@ -95,6 +95,7 @@ class Transfers:
         """A neighbour offers a large datum: it is here already, there is no room, or it may come."""
         keeper = self._keeper
         if keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
+            keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
             return [self._committed(offer)]
         running = next((t for t in self._receiving.values() if t.offer.sender == offer.sender), None)
         if running is not None:

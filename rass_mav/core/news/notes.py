@@ -87,7 +87,7 @@ class NoLossNotes:
         """A neighbour has taken the note of this number."""
 
     def refused(self, number: int, sender: int) -> None:
-        """A neighbour has no room for it: it is offered again under a new number."""
+        """A neighbour has no room for it: it is offered again, after the others, under a new number."""
 
 
 class LossNotes(NoLossNotes):
@@ -209,8 +209,10 @@ class LossNotes(NoLossNotes):
             self._end(id)
 
     def refused(self, number: int, sender: int) -> None:
-        if sender == self._target:
-            self._numbers.pop(number, None)
+        id = self._numbers.pop(number, None) if sender == self._target else None
+        if id is not None:
+            # What finds no room there must not keep the others waiting.
+            self.waiting[id] = self.waiting.pop(id)
 
 
 def _own(id: DatumId, fate: Fate) -> Note:

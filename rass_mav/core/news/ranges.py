@@ -45,6 +45,11 @@ class Ranges:
             return
         bounds[i:j] = array("Q", ([] if i & 1 else [first]) + ([] if j & 1 else [end]))
 
+    def holds(self, first: int, end: int) -> bool:
+        """Whether all numbers from `first` up to, but not including, `end` are in the set; at least one."""
+        i = bisect_right(self._bounds, first)
+        return bool(i & 1) and end <= self._bounds[i]
+
     def behind(self, number: int) -> Iterator[tuple[int, int]]:
         """The ranges that reach beyond `number`, whole."""
         bounds = self._bounds

@@ -43,6 +43,10 @@ MAX_ROUNDS = 6
 DENIAL_TURNS = 6
 #: How many denials wait to be said.
 MAX_DENIALS = 64
+#: For so many turns, longer than a denial may wait to be said, the same one is an old one,
+HEEDED_TURNS = DENIAL_TURNS * MAX_DENIALS
+#: and its origin may have given so many numbers since.
+GIVEN_SINCE = 1024
 
 
 class NoReceipts:
@@ -80,9 +84,13 @@ class NoReceipts:
         """Take in what a neighbour says. Returns the pairs of which something new is known."""
         return set()
 
-    def deny(self, given: Given) -> bool:
+    def contradicts(self, receipt: Receipt) -> bool:
+        """At a base: whether a statement in its name says that something has arrived here that has not."""
+        return False
+
+    def deny(self, given: Given, *, own: bool = False) -> bool:
         """An origin says how many numbers it has given. Whether statements are known that name others; they are told
-        no more, and the origin's word is told on."""
+        no more, and the origin's word is told on. `own`: this node is the origin."""
         return False
 
     def due(self, step: int) -> bool:
@@ -103,8 +111,8 @@ class Receipts(NoReceipts):
 
     told = True
     __slots__ = (
-        "_denials", "_hushed", "_met", "_mine", "_news", "_pause", "_period", "_phase", "_round", "_rounds", "_turns",
-        "_voice", "statements",
+        "_denials", "_heeded", "_hushed", "_met", "_mine", "_news", "_pause", "_period", "_phase", "_round", "_rounds",
+        "_turns", "_voice", "statements",
     )  # fmt: skip
 
     def __init__(
@@ -138,6 +146,8 @@ class Receipts(NoReceipts):
         self._phase = phase
         self._denials: dict[Pair, Given] = {}
         """Of origins, to be said."""
+        self._heeded: dict[Given, int] = {}
+        """Denials, and the turn from which on each is heeded once more."""
         self._hushed = 0
         """Turns before the next denial."""
 
@@ -207,11 +217,25 @@ class Receipts(NoReceipts):
             self._round.pop(identity, None)
         self.statements.gone.clear()
 
-    def deny(self, given: Given) -> bool:
-        if not self.statements.deny(given):
+    def contradicts(self, receipt: Receipt) -> bool:
+        return self._voice is not None and self._voice.contradicts(receipt)
+
+    def deny(self, given: Given, *, own: bool = False) -> bool:
+        heeded = not own and self._turns < self._heeded.get(given, 0)
+        # Else what bases say anew because of it would meet the same word again, without end.
+        since = GIVEN_SINCE if heeded and self._voice is None else 0
+        if not self.statements.deny(given, since):
             return False
         self._clear_up()
-        self._tell(given)
+        if self._voice is not None:
+            self._voice.denied((given.origin, given.epoch))
+        if not heeded:
+            self._heeded.pop(given, None)
+            self._heeded[given] = self._turns + HEEDED_TURNS
+            if len(self._heeded) > MAX_DENIALS:
+                del self._heeded[next(iter(self._heeded))]
+        if since or not heeded:
+            self._tell(given)
         return True
 
     def _tell(self, given: Given) -> None:

@@ -275,10 +275,13 @@ class Statements:
 
     # -- what origins deny ---------------------------------------------------------------------------------------------
 
-    def deny(self, given: Given) -> bool:
-        """An origin says how many numbers it has given: entries that name others are dead. Whether there are any."""
+    def deny(self, given: Given, since: int = 0) -> bool:
+        """An origin says how many numbers it has given: entries that name others are dead. Whether there are any.
+
+        `since`: so many more it may have given since then.
+        """
         pair = (given.origin, given.epoch)
-        false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given]
+        false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given + since]
         for entry, kept in false:
             self._denied[kept.identity, pair] = given
             if len(self._denied) > MAX_DENIED:

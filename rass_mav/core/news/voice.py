@@ -8,7 +8,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Receipt, ReceiptEntry
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import entry_bytes, make_receipt
-from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_of
+from rass_mav.core.news.statements import RECEIPT_BITS, blocks, covers, entry_of, ranges_of
 from rass_mav.core.news.table import Pair, Source, Statements
 from rass_mav.core.store import Store
 
@@ -70,6 +70,24 @@ class Voice:
     def changed(self, id: DatumId, *, lost: bool) -> None:
         """A datum has arrived, or was told lost; the archive knows."""
         self._unsaid[(id.origin, id.epoch), lost, id.sequence // RECEIPT_BITS] = None
+
+    def contradicts(self, receipt: Receipt) -> bool:
+        """Whether a statement in this base's name says that something has arrived here that has not."""
+        return receipt[:2] == self.source and any(not self._has(e) for e in receipt.entries if not e.lost)
+
+    def _has(self, entry: ReceiptEntry) -> bool:
+        pair = (entry.origin, entry.epoch)
+        if not self._archive.has(pair):
+            return False
+        arrived = self._archive.ranges(pair, lost=False)
+        return all(arrived.holds(first, end) for first, end in ranges_of(entry))
+
+    def denied(self, pair: Pair) -> None:
+        """An origin, or somebody in its name, denies what was said of it: what is here is said anew."""
+        if self._archive.has(pair):
+            for lost in (False, True):
+                for block in blocks(self._archive.ranges(pair, lost=lost)):
+                    self._unsaid[pair, lost, block] = None
 
     def turn(self) -> None:
         """Once a turn."""
