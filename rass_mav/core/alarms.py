@@ -16,6 +16,8 @@ class Alarm(enum.Enum):
     SQUATTED = "somebody made data under this node's numbers"
     """Data on offer bear own numbers that have not been given."""
     TWO_CONTENTS = "two contents under one datum id, both kept"
+    UNCONFIRMED = "data of this node that no base confirms"
+    """They were handed on long ago, a base is in reach, and none says that it has them."""
     UNKNOWN = "data may have been made that nobody knows of"
     """A node that lost count of its numbers says from which one on."""
     DAMAGED = "the store of a node was damaged"

@@ -18,6 +18,7 @@ from rass_mav.core.messages import Committed, Message
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
 from rass_mav.core.news.notes import LossNotes, NoLossNotes, Note
+from rass_mav.core.news.own import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
 from rass_mav.core.news.voice import Serials
 from rass_mav.core.participant import Participant
@@ -30,13 +31,16 @@ from rass_mav.core.spares.mirrors import Mirrors
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("archive", "keeper", "percolation", "transfers")
+    __slots__ = ("archive", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.receipts = self._make_receipts()
         self.keeper = keeper = self._make_keeper()
+        told = keeper.notes.told and self.archive is None
+        self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if told else None
+        """What becomes of own data; None: nobody tells."""
         self.transfers = Transfers(keeper, self.routing, self.pace, self.rng)
         self.percolation = Percolation(
             keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
@@ -79,6 +83,8 @@ class Node(Participant):
             out.append(receipt)
         if has_turn and (denial := self.receipts.denial()) is not None:
             out.append(denial)
+        if self.own is not None and self.routing.route is not None:
+            self.own.turn(self.holdings)
         keeper.spares.step(now)
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:

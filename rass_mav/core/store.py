@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol
 from rass_mav.core.datum import Datum, DatumId, Fate
 
 #: How many second contents a store keeps apart in all, and under one id.
-MAX_APART = 1024
-MAX_APART_OF_ONE = 8
+MAX_APART = 4096
+MAX_APART_OF_ONE = 256
 
 
 class StoredInfo(NamedTuple):

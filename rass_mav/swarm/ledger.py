@@ -179,6 +179,9 @@ class _Book(Observer):
 
     def kept_apart(self, datum: Datum) -> None:
         self._ledger.apart += 1
+        if self._ledger.is_genuine(datum):
+            # Somebody else had made one under its id before.
+            self._ledger.deliver(datum)
 
 
 class Diary(Observer):

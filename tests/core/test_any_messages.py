@@ -51,6 +51,9 @@ from .books import check_node
 from .build import beacon, make_node
 from .durable import DurableStore
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 ME = 2
 EPOCH = 1000 + ME
 SENDERS = (1, 3, 4, ME)

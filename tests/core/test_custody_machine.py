@@ -35,6 +35,9 @@ from .books import check_node
 from .build import make_node
 from .durable import DurableStore
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 NODES = 4
 IDS = st.integers(0, NODES - 1)
 

@@ -20,6 +20,9 @@ from .books import records
 from .build import make_node
 from .durable import DurableStore
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 
 class GivenUp(Observer):
     """Notes which copies are let go of because the datum has arrived."""

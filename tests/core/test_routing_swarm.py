@@ -14,6 +14,9 @@ from rass_mav.core.routes.serial import newer
 
 from .routing_harness import NEIGHBOUR_STEPS, Swarm, rough_times
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 
 @settings(max_examples=60, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(st.integers(0, 1 << 32))

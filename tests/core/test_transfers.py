@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.transfers import MAX_TRANSFERS
+from rass_mav.core.custody.transfers import MAX_OF_ONE_ORIGIN, MAX_TRANSFERS
 from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
 from rass_mav.core.node import Node
@@ -173,6 +173,16 @@ def test_invented_senders_take_no_place() -> None:
         [answer] = receiver.receive(offered(stranger), 0.0)
         assert answer == Committed(2, stranger, (), (1,))
     assert of(Accept, receiver.receive(offered(honest), 0.0))
+
+
+def test_data_of_one_origin_leave_places_for_others() -> None:
+    receiver = make_node(2)
+    for sender in range(10, 20):
+        receiver.receive(beacon(sender), 0.0)
+    of_one = [offered(sender)._replace(id=datum(9, sender).id) for sender in range(10, 19)]
+    answers = [receiver.receive(offer, 0.0)[0] for offer in of_one]
+    assert len(of(Accept, answers)) == MAX_OF_ONE_ORIGIN
+    assert of(Accept, receiver.receive(offered(19), 0.0))
 
 
 @pytest.mark.parametrize("bound", [{}, {"capacity_bytes": 10000}])

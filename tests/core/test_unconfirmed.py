@@ -24,7 +24,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.spares.unconfirmed import PATIENCE_TURNS
+from rass_mav.core.spares.unconfirmed import PATIENCE_TURNS, REACHABLE_TURNS
 
 from .books import check_node
 from .build import beacon, make_node, of
@@ -219,14 +219,15 @@ def test_only_where_spares_wait_for_receipts_anything_is_sent_again(settings: di
     assert len(Alone(ways={3: 1}, **settings).times(150)) == sent
 
 
-def test_while_no_base_is_in_reach_nothing_is_sent_again_and_the_patience_begins_when_one_is() -> None:
+def test_while_no_base_is_in_reach_nothing_is_sent_again_nor_before_receipts_could_come() -> None:
     alone = Alone(ways={3: 1})
     assert len(alone.times(5)) == 1
     alone.ways = {3: 255}
     assert alone.times(200) == []
     alone.ways = {3: 1}
     # The announcement is newer.
-    assert len(alone.times(PATIENCE_TURNS - 10)) == 0
+    assert len(alone.times(REACHABLE_TURNS - 10)) == 0
+    assert len(alone.times(30)) == 1
 
 
 def test_it_has_a_tenth_of_the_bandwidth() -> None:

@@ -13,7 +13,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.store import MAX_APART_OF_ONE
 from rass_mav.wire import decode, encode
 
-from .build import data, datum, make_node, of, statement
+from .build import beacon, data, datum, make_node, of, statement
 from .test_node import with_base
 
 
@@ -75,9 +75,9 @@ def test_a_second_content_under_one_id_is_kept_at_the_base_and_told(heard: bool)
     stored = base.store.get(d.id)
     assert stored is not None
     assert stored.payload == d.payload
-    assert base.store.disk.apart == ()  # type: ignore[attr-defined]
+    assert base.store.unwritten
     base.store.commit()  # type: ignore[attr-defined]
-    assert base.store.disk.apart == (other,)  # type: ignore[attr-defined]
+    assert base.store.get_apart(other.id, other.crc) == other
     assert base.alarms.counts[Alarm.TWO_CONTENTS] >= 1
     assert observer.kept[0] == other
 
@@ -95,6 +95,7 @@ def test_a_large_second_content_is_taken_too() -> None:
     base = make_node(0, base=True)
     d, other = datum(payload=b"a" * 300), datum(payload=b"b" * 300)
     for sender, content in ((7, d), (8, other)):
+        base.receive(beacon(sender), 0.0)
         sending = Sending(content, 0, 5, 123)
         [accept] = base.receive(sending.offer(sender), 0.0)
         assert isinstance(accept, Accept)

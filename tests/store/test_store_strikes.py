@@ -19,6 +19,9 @@ from rass_mav.store import SqliteStore, mark
 
 from .store_helpers import commit, payload
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 STRIKES = int(os.environ.get("RASS_STRIKES", "120"))
 NODE = 7
 FILES = ("node.db", "node.db-wal", "node.db.mark")

@@ -16,6 +16,9 @@ from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 from tests.nodes import node_of
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 #: Failures are possible, but none comes by itself: tests call `crash`.
 BY_HAND = {"base_off": [[10**6, 10**6 + 1]]}
 QUIET = {"sources": [], "noise": 0.0}

@@ -16,6 +16,9 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.world import World
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 #: As far ahead as to be newer than all that the base says for hours.
 AHEAD = 30000
 

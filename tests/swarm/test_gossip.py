@@ -17,6 +17,9 @@ from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 from tests.nodes import node_of
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 
 def world_of(**keys: Any) -> World:
     return World(convert(keys, Scenario, "test"))

@@ -23,6 +23,9 @@ from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 
+#: Storms: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 #: No power goes by itself.
 BY_HAND = "disk.cut_rate=0"
 

@@ -117,6 +117,7 @@ def test_memory_is_counted_after_the_air_is_quiet() -> None:
         topology="line",
         steps=100,
         node={"forward": "step"},
+        custody={"mirror": False},
         radiation={"sources": [], "noise": 0},
         data={"interval_steps": 10},
         store={"capacity_items": 10},

@@ -14,6 +14,8 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: Transfers at a time, each way. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
+#: How many of those that come in may be data of one origin.
+MAX_OF_ONE_ORIGIN = 4
 #: Chunk indexes have 14 bits.
 MAX_CHUNKS = 1 << 14
 
@@ -102,7 +104,7 @@ class Transfers:
                 running.heard = now
                 return [running.accept(self._id)]
             del self._receiving[running.handle]
-        if not self._acceptable(offer) or not self._has_place(offer.size, now):
+        if not self._acceptable(offer) or not self._has_place(offer, now):
             keeper.refused += 1
             return [self._refused(offer)]
         handle = self._rng.getrandbits(16)
@@ -121,14 +123,17 @@ class Transfers:
             and not self._keeper.is_squatted(offer.id)
         )
 
-    def _has_place(self, size: int, now: float) -> bool:
+    def _has_place(self, offer: Offer, now: float) -> bool:
         """Whether one more transfer may come in; those that stand still make place for it, the longest first."""
         receiving, may_accept = self._receiving, self._keeper.may_accept
         idle = sorted((t for t in receiving.values() if now - t.moved > self._pace.turn_s), key=lambda t: t.moved)
         staying = [t for t in receiving.values() if t not in idle]
         for leaving in range(len(idle) + 1):
             others = [*staying, *idle[leaving:]]
-            if len(others) < MAX_TRANSFERS and may_accept(size + sum(t.offer.size for t in others)):
+            akin = sum(t.id.origin == offer.id.origin for t in others)
+            if len(others) >= MAX_TRANSFERS or akin >= MAX_OF_ONE_ORIGIN:
+                continue
+            if may_accept(offer.size + sum(t.offer.size for t in others)):
                 for transfer in idle[:leaving]:
                     del receiving[transfer.handle]
                 return True

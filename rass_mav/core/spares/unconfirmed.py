@@ -24,6 +24,8 @@ PATIENCE_TURNS = 120
 PATIENCE_TIMES = 3
 #: and at first for so many turns at most, however slow data are said to be.
 MOST_PATIENCE_TURNS = 1200
+#: After so many turns with a way to a base, receipts have come that were held up while there was none.
+REACHABLE_TURNS = 30
 #: Each try for a datum doubles its patience, so many times.
 MOST_DOUBLINGS = 6
 #: How fast the time that data take follows what happens.
@@ -100,7 +102,8 @@ class Unconfirmed:
 
     def _overdue(self, holding: Holding, now: float) -> float:
         """For how long a datum's patience has been over, seconds; negative: it is not."""
-        return now - max(holding.given, self._reachable) - holding.patience_s
+        reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
+        return now - max(holding.given + holding.patience_s, reachable)
 
     def sends(self, holding: Holding, now: float) -> int | None:
         """A datum goes out again: to the neighbour that is nearest to a base, but for the one that had it last. None:

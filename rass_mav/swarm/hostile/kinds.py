@@ -17,8 +17,9 @@ from rass_mav.core.messages import (
     LossNoteEntry,
     Message,
     Offer,
+    ReceiptEntry,
 )
-from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.news.checksums import make_receipt, note_crc
 from rass_mav.core.policy import POTENTIAL_BASE
 
 from .attacker import MAX_REMEMBERED, Attacker, Said
@@ -71,6 +72,31 @@ class CommittedForger(Attacker):
         if isinstance(message, Offer):
             return (Committed(message.target, message.sender, ((message.number, message.crc),), ()),)
         return ()
+
+
+class ReceiptForger(Attacker):
+    """Says in a base's name that what it has overheard has arrived."""
+
+    EACH_TURN = 8
+
+    def __init__(self, *args: int, **more: bool) -> None:
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+        self._ids: deque[DatumId] = deque(maxlen=MAX_REMEMBERED)
+        self._serial = 1 << 31
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        if isinstance(message, Data):
+            self._ids.extend(datum.id for _, datum in message.handovers)
+        return ()
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base = self.base()
+        while base is not None and self._ids:
+            some = [self._ids.pop() for _ in range(min(self.EACH_TURN, len(self._ids)))]
+            entries = [ReceiptEntry(*id, 1, 0, False) for id in dict.fromkeys(some)]
+            self._serial += 1
+            yield make_receipt(base.base, base.base_life, self._serial, entries)
 
 
 class NumberSquatter(Attacker):
@@ -228,6 +254,7 @@ KINDS: dict[str, type[Attacker]] = {
     "false-base": FalseBase,
     "black-hole": BlackHole,
     "committed-forger": CommittedForger,
+    "receipt-forger": ReceiptForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,
     "impostor": Impostor,
