@@ -48,7 +48,7 @@ def run(target: Callable[[bytes], None], options: argparse.Namespace, others: li
     corpus.mkdir(parents=True, exist_ok=True)
     # libFuzzer merges in processes of its own, which it starts in this way, with arguments of its own.
     arguments = [f"{sys.executable} -m tests.fuzz {target.__name__}"]
-    arguments += ["-timeout=20", "-max_len=4096", "-print_final_stats=1"]
+    arguments += ["-timeout=20", "-max_len=4096", "-len_control=0", "-print_final_stats=1"]
     if others:
         arguments += others
     elif options.merge:
