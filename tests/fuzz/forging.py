@@ -21,6 +21,8 @@ from rass_mav.core.messages import (
     Message,
     Offer,
     PassedOn,
+    Put,
+    Query,
     Receipt,
     ReceiptEntry,
     Sack,
@@ -28,7 +30,7 @@ from rass_mav.core.messages import (
     Words,
 )
 from rass_mav.core.news.checksums import make_given, make_receipt, note_crc
-from rass_mav.core.node import Node
+from rass_mav.core.participant import Participant
 
 from .source import Source
 
@@ -78,7 +80,7 @@ def changed(value: Any, source: Source) -> Any:
 class Liar:
     """Invents messages for one node."""
 
-    def __init__(self, source: Source, victim: Node, known: list[Datum], now: float) -> None:
+    def __init__(self, source: Source, victim: Participant, known: list[Datum], now: float) -> None:
         """`known`: data that exist somewhere."""
         self._source = source
         self._victim = victim
@@ -174,8 +176,14 @@ class Liar:
         entries = [WordEntry(self._id(), self._source.byte() % 8) for _ in self._some()]
         return Words(self._name(), self._victim.id, tuple(entries))
 
+    def _put(self) -> Message:
+        return Put(self._name(), self._source.pick(EDGES) & 0xFFFF, self._name(), self._datum())
+
+    def _query(self) -> Message:
+        return Query(self._name(), self._victim.id, tuple([self._id() for _ in self._some()]))
+
 
 _INVENTED = (
     Liar._beacon, Liar._data, Liar._committed, Liar._offer, Liar._accept, Liar._sack, Liar._receipt, Liar._given,
-    Liar._loss_note, Liar._passed_on, Liar._words,
+    Liar._loss_note, Liar._passed_on, Liar._words, Liar._put, Liar._query,
 )  # fmt: skip
