@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
     UNBOUNDED_FREE,
@@ -47,6 +49,25 @@ def test_a_wiped_custodian_has_nothing_any_more() -> None:
     net.step()
     assert net.custody(id) != []
     assert list(net.stores[3].losses()) == []
+
+
+@pytest.mark.parametrize("numbers_lost", [False, True])
+def test_a_custodian_whose_battery_was_pulled_is_the_same_custodian(numbers_lost: bool) -> None:
+    """Also if it gives its new data another epoch, for it may have lost numbers: it has what it held."""
+    net = Net(RISKS, CHAIN)
+    id = at_rest(net)
+    store = net.stores[3]
+    store.commit()
+    net.stores[3] = store.crashed()
+    net.stores[3].life = store.life
+    if numbers_lost:
+        net.stores[3].epoch = store.epoch + 1
+    net.start(3)
+    net.step(15)
+    assert net.custody(id) == [3]
+    assert net.active(id) == [2]
+    made = net.put(3)
+    assert made.epoch == net.stores[3].epoch
 
 
 def test_when_the_backer_is_gone_another_one_is_found() -> None:
