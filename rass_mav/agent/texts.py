@@ -30,13 +30,14 @@ class Text(NamedTuple):
 class Texts:
     """Takes texts at any time and gives them out at a rate that a person can follow, the most important first."""
 
-    __slots__ = ("_allowance", "_at", "_said", "_waiting", "dropped")
+    __slots__ = ("_rested_at", "_said", "_waiting", "dropped")
 
     def __init__(self) -> None:
         self._waiting: deque[Text] = deque()
         self._said: dict[Text, float] = {}
-        self._allowance = float(BURST)
-        self._at = -math.inf
+        self._rested_at = -math.inf
+        """When a whole burst may be said again. A time, not an allowance that grows: what is due at a time must be
+        there at that time, however sums are rounded."""
         self.dropped = 0
         """Texts that were not said: too many, or said just before."""
 
@@ -56,20 +57,18 @@ class Texts:
 
     def take(self, now: float) -> Text | None:
         """The text whose turn it is now, if any."""
-        self._allowance = min(float(BURST), self._allowance + (now - self._at) / EVERY_S)
-        self._at = now
         self._said = {text: at for text, at in self._said.items() if now - at < REPEAT_S}
-        while self._waiting and self._allowance >= 1.0:
+        while now >= self.due():
             text = min(self._waiting, key=lambda waiting: waiting.severity)
             self._waiting.remove(text)
             if text in self._said:
                 self.dropped += 1
                 continue
             self._said[text] = now
-            self._allowance -= 1.0
+            self._rested_at = max(self._rested_at, now) + EVERY_S
             return text
         return None
 
     def due(self) -> float:
         """When the next text may be said; infinity: there is none."""
-        return self._at + max(0.0, 1.0 - self._allowance) * EVERY_S if self._waiting else math.inf
+        return self._rested_at - (BURST - 1) * EVERY_S if self._waiting else math.inf

@@ -119,3 +119,16 @@ def test_the_same_text_is_repeated_after_a_while_only() -> None:
     for now, expected in ((0.0, 1), (REPEAT_S / 2, 0), (REPEAT_S + 1, 1)):
         texts.add(2, "disk full")
         assert sum(texts.take(now) is not None for _ in range(3)) == expected
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=BURST, max_size=MAX_WAITING), st.floats(0.0, 1e6))
+def test_a_text_is_there_at_the_time_at_which_it_is_due(pauses: list[float], now: float) -> None:
+    texts = Texts()
+    for number, pause in enumerate(pauses):
+        texts.add(6, str(number))
+        while texts.take(now) is not None:
+            pass
+        assert texts.due() > now, "or it would be asked for ever"
+        now += pause
+    while (due := texts.due()) != math.inf:
+        assert texts.take(due) is not None

@@ -1,4 +1,6 @@
-"""Coverage-guided fuzzing: `python -m tests.fuzz TARGET [--seconds N] [--runs N]` (docs/development.md).
+"""Coverage-guided fuzzing: `python -m tests.fuzz TARGET [--seconds N] [--scratch DIR]` (docs/development.md).
+
+`all`: one target after the other. `--merge DIR` takes inputs over from a scratch directory instead.
 
 Needs atheris, which there is for x86-64 Linux only. What it finds interesting is kept in tests/fuzz/corpus/TARGET; a
 finding is written to the present directory as crash-..., and is to become a test.
@@ -8,7 +10,9 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import atheris
@@ -17,24 +21,47 @@ CORPUS = Path(__file__).parent / "corpus"
 
 
 def main() -> None:
-    """Run one target until the time or the runs are over, or something is found."""
+    """Run one target, or all, until the time is over or something is found."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
     parser.add_argument("target")
-    parser.add_argument("--seconds", type=int, default=60)
-    parser.add_argument("--runs", type=int, default=-1)
-    parser.add_argument("--scratch", help="where new inputs go; default: the corpus itself")
-    options = parser.parse_args()
+    parser.add_argument("--seconds", type=int, default=60, help="for each target")
+    parser.add_argument("--scratch", help="where new inputs go, in a directory TARGET; default: the corpus itself")
+    parser.add_argument("--merge", metavar="DIR", help="take over from DIR the fewest that reach what all reach")
+    options, others = parser.parse_known_args()
     with atheris.instrument_imports(include=["rass_mav"]):
         from .targets import TARGETS
     logging.disable(logging.CRITICAL)
-    corpus = CORPUS / options.target
+    if options.target != "all":
+        run(TARGETS[options.target], options, others)
+    for target in TARGETS.values():
+        # To import all that is fuzzed takes longer than a short run; and a run ends its process.
+        child = os.fork()
+        if not child:
+            run(target, options, others)
+        if os.waitpid(child, 0)[1]:
+            sys.exit(f"{target.__name__}: something was found")
+
+
+def run(target: Callable[[bytes], None], options: argparse.Namespace, others: list[str]) -> None:
+    """Hand over to libFuzzer. Does not return."""
+    corpus = CORPUS / target.__name__
     corpus.mkdir(parents=True, exist_ok=True)
-    places = [options.scratch, str(corpus)] if options.scratch else [str(corpus)]
-    arguments = [
-        sys.argv[0], *places, f"-max_total_time={options.seconds}", f"-runs={options.runs}", "-timeout=20",
-        "-max_len=4096", "-print_final_stats=1", "-verbosity=0",
-    ]  # fmt: skip
-    atheris.Setup(arguments, TARGETS[options.target])
+    # libFuzzer merges in processes of its own, which it starts in this way, with arguments of its own.
+    arguments = [f"{sys.executable} -m tests.fuzz {target.__name__}"]
+    arguments += ["-timeout=20", "-max_len=4096", "-len_control=0", "-print_final_stats=1"]
+    if others:
+        arguments += others
+    elif options.merge:
+        # What counts is code that is reached, not how often: the tests run all of these.
+        arguments += ["-set_cover_merge=1", "-use_counters=0", str(corpus), str(Path(options.merge, target.__name__))]
+    else:
+        arguments += [f"-max_total_time={options.seconds}"]
+        if options.scratch:
+            scratch = Path(options.scratch, target.__name__)
+            scratch.mkdir(parents=True, exist_ok=True)
+            arguments.append(str(scratch))
+        arguments.append(str(corpus))
+    atheris.Setup(arguments, target)
     atheris.Fuzz()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,9 +22,10 @@ from rass_mav.sensor.kinds import KINDS
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 
-from . import nodes
+from . import agents, disk, nodes
 
-_SCRATCH = Path(tempfile.mkdtemp())
+#: A directory in memory, where there is such a place: a store waits for its disk.
+_MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
 
 def frames(data: bytes) -> None:
@@ -61,6 +63,11 @@ def conversation(data: bytes) -> None:
     nodes.play(data)
 
 
+def agent(data: bytes) -> None:
+    """What an autopilot, a ground station and a neighbour say to an agent, in whole frames."""
+    agents.play(data)
+
+
 def tlog(data: bytes) -> None:
     """A telemetry log."""
     reader = TlogReader(io.BytesIO(data))
@@ -89,15 +96,22 @@ def sensors(data: bytes) -> None:
 
 def settings(data: bytes) -> None:
     """A configuration: of a node, or of a mock swarm."""
-    path = _SCRATCH / "settings.yaml"
-    path.write_bytes(data)
-    try:
-        if data[:1] == b"#":
-            convert(read_yaml(path), Scenario, "scenario.yaml")
-        else:
-            load_config(path).agent_settings()
-    except ConfigError:
-        pass
+    with tempfile.TemporaryDirectory(dir=_MEMORY) as directory:
+        path = Path(directory) / "settings.yaml"
+        path.write_bytes(data)
+        try:
+            if data[:1] == b"#":
+                convert(read_yaml(path), Scenario, "scenario.yaml")
+            else:
+                load_config(path).agent_settings()
+        except ConfigError:
+            pass
+
+
+def store(data: bytes) -> None:
+    """The files of a store."""
+    with tempfile.TemporaryDirectory(dir=_MEMORY) as directory:
+        disk.damage(data, Path(directory))
 
 
 def control(data: bytes) -> None:
@@ -110,6 +124,5 @@ def control(data: bytes) -> None:
             pass
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {
-    target.__name__: target for target in (frames, payloads, conversation, tlog, bgeigie, sensors, settings, control)
-}
+_ALL = (frames, payloads, conversation, agent, tlog, bgeigie, sensors, settings, store, control)
+TARGETS: dict[str, Callable[[bytes], None]] = {target.__name__: target for target in _ALL}

@@ -13,7 +13,6 @@ import pytest
 from .targets import TARGETS
 
 CORPUS = Path(__file__).parent / "corpus"
-RUNS = 500
 
 
 def test_there_is_a_corpus_for_each_target_and_no_other() -> None:
@@ -29,12 +28,9 @@ def test_the_corpus(name: str) -> None:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here (x86-64 Linux only)")
-@pytest.mark.parametrize("name", TARGETS)
-def test_a_short_run_finds_nothing(name: str, tmp_path: Path) -> None:
-    found = tmp_path / "found"
-    found.mkdir()
+def test_a_second_of_each_target_finds_nothing(tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz", name, "--runs", str(RUNS), "--scratch", str(found)],
+        [sys.executable, "-m", "tests.fuzz", "all", "--seconds", "1", "--scratch", str(tmp_path)],
         check=False,
         # Two tools that watch each line would be in each other's way.
         env={name: value for name, value in os.environ.items() if not name.startswith("COV")},
