@@ -25,6 +25,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
     parser.add_argument("target")
     parser.add_argument("--seconds", type=int, default=60, help="for each target")
+    parser.add_argument("--runs", type=int, default=-1, help="likewise; the corpus counts too")
     parser.add_argument("--scratch", help="where new inputs go, in a directory TARGET; default: the corpus itself")
     parser.add_argument("--merge", metavar="DIR", help="take over from DIR the fewest that reach what all reach")
     options, others = parser.parse_known_args()
@@ -55,7 +56,7 @@ def run(target: Callable[[bytes], None], options: argparse.Namespace, others: li
         # What counts is code that is reached, not how often: the tests run all of these.
         arguments += ["-set_cover_merge=1", "-use_counters=0", str(corpus), str(Path(options.merge, target.__name__))]
     else:
-        arguments += [f"-max_total_time={options.seconds}"]
+        arguments += [f"-max_total_time={options.seconds}", f"-runs={options.runs}"]
         if options.scratch:
             scratch = Path(options.scratch, target.__name__)
             scratch.mkdir(parents=True, exist_ok=True)
