@@ -28,6 +28,9 @@ class Style:
     marker: str
 
 
+#: Inches; with more bars they become narrower.
+WIDEST = 12.0
+
 POLICIES: dict[str, Style] = {
     "rass": Style("RASS", "#0072B2", "o"),
     "hop-count": Style("hop count", "#D55E00", "s"),
@@ -142,7 +145,8 @@ def draw_bars(
     path: Path, title: str, y_label: str, groups: Sequence[str], series: Sequence[Bars], *, note: str = ""
 ) -> Path:
     """Write groups of bars with error bars as PNG."""
-    figure = _figure((max(6.4, 1.3 + 0.55 * len(groups) * len(series)), 4.9))
+    wanted = max(6.4, 1.3 + 0.55 * len(groups) * len(series))
+    figure = _figure((min(wanted, WIDEST), 4.9))
     axes = figure.subplots()
     width = 0.8 / len(series)
     for index, bars in enumerate(series):
@@ -152,6 +156,8 @@ def draw_bars(
             yerr=list(bars.halves), capsize=3, error_kw={"elinewidth": 1},
         )  # fmt: skip
     axes.set_xticks(range(len(groups)), groups)
+    if wanted > WIDEST:
+        axes.tick_params("x", labelrotation=30)
     axes.set_title(title, fontsize=11)
     axes.set_ylabel(y_label)
     axes.set_ylim(bottom=0)

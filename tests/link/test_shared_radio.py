@@ -16,6 +16,9 @@ from rass_mav.mavlink.reader import FrameReader
 
 from .shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
+#: Long runs: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 TELEMETRY_BYTES_S = 2000.0
 #: A NAMED_VALUE_FLOAT on the air.
 VALUE_BYTES = 30

@@ -22,6 +22,9 @@ from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.scenario import RadiationSection, Scenario
 from rass_mav.swarm.world import World
 
+#: Long runs: other tests reach what these reach, and coverage would only make them slower.
+pytestmark = pytest.mark.no_cover
+
 TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
 
 
