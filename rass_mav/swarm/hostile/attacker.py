@@ -26,6 +26,10 @@ class Attacker:
         self.beacons: dict[int, Beacon] = {}
         """The last beacon of each sender overheard."""
         self._number = rng.getrandbits(16)
+        self.begin()
+
+    def begin(self) -> None:
+        """Make what else it remembers."""
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
         """A frame of a node near by. Returns what the attacker says at once: it is heard before any answer is."""

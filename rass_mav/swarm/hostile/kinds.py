@@ -21,6 +21,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.checksums import make_receipt, note_crc
 from rass_mav.core.policy import POTENTIAL_BASE
+from rass_mav.wire.codec import VERSION
 
 from .attacker import MAX_REMEMBERED, Attacker, Said
 
@@ -79,8 +80,7 @@ class ReceiptForger(Attacker):
 
     EACH_TURN = 8
 
-    def __init__(self, *args: int, **more: bool) -> None:
-        super().__init__(*args, **more)  # type: ignore[arg-type]
+    def begin(self) -> None:
         self._ids: deque[DatumId] = deque(maxlen=MAX_REMEMBERED)
         self._serial = 1 << 31
 
@@ -102,8 +102,7 @@ class ReceiptForger(Attacker):
 class NumberSquatter(Attacker):
     """Hands over data under the numbers that nodes near by are about to give."""
 
-    def __init__(self, *args: int, **more: bool) -> None:
-        super().__init__(*args, **more)  # type: ignore[arg-type]
+    def begin(self) -> None:
         self._last: dict[tuple[int, int], int] = {}
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
@@ -156,8 +155,7 @@ class IdInventor(Attacker):
 
     EACH_TURN = 20
 
-    def __init__(self, *args: int, **more: bool) -> None:
-        super().__init__(*args, **more)  # type: ignore[arg-type]
+    def begin(self) -> None:
         self._again: list[Beacon] = []
 
     def turn(self, now: float) -> Iterable[Said]:
@@ -177,8 +175,7 @@ class Replayer(Attacker):
     EACH_TURN = 20
     KEPT = 5000
 
-    def __init__(self, *args: int, **more: bool) -> None:
-        super().__init__(*args, **more)  # type: ignore[arg-type]
+    def begin(self) -> None:
         self._payloads: deque[bytes] = deque(maxlen=self.KEPT)
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
@@ -209,28 +206,19 @@ class Flooder(Attacker):
 
     def turn(self, now: float) -> Iterable[Said]:
         rng = self.rng
-        heads = [next(iter(self._heads), 0x20)]
         for _ in range(self.EACH_TURN):
             target = rng.choice(list(self.beacons) or [0])
             if rng.random() < 0.2:
                 id = DatumId(rng.randrange(100), rng.getrandbits(32), rng.getrandbits(32))
                 yield LossNote(self.id, target, (LossNoteEntry(rng.getrandbits(32), id, 1, note_crc(id, 1)),))
                 continue
-            head = (heads[0] & 0xF0) | rng.randrange(16)
+            head = VERSION << 4 | rng.randrange(16)
             yield (
                 bytes([head])
                 + self.id.to_bytes(2, "little")
                 + target.to_bytes(2, "little")
                 + rng.randbytes(rng.randrange(100))
             )
-
-    def __init__(self, *args: int, **more: bool) -> None:
-        super().__init__(*args, **more)  # type: ignore[arg-type]
-        self._heads: set[int] = set()
-
-    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
-        self._heads.add(payload[0])
-        return super().overhear(message, payload, now)
 
 
 class BitFlipper(Attacker):
