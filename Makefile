@@ -3,6 +3,7 @@
 #   make          the environment in .venv, from requirements*.lock, with this checkout installed in it
 #   make demo     a mock swarm of 100 nodes, and what became of its data
 #   make test     the tests
+#   make soak     the same tests with many more examples, and those that take long: an hour or more
 #   make lint     ruff and mypy (style, format and types by themselves)
 #   make bench    the benchmarks
 #   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)
@@ -21,7 +22,7 @@ OUT ?= build/paper
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-.PHONY: install demo test lint style format types bench paper clean
+.PHONY: install demo test soak lint style format types bench paper clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
@@ -43,6 +44,9 @@ demo: $(READY)
 
 test: $(READY)
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+
+soak: $(READY)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m 'soak or hypothesis' --hypothesis-profile soak
 
 lint: style format types
 

@@ -20,6 +20,7 @@ from rass_mav.swarm.invariants import check
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.extent import examples
 
 CONNECTED = ["grid", "scale-free", "lennard-jones", "random-walk", "line"]
 
@@ -206,7 +207,7 @@ def test_data_expire() -> None:
     assert world.statistics.summary()["lost"]["expired"] > 0
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     topology=st.sampled_from([*CONNECTED, "islands"]),
     policy=st.sampled_from(["rass", "rass-literal", "hop-count", "stigmergy"]),
