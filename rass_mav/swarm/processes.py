@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import random
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -24,15 +23,17 @@ from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, R
 from rass_mav.app.payloads import parse_name
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
-from rass_mav.errors import ConfigError, ControlError, SwarmError, os_errors_as
+from rass_mav.errors import ConfigError, ControlError, SwarmError
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
-from rass_mav.swarm.children import Child, Children, orderly_end
+from rass_mav.swarm.children import Child, Children
 from rass_mav.swarm.loops import count_loops
+from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
 from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.workplace import workplace
 
 log = logging.getLogger(__name__)
 
@@ -55,25 +56,18 @@ _LOOK_SHARE = 0.1
 P = TypeVar("P", bound=Ports)
 
 
-class NodeProcess:
-    """One node: its files, its process, and what it said of itself last."""
+class NodeProcess(RunningNode):
+    """One node of a scenario: what it is told, and what it said of itself last."""
 
     def __init__(self, node_id: int, directory: Path, socket: Path) -> None:
         """`directory`: for configuration, store and log. `socket`: of the control socket, at most 107 bytes."""
-        self.node_id = node_id
-        self.name = f"node {node_id}"
-        self.config = directory / f"node-{node_id}.yaml"
-        self.store = directory / f"node-{node_id}.db"
-        self.log = directory / f"node-{node_id}.log"
-        self.socket = socket
+        super().__init__(node_id, directory, socket, f"node-{node_id}")
         self.until_step = 0
         """Steps in which this life of the node makes data."""
-        self.ready = False
         self.status: dict[str, Any] = {}
         """Last answer to `status` in this life."""
         self.earlier = {"malformed": 0, "skipped_steps": 0}
         """Sums over earlier lives, as far as they were asked."""
-        self.child: Child
         self._client: ControlClient | None = None
 
     def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
@@ -108,20 +102,6 @@ class NodeProcess:
         radio = PeerSection(address=f"127.0.0.1:{ports.air[self.node_id]}")
         link = LinkSection(listen="127.0.0.1:0", peers=(radio,))
         return f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}", link
-
-    def start(self, children: Children) -> None:
-        """Begin a life. It is under way when `ready`."""
-        self.ready = False
-        arguments = ["-m", "rass_mav.swarm.tether", "run", str(self.config), "--json"]
-        self.child = children.start(self.name, arguments, self.log, self.heard)
-
-    def heard(self) -> None:
-        """There is something on its stdout: the line that says it is ready, or the end. Raises `SwarmError`."""
-        self.child.read()
-        line = self.child.next_line()
-        if line is not None:
-            # If it could not start, it says why on stderr too, and the end of its output follows.
-            self.ready = "error" not in msgspec.json.decode(line)
 
     def ask(self) -> int | None:
         """Ask for its status. Returns its next hop. Raises `SwarmError`, also if a frame hit a fault in the node."""
@@ -413,15 +393,10 @@ def conduct(
 
     `make`: the swarm, by its directory, the one of its control sockets, and its children.
     """
-    if keep is not None:
-        _prepare(keep)
     begin = time.perf_counter()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(orderly_end())
-        # Always a short path: a unix socket's may have 107 bytes.
-        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
-        children = stack.enter_context(Children())
-        swarm = make((keep or sockets).absolute(), sockets, children)
+        directory, sockets, children = stack.enter_context(workplace(keep))
+        swarm = make(directory, sockets, children)
         stack.callback(swarm.hang_up)
         swarm.start(record)
         swarm.fly(progress)
@@ -429,11 +404,3 @@ def conduct(
         summary = swarm.summary(swarm.stop())
     wall = time.perf_counter() - begin
     return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
-
-
-def _prepare(directory: Path) -> None:
-    with os_errors_as(ConfigError, directory):
-        directory.mkdir(parents=True, exist_ok=True)
-        used = any(directory.iterdir())
-    if used:
-        raise ConfigError(f"{directory}: expected a new or an empty directory")
