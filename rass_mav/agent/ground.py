@@ -166,7 +166,8 @@ class Ground:
         except ConfigError as error:
             self.refused += 1
             log.warning("refused from the ground: %s", error)
-            self.texts.add(_WARNING, str(error))
+            for mistake in error.mistakes:
+                self.texts.add(_WARNING, mistake)
             self._param_error(message.param_id, -1, _reason(index, error), frame, outbox)
             outbox.answer(*self._listed(index))
             return

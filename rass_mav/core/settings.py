@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -32,12 +33,12 @@ class RiskSettings(Section):
     worst: Fraction = 1.0
     """What an unknown risk counts as."""
 
-    def __post_init__(self) -> None:
+    def mistakes(self) -> Iterator[str]:
         """`high` must be above `low`, and for a logarithm both above 0."""
         if self.scale == "logarithmic" and self.low <= 0.0:
-            raise ValueError(f"risk.low: expected a number > 0 with risk.scale logarithmic, got {self.low:g}")
+            yield f"risk.low: expected a number > 0 with risk.scale logarithmic, got {self.low:g}"
         if self.high <= self.low:
-            raise ValueError(f"risk.high: expected a number above risk.low ({self.low:g}), got {self.high:g}")
+            yield f"risk.high: expected a number above risk.low ({self.low:g}), got {self.high:g}"
 
     def normalised(self, reading: float) -> float:
         """A reading on the scale where `low` above background is 0 and `high` above background is 1; unclipped.
@@ -96,10 +97,10 @@ class CustodySettings(Section):
     """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
 
-    def __post_init__(self) -> None:
-        """Checks across several keys."""
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys, as lines."""
         if self.mirror and self.mode != "acknowledged":
-            raise ValueError(f"custody.mirror: expected false with custody.mode {self.mode}, got true")
+            yield f"custody.mirror: expected false with custody.mode {self.mode}, got true"
 
 
 @dataclass(frozen=True, slots=True)

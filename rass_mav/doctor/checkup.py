@@ -57,7 +57,11 @@ def check_up(path: str) -> Report:
     except ConfigError as error:
         findings += [
             computer.packages(computer.needed_packages(None)),
-            failed("configuration", str(error), "rass-mav check says the same; docs/configuration.md has all keys"),
+            failed(
+                "configuration",
+                "; ".join(error.lines()),
+                "rass-mav check says the same; docs/configuration.md has all keys",
+            ),
             service.service(name),
         ]
         return Report(path, None, False, tuple(findings))

@@ -6,8 +6,7 @@ from pkgutil import resolve_name
 from typing import Annotated
 
 from rass_mav.config.bounds import NodeId, Positive
-from rass_mav.config.sections import Meta, Section
-from rass_mav.errors import ConfigError
+from rass_mav.config.sections import Meta, Mistakes, Section
 
 from .airtime import FRAME_BYTES, Budget
 from .base import Link
@@ -92,11 +91,14 @@ class LinkSection(Section):
 
     def check(self, key: str) -> None:
         """Raise `ConfigError` for what cannot be. `key`: of this link."""
+        mistakes = Mistakes()
         for name, value in vars(self).items():
             types = [type for type, kind in KINDS.items() if name in kind.keys]
             if value and types and self.type not in types:
-                raise ConfigError(f"{key}.{name}: belongs to type {' or '.join(types)}, this link is {self.type}")
-        resolve_name(self.kind.link).check(self, key)
+                mistakes.add(f"{key}.{name}", f"belongs to type {' or '.join(types)}, this link is {self.type}")
+        with mistakes.gathering():
+            resolve_name(self.kind.link).check(self, key)
+        mistakes.check()
 
     def open(self, vehicle: VehiclePort | None) -> Link:
         """The link. `vehicle`: the autopilot's port. Raises `LinkError`."""

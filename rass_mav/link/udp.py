@@ -13,8 +13,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
-from rass_mav.config.sections import under
-from rass_mav.errors import ConfigError, LinkError, why
+from rass_mav.config.sections import Mistakes
+from rass_mav.errors import LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
 from .base import Address, Datagram, Link, LinkCounters, remember
@@ -97,24 +97,26 @@ class UdpLink(Link):
     @staticmethod
     def check(section: LinkSection, key: str) -> None:
         """Raise `ConfigError` for what cannot be set of such a link. `key`: of the section."""
-        with under(f"{key}.listen"):
+        mistakes = Mistakes()
+        with mistakes.gathering(f"{key}.listen"):
             parse_address(section.listen, any_port=True)
         for index, peer in enumerate(section.peers):
-            with under(f"{key}.peers[{index}].address"):
+            with mistakes.gathering(f"{key}.peers[{index}].address"):
                 parse_address(peer.address)
         if section.broadcast is not None:
-            with under(f"{key}.broadcast"):
+            with mistakes.gathering(f"{key}.broadcast"):
                 parse_address(section.broadcast)
         if section.multicast is not None:
-            with under(f"{key}.multicast"):
+            with mistakes.gathering(f"{key}.multicast"):
                 parse_multicast(section.multicast)
         name = section.interface
         if name is not None and not is_address(name) and not is_name(name):
-            raise ConfigError(
-                f"{key}.interface: expected the name of a network interface or its own IPv4 address, got {name!r}"
+            mistakes.add(
+                f"{key}.interface", f"expected the name of a network interface or its own IPv4 address, got {name!r}"
             )
         if not section.peers and section.broadcast is None and section.multicast is None:
-            raise ConfigError(f"{key}: expected at least one of peers, broadcast and multicast")
+            mistakes.add(key, "expected at least one of peers, broadcast and multicast")
+        mistakes.check()
 
     @classmethod
     def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> UdpLink:

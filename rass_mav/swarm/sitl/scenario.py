@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
 from rass_mav.config.bounds import Positive
-from rass_mav.config.loading import convert
 from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import (
@@ -22,7 +21,7 @@ from rass_mav.mavlink.mission import (
     MissionItem,
 )
 from rass_mav.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
-from rass_mav.swarm.catalogue import check_nodes, find, overridden
+from rass_mav.swarm.catalogue import find, read_scenario
 from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.scenario import Scenario
 
@@ -48,16 +47,16 @@ class FlightScenario(Scenario):
 
     flight: FlightSection = FlightSection()
 
-    def __post_init__(self) -> None:
+    def mistakes(self) -> Iterator[str]:
         """What no single key can say."""
-        super().__post_init__()
+        yield from super().mistakes()
         if self.topology != "positions":
-            raise ValueError(f"topology: expected positions, the take-off places, got {self.topology}")
+            yield f"topology: expected positions, the take-off places, got {self.topology}"
         drones = self.nodes - self.bases
         if len(self.flight.missions) > drones:
-            raise ValueError(f"flight.missions: expected at most one for each of {drones} drones")
+            yield f"flight.missions: expected at most one for each of {drones} drones"
         if self.radiation.drift or self.radiation.cylinder_m:
-            raise ValueError("radiation: expected sources that stay where they are, and no cylinders")
+            yield "radiation: expected sources that stay where they are, and no cylinders"
 
     @property
     def places(self) -> list[Position]:
@@ -109,12 +108,11 @@ def load_flight(
     `vehicles`: so many of its drones, the first ones; None: all. Raises `ConfigError` that names the file and the key.
     """
     path = find(name)
-    scenario = convert(overridden(path, options or {}, assignments), FlightScenario, path.name)
+    scenario = read_scenario(path, FlightScenario, options or {}, assignments)
     if scenario.variants:
         raise ConfigError(f"{path.name}: variants: not for scenarios that are flown")
     if vehicles is not None:
         scenario = _fewer(scenario, vehicles, path.name)
-    check_nodes(scenario, path)
     return scenario
 
 
