@@ -8,6 +8,9 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
+from tests.skips import pytest_make_collect_report as pytest_make_collect_report
+from tests.skips import pytest_runtest_makereport as pytest_runtest_makereport
+
 # How long an example takes says something about the machine and its load, not about the code.
 settings.register_profile("rass", deadline=None)
 settings.load_profile("rass")

@@ -61,7 +61,7 @@ def test_hop_count_agrees_with_exact_computation() -> None:
 @pytest.mark.parametrize("policy", ["hop-count", "rass", "rass-literal"])
 def test_it_agrees_with_an_independent_simulator(policy: str) -> None:
     if not PARITY.exists():
-        pytest.skip(f"the reference figures are not here: {PARITY.name} beside the project in shared/data/paper")
+        pytest.skip("needs ../shared/data/paper, which is not part of the repository")
     parity = json.loads(PARITY.read_text())
     differences = []
     for sources, expected in zip(parity["sources"], parity["expect"][policy]["reliability"], strict=True):
