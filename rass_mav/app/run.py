@@ -103,6 +103,8 @@ class Runtime:
             for section in config.links:
                 links.append(section.open(vehicle))
                 stack.callback(links[-1].close)
+            for warning in config.warnings():
+                log.warning("%s", warning)
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
