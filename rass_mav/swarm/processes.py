@@ -32,6 +32,7 @@ from rass_mav.swarm.children import Child, Children, orderly_end
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.stopwatch import Stopwatch
 from rass_mav.swarm.surroundings import Surroundings
 
 log = logging.getLogger(__name__)
@@ -415,7 +416,7 @@ def conduct(
     """
     if keep is not None:
         _prepare(keep)
-    begin = time.perf_counter()
+    watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(orderly_end())
         # Always a short path: a unix socket's may have 107 bytes.
@@ -427,8 +428,8 @@ def conduct(
         swarm.fly(progress)
         swarm.drain()
         summary = swarm.summary(swarm.stop())
-    wall = time.perf_counter() - begin
-    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
+    # All processes have ended, so that their time is known.
+    return {**summary, **watch.figures(scenario.nodes * scenario.steps)}
 
 
 def _prepare(directory: Path) -> None:
