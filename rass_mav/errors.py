@@ -66,6 +66,12 @@ class LogError(RassError):
 class LinkError(RassError):
     """A port, socket or peer address that cannot be used."""
 
+    def __init__(self, text: str, remedy: str = "") -> None:
+        """`text`: what is wrong; `remedy`: what a person can do about it, which the message ends with."""
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+        self.text = text
+        self.remedy = remedy
+
 
 class SwarmError(RassError):
     """A process of a mock swarm failed or fell silent."""

@@ -48,7 +48,10 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         )
     yield f"altered data: {s['altered']}; routing loops: {s['routing']['loops']}"
     if "wall_s" in s:
-        yield f"{s['wall_s']:.1f} s, {s['robot_steps_per_s']:,} robot-steps a second"
+        yield (
+            f"{s['wall_s']:.1f} s, {s['cpu_s']:.1f} s of processor time; "
+            f"{s['robot_steps_per_s']:,} robot-steps a second of processor time"
+        )
 
 
 def _count(count: int, what: str, whole: int | None = None) -> str:

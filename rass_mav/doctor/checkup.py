@@ -74,10 +74,7 @@ def check_up(path: str) -> Report:
         storage.store(config.store_path),
         *map(ports.serial_port, ports.serial_ports(config)),
     ]
-    interfaces = network.interfaces()
-    findings += [
-        network.link_address(index, link, interfaces) for index, link in enumerate(config.links) if not link.kind.shared
-    ]
+    findings += [network.link_address(index, link) for index, link in enumerate(config.links) if not link.kind.shared]
     found, evidence, free = node.look(config)
     findings.append(found)
     if evidence is None and free:

@@ -32,6 +32,7 @@ from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.stopwatch import Stopwatch
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.swarm.workplace import workplace
 
@@ -393,7 +394,7 @@ def conduct(
 
     `make`: the swarm, by its directory, the one of its control sockets, and its children.
     """
-    begin = time.perf_counter()
+    watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         directory, sockets, children = stack.enter_context(workplace(keep))
         swarm = make(directory, sockets, children)
@@ -402,5 +403,5 @@ def conduct(
         swarm.fly(progress)
         swarm.drain()
         summary = swarm.summary(swarm.stop())
-    wall = time.perf_counter() - begin
-    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
+    # All processes have ended, so that their time is known.
+    return {**summary, **watch.figures(scenario.nodes * scenario.steps)}

@@ -194,7 +194,9 @@ def test_a_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkey
         found = examined(Path(node.config), capsys, 1)
     for name in ("autopilot", "links[0]"):
         assert found[name]["level"] == "fail"
-        assert "address already in use" in found[name]["text"]
+        assert f"address already in use by process {os.getpid()} (" in found[name]["text"]
+    assert found["links[0]"]["remedy"].endswith(f"ss -lunp 'sport = :{listen}'")
+    assert found["autopilot"]["remedy"].endswith(f"ss -lunp 'sport = :{vehicle_port}'")
     assert "position" not in found
 
 

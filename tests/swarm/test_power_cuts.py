@@ -250,6 +250,7 @@ def test_the_same_seed_gives_the_same_run_in_any_process() -> None:
         )
         summary = json.loads(done.stdout)
         assert summary.pop("wall_s") > 0
+        assert summary.pop("cpu_s") > 0
         summary.pop("robot_steps_per_s")
         outputs.append(summary)
     assert outputs[0] == outputs[1]
