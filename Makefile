@@ -1,13 +1,15 @@
 # Needs Python 3.10 or newer, git and make; everything else goes into a virtual environment of its own.
 #
-#   make          the environment in .venv, from requirements*.lock, with this checkout installed in it
 #   make demo     a mock swarm of 100 nodes, and what became of its data
 #   make test     the tests
+#   make soak     the same tests with many more examples, and those that take long: an hour or more
 #   make lint     ruff and mypy (style, format and types by themselves)
 #   make bench    the benchmarks
 #   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)
+#   make          only the environment for these, in .venv, with this checkout installed in it
 #   make clean    removes .venv and what the tools left behind
 #
+# `make demo` creates a small environment, with what a node and the mock swarm need. The others add the tools to it.
 # Another interpreter: make PYTHON=python3.12. Another place for the environment: make VENV=/some/where.
 
 PYTHON ?= python3
@@ -19,30 +21,41 @@ RUNS ?= 2
 OUT ?= build/paper
 
 BIN := $(VENV)/bin
+# Compiled when first imported: most of what is installed never is.
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
+# Two files inside the environment say how far it is complete. It is created from nothing when what it is made from changes.
+SMALL := $(VENV)/small
 READY := $(VENV)/ready
 
-.PHONY: install demo test lint style format types bench paper clean
+.PHONY: install demo test soak lint style format types bench paper clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
 
-# A file inside the environment says that it is complete, so it is made anew only when what it is made from changes.
-$(READY): requirements.lock requirements-interop.lock pyproject.toml
+$(SMALL): requirements.lock requirements-demo.lock requirements-interop.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 		{ echo 'Python 3.10 or newer is needed: make PYTHON=python3.12' >&2; exit 1; }
-	@echo 'Making $(VENV) (once, about a minute) ...'
+	@echo 'Creating $(VENV) (once) ...'
 	@if [ -e '$(VENV)/pyvenv.cfg' ]; then rm -rf '$(VENV)'; fi
 	@$(PYTHON) -m venv '$(VENV)' || { echo 'On Debian and Ubuntu: sudo apt install python3-venv' >&2; exit 1; }
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --require-hashes -r requirements.lock
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --require-hashes -r requirements-interop.lock
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@$(PIP) --require-hashes -r requirements-demo.lock
+	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch '$(SMALL)'
+
+$(READY): $(SMALL)
+	@echo 'Adding the tools of the tests and figures to $(VENV) (once, about a minute) ...'
+	@$(PIP) --require-hashes -r requirements.lock
+	@$(PIP) --no-deps --require-hashes -r requirements-interop.lock
 	@touch '$(READY)'
 
-demo: $(READY)
+demo: $(SMALL)
 	@$(BIN)/rass-mav swarm
 
 test: $(READY)
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+
+soak: $(READY)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m 'soak or hypothesis' --hypothesis-profile soak
 
 lint: style format types
 

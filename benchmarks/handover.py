@@ -191,7 +191,7 @@ _LINES = {
     "sync_ms": "one sync of this disk, ms",
     "per_sync_time": "hand-overs in the time of one sync",
     "cpu_us": "processor time a datum, both nodes, us",
-    "sent": "sendings a datum",
+    "sent": "transmissions a datum",
     "commits_drone": "commits a datum, drone",
     "commits_base": "commits a datum, base",
     "fsyncs_drone": "fsyncs a datum, drone",

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
 
+from .extent import EXAMPLES, SOAK_EXAMPLES
+
 # How long an example takes says something about the machine and its load, not about the code.
-settings.register_profile("rass", deadline=None)
-settings.load_profile("rass")
+settings.register_profile("suite", deadline=None, max_examples=EXAMPLES)
+settings.register_profile("soak", deadline=None, max_examples=SOAK_EXAMPLES)
+settings.load_profile("suite")
+
+
+def pytest_configure() -> None:
+    """A shell starts what it runs in the background without Ctrl-C, and children inherit that: give it back."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

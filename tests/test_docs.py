@@ -143,15 +143,33 @@ def test_the_readme_shows_what_the_demo_prints() -> None:
     assert shown.splitlines()[:-1] == done.stdout.splitlines()[:-1]
 
 
-def test_the_lock_file_fits_the_project_and_names_no_index() -> None:
-    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
-    pinned = {found.lower().replace("_", "-") for found in re.findall(r"^([\w.-]+)==", lock, re.M)}
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("\ndependencies = [")[1]
-    for wanted in re.findall(r'^    "([A-Za-z][\w.-]*)[^"\n]*",$', project.split("[project.scripts]")[0], re.M):
-        assert wanted.lower() in pinned | {"rass-mav"}, wanted
-    assert not re.search(r"://|--(extra-)?index-url|--find-links", lock)
-    for requirement in re.split(r"\n(?=\S)", lock):
-        assert "--hash=sha256:" in requirement or requirement.startswith("#")
+def locked(file: str) -> dict[str, str]:
+    """What a lock file pins: by the package's name its version, for whom it is, and its checksums."""
+    text = re.sub(r"^ *#.*\n", "", (ROOT / file).read_text(encoding="utf-8"), flags=re.M)
+    return {pin.split("==")[0].lower().replace("_", "-"): pin for pin in re.split(r"\n(?=\S)", text.rstrip())}
+
+
+def wanted(part: str) -> set[str]:
+    """Names of the packages that pyproject.toml demands below a heading or in a list."""
+    return {name.lower() for name in re.findall(r'"([A-Za-z][\w.-]*)[^"\n]*"', part)} - {"rass-mav"}
+
+
+def test_the_lock_files_fit_the_project_and_name_no_index() -> None:
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    (dependencies,) = re.findall(r"^dependencies = (\[\n.*?^\])", project, re.M | re.S)
+    (extras,) = re.findall(r"^\[project.optional-dependencies\]\n(.*?)^\[", project, re.M | re.S)
+    (demo,) = re.findall(r"^demo = (.*\n)", project, re.M)
+    assert {"pymavlink", "pyyaml"} <= wanted(dependencies)
+    assert {"pyserial", "ruff", "setuptools", "mavsdk"} <= wanted(extras)
+    assert wanted(demo) == {"tqdm", "setuptools"}
+    everything, small = locked("requirements.lock"), locked("requirements-demo.lock")
+    assert wanted(dependencies) | wanted(extras) <= set(everything) | set(locked("requirements-interop.lock"))
+    assert wanted(dependencies) | wanted(demo) <= set(small)
+    # What the demo was shown with is what the tests are run with.
+    assert small.items() <= everything.items()
+    for pin in [*everything.values(), *small.values()]:
+        assert "--hash=sha256:" in pin
+        assert not re.search(r"://|--(extra-)?index-url|--find-links", pin)
 
 
 def test_scenarios_and_examples_are_yaml_that_people_can_read() -> None:

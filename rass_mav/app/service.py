@@ -30,6 +30,8 @@ _SERIAL = ("ttyAMA", "ttyS", "ttyUSB", "ttyACM")
 # They make the last two known to the kernel, which else happens when the first such device is plugged in.
 _MODULES = "modprobe@usbserial.service modprobe@cdc_acm.service"
 _WANTS = "/etc/systemd/system/multi-user.target.wants"
+# With PrivateTmp the service has these to itself, empty.
+_PRIVATE = ("/tmp", "/var/tmp")
 
 
 class PlannedFile(NamedTuple):
@@ -74,21 +76,21 @@ def check_name(what: str, name: str) -> str:
 
 
 def plan_install(
-    config: RunConfig, text: str, *, name: str, user: str, groups: Sequence[str], python: str, prefix: str
+    config: RunConfig, text: str, *, name: str, user: str, groups: Sequence[str], python: str, program: Sequence[str]
 ) -> Plan:
     """What makes a service of a node.
 
     :param config: the node's configuration, already checked; `text`: the file as it was written.
     :param name: of the service; its data are in /var/lib/NAME, its configuration is /etc/NAME/node.yaml.
     :param user: whom the node runs as; made if there is no such user. `groups`: those that it joins.
-    :param python: the interpreter that has rass_mav; `prefix`: the environment that this one belongs to.
+    :param python: the interpreter that has rass_mav; `program`: all that makes up the program, with what links lead to.
     """
     for what, each in (("--name", name), ("--user", user), *(("--group", group) for group in groups)):
         check_name(what, each)
     own = f"/var/lib/{name}"
     outside = {str(path.parent) for path in (config.store_path, config.socket_path) if path.is_absolute()}
     writable = sorted(path for path in outside if not Path(path).is_relative_to(own))
-    at_home = any(Path(path).is_relative_to(home) for path in (python, prefix) for home in ("/home", "/root"))
+    at_home = any(_below(path, "/home", "/root") for path in program)
     values = {
         "NAME": name,
         "USER": user,
@@ -153,6 +155,28 @@ def check_reachable(user: str, *paths: str) -> None:
                     f"{folder}: closed to other users, so the user {user} could not run {path}: install rass-mav "
                     f"outside of home directories, for example in /opt/rass-mav, or name another --user"
                 )
+
+
+def check_visible(config: RunConfig, program: Sequence[str]) -> None:
+    """Raise `ServiceError` if the service could not see the program, or a file that its node uses."""
+    own = "the service has a /tmp and a /var/tmp of its own, so it would not find"
+    for path in program:
+        if _below(path, *_PRIVATE):
+            raise ServiceError(f"{path}: {own} its program: install rass-mav elsewhere, for example in /opt/rass-mav")
+    files = {
+        "store.path": config.store.path,
+        "control.socket": config.control.socket,
+        "sensor.path": config.sensor.path,
+    }
+    for key, file in files.items():
+        if file is not None and Path(file).is_absolute() and _below(file, *_PRIVATE):
+            raise ServiceError(f"{key}: {own} {file}: choose another folder, or a relative path in the service's own")
+
+
+def _below(path: str, *folders: str) -> bool:
+    """Whether a path leads into one of these folders, as it stands or by links."""
+    leads_to = (Path(os.path.normpath(path)), Path(os.path.realpath(path)))
+    return any(each.is_relative_to(folder) for each in leads_to for folder in folders)
 
 
 def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import rass_mav
 from rass_mav.errors import ConfigError, ServiceError, os_errors_as
 
 from .common import Subparsers, add_command, add_group, answer, print_json, say, start_logging
@@ -57,19 +58,22 @@ def register(subparsers: Subparsers) -> None:
 
 def _install(options: argparse.Namespace) -> int:
     from rass_mav.app.config import load_config
-    from rass_mav.app.service import check_reachable, plan_install
+    from rass_mav.app.service import check_reachable, check_visible, plan_install
 
     start_logging(options.verbose)
     config = load_config(options.config)
     with os_errors_as(ConfigError, options.config):
         text = Path(options.config).read_text(encoding="utf-8")
     groups = options.group if options.group is not None else [GROUP]
+    program = (sys.executable, os.path.realpath(sys.executable), sys.prefix, str(Path(rass_mav.__file__).parent))
     plan = plan_install(
-        config, text, name=options.name, user=options.user, groups=groups, python=sys.executable, prefix=sys.prefix
+        config, text, name=options.name, user=options.user, groups=groups, python=sys.executable, program=program
     )
+    if not options.show:
+        check_visible(config, program)
     if options.root is None and not options.show:
         _need_root("install")
-        check_reachable(options.user, sys.executable, os.path.realpath(sys.executable), sys.prefix)
+        check_reachable(options.user, *program)
     return _do(options, plan, f"{options.name}: installed; what it says: journalctl -u {options.name}")
 
 

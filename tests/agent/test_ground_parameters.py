@@ -25,6 +25,7 @@ from rass_mav.mavlink.messages import (
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.wire import decode
 from tests.core.durable import DurableStore
+from tests.extent import examples
 from tests.telemetry import named_value_float
 
 from .conversation import Conversation, kinds, values
@@ -198,7 +199,7 @@ def test_what_is_forwarded_at_once_and_a_slow_link_outlive_a_new_beginning() -> 
     assert node.routing.longest_s == pytest.approx(3.5 * 9.0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(
     st.sampled_from(["rass", "survival"]),
     st.lists(

@@ -26,6 +26,7 @@ from rass_mav.store import SqliteStore
 from rass_mav.wire import encode
 from tests.agent.conversation import Conversation
 from tests.agent.test_agent import heard, make, said, to_vehicle
+from tests.extent import examples
 from tests.telemetry import global_position_int, named_value_float
 
 POISON = b"poison"
@@ -354,7 +355,7 @@ class HalfWay:
 EVENTS = st.sampled_from(["good", "good", "twice", "put", "spare", "step", "begin", "begin", "write", "fail", "loss"])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.lists(EVENTS, max_size=25))
 def test_wherever_a_fault_strikes_the_store_is_what_a_restart_would_have_found(
     tmp_path_factory: pytest.TempPathFactory, events: list[str]

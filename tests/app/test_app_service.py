@@ -9,12 +9,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rass_mav
 from rass_mav.app.config import load_config
 from rass_mav.app.service import check_reachable, plan_install, plan_remove, run
 from rass_mav.cli import main
@@ -24,6 +26,21 @@ CONFIG = "node: {id: 7}\nlinks: [{broadcast: '192.168.4.255:14600'}]\n"
 UNIT = "etc/systemd/system/rass-mav.service"
 LINK = "etc/systemd/system/multi-user.target.wants/rass-mav.service"
 USERS = "etc/sysusers.d/rass-mav.conf"
+HERE = sys.executable
+PROGRAM = "/opt/rass-mav"
+
+
+@pytest.fixture(autouse=True)
+def program(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """The program is where the documents have it, or moves to another folder; that of the tests may be anywhere."""
+
+    def move(folder: str) -> None:
+        monkeypatch.setattr(sys, "executable", f"{folder}/bin/python")
+        monkeypatch.setattr(sys, "prefix", folder)
+        monkeypatch.setattr(rass_mav, "__file__", f"{folder}/lib/python3.11/site-packages/rass_mav/__init__.py")
+
+    move(PROGRAM)
+    return move
 
 
 @pytest.fixture
@@ -59,7 +76,7 @@ def test_install_below_another_root(drone: str, card: Path, capsys: pytest.Captu
     assert os.readlink(card / LINK) == f"/{UNIT}"
     assert (card / "etc/rass-mav/node.yaml").read_text() == CONFIG
     service = unit((card / UNIT).read_text())["Service"]
-    assert service["ExecStart"] == f"{sys.executable} -I -m rass_mav run /etc/rass-mav/node.yaml"
+    assert service["ExecStart"] == f"{PROGRAM}/bin/python -I -m rass_mav run /etc/rass-mav/node.yaml"
     assert (service["User"], service["Type"], service["Restart"]) == ("rass", "notify", "always")
     assert service["WorkingDirectory"] == "/var/lib/rass-mav"
     assert int(service["WatchdogSec"]) > 0
@@ -102,7 +119,7 @@ def test_the_service_gets_the_serial_ports_that_it_needs_and_no_other_device(
 def test_a_radio_on_a_serial_port_is_let_in(tmp_path: Path) -> None:
     file = tmp_path / "drone.yaml"
     file.write_text("node: {id: 7}\nlinks: [{type: serial, device: '/dev/rfcomm0,57600'}]\n")
-    plan = plan_install(load_config(file), "", name="second", user="pi", groups=(), python="/x", prefix="/x")
+    plan = plan_install(load_config(file), "", name="second", user="pi", groups=(), python="/x", program=("/x",))
     assert "DeviceAllow=char-rfcomm rw\n" in dict(plan.files)["/etc/systemd/system/second.service"]
 
 
@@ -132,14 +149,15 @@ def test_what_runs_at_home_can_read_it_and_a_store_elsewhere_can_be_written(tmp_
     file = tmp_path / "drone.yaml"
     file.write_text(CONFIG + "store: {path: /mnt/fast disk/100%/n7.db}\n")
 
-    def service(python: str) -> configparser.SectionProxy:
+    def service(python: str, *more: str) -> configparser.SectionProxy:
         plan = plan_install(
-            load_config(file), CONFIG, name="second", user="pi", groups=(), python=python, prefix="/opt/x"
+            load_config(file), CONFIG, name="second", user="pi", groups=(), python=python, program=(python, *more)
         )
         return unit(dict(plan.files)["/etc/systemd/system/second.service"])["Service"]
 
     assert service("/opt/rass-mav/bin/python")["ProtectHome"] == "yes"
     assert service("/home/pi/rass/bin/python")["ProtectHome"] == "read-only"
+    assert service("/opt/rass-mav/bin/python", "/home/pi/rass_mav/rass_mav")["ProtectHome"] == "read-only"
     assert service("/opt/my env/bin/python")["ExecStart"].startswith(
         '"/opt/my env/bin/python" -I -m rass_mav run /etc/second/'
     )
@@ -254,10 +272,58 @@ def test_a_program_in_a_closed_home_is_refused() -> None:
         check_reachable("root", str(program))
 
 
+@pytest.mark.parametrize("folder", ["/tmp/rass", "/var/tmp/rass", "/opt/../tmp/rass"])
+def test_a_program_that_the_service_could_not_see_is_refused(
+    folder: str, program: Callable[[str], None], drone: str, card: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program(folder)
+    assert main(["service", "install", drone, "--root", str(card)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{folder}/bin/python: the service has a /tmp and a /var/tmp of its own")
+    assert line.endswith("install rass-mav elsewhere, for example in /opt/rass-mav")
+    assert below(card) == set()
+    # A folder of that name elsewhere is no such folder.
+    program("/opt/tmp/rass")
+    assert main(["service", "install", drone, "--root", str(card)]) == 0
+
+
+def test_a_program_that_a_link_leads_to_is_looked_at(
+    tmp_path: Path, program: Callable[[str], None], drone: str, card: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with tempfile.TemporaryDirectory(dir="/var/tmp") as hidden:
+        Path("link").symlink_to(hidden)
+        program("link")
+        assert main(["service", "install", drone, "--root", str(card)]) == 1
+    assert below(card) == set()
+
+
+@pytest.mark.parametrize(
+    ("key", "section"),
+    [
+        ("store.path", "store: {path: /tmp/n7.db}"),
+        ("control.socket", "control: {socket: /var/tmp/n7.sock}"),
+        ("sensor.path", "sensor: {type: log, path: /tmp/flight.LOG}"),
+    ],
+)
+def test_a_file_that_the_service_could_not_see_is_refused(
+    key: str, section: str, tmp_path: Path, card: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "drone.yaml"
+    file.write_text(CONFIG + section)
+    assert main(["service", "install", str(file), "--root", str(card)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{key}: the service has a /tmp and a /var/tmp of its own, so it would not find /")
+    assert below(card) == set()
+    # A relative path leads to the service's own folder.
+    file.write_text(CONFIG + section.replace(": /", ": "))
+    assert main(["service", "install", str(file), "--root", str(card)]) == 0
+
+
 def test_programs_that_fail_or_are_missing_are_told() -> None:
-    assert run(sys.executable, "-c", "print('well')") == "well\n"
+    assert run(HERE, "-c", "print('well')") == "well\n"
     with pytest.raises(ServiceError, match="it is broken"):
-        run(sys.executable, "-c", "import sys; sys.exit('it is broken')")
+        run(HERE, "-c", "import sys; sys.exit('it is broken')")
     with pytest.raises(ServiceError, match="no-such-program: not found"):
         run("no-such-program", "restart")
 
@@ -271,11 +337,13 @@ def test_a_name_is_a_name_or_refused(name: str) -> None:
     assert all(Path(path).name in (f"{name}.service", f"{name}.conf") for path in plan.removed)
 
 
-def test_systemd_agrees(drone: str, card: Path) -> None:
+def test_systemd_agrees(drone: str, card: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What systemd itself thinks of the unit and of the user."""
     analyze, sysusers = shutil.which("systemd-analyze"), shutil.which("systemd-sysusers")
     if analyze is None or sysusers is None:
         pytest.skip("systemd-analyze and systemd-sysusers are not installed")
+    # It wants a program that is there.
+    monkeypatch.setattr(sys, "executable", "/bin/sh")
     main(["service", "install", drone, "--root", str(card)])
     verified = subprocess.run(
         [analyze, "verify", str(card / UNIT)], capture_output=True, text=True, timeout=60, check=False

@@ -22,6 +22,7 @@ from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
+from tests.extent import examples
 
 from .app_drivers import STEP_S, TIMEOUT_S, run
 from .app_drivers import settings as about
@@ -109,7 +110,7 @@ _DEEDS = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.lists(_DEEDS, max_size=25))
 def test_whatever_the_date_does_an_age_is_true_or_a_lower_bound_that_never_falls(
     deeds: list[tuple[str, float | None]],

@@ -6,7 +6,6 @@ lies meet what they are about. All that the node says has to fit the wire.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -46,6 +45,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import encode
+from tests.extent import examples
 
 from .books import check_node
 from .build import beacon, make_node
@@ -365,10 +365,6 @@ any_options = st.fixed_dictionaries(
         "drop_oldest": any_flag,
     }
 )
-#: A long hunt: RASS_MESSAGES_EXAMPLES=20000.
-EXAMPLES = int(os.environ.get("RASS_MESSAGES_EXAMPLES", "250"))
-
-
 #: A long hunt shows what it finds as it is: to shrink it takes minutes.
 PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
 
@@ -422,7 +418,7 @@ def test_a_large_datum_made_under_a_number_that_a_neighbour_gave_away_is_never_s
         world.step(1.0)
 
 
-@settings(max_examples=EXAMPLES, phases=PHASES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(100), phases=PHASES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(any_options, st.integers(1, 100).flatmap(lambda n: st.lists(any_event, min_size=n, max_size=n)))
 def test_any_messages_in_any_order_leave_a_node_with_right_books(options: dict[str, Any], events: list[Event]) -> None:
     world = World(**options)

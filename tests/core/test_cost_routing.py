@@ -15,6 +15,7 @@ from rass_mav.core.routes.costs import COST_ONE, NO_COST
 from rass_mav.core.routes.serial import newer
 from rass_mav.core.routes.table import HOLD_LIFETIMES
 from rass_mav.policy.settings import PolicySettings
+from tests.extent import examples
 
 from .build import make_node
 from .durable import DurableStore
@@ -62,7 +63,7 @@ def test_more_risk_never_costs_less(a: float, b: float) -> None:
     assert 1 <= toll(low) <= toll(high) < NO_COST
 
 
-@settings(max_examples=60, deadline=None, phases=ONLY)
+@settings(max_examples=examples(60), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_ever_and_the_cheapest_ways_once_the_network_heals(seed: int) -> None:
     swarm = rough_times(seed, ("survival",))
@@ -75,7 +76,7 @@ def test_no_cycles_ever_and_the_cheapest_ways_once_the_network_heals(seed: int) 
         assert found == best
 
 
-@settings(max_examples=40, deadline=None, phases=ONLY)
+@settings(max_examples=examples(40), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_in_a_swarm_of_two_policies(seed: int) -> None:
     swarm = rough_times(seed, ("survival", "rass", "rass"))
@@ -83,7 +84,7 @@ def test_no_cycles_in_a_swarm_of_two_policies(seed: int) -> None:
         swarm.turn()
 
 
-@settings(max_examples=60, deadline=None, phases=ONLY)
+@settings(max_examples=examples(60), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> None:
     rng = random.Random(seed)

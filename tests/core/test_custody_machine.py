@@ -9,7 +9,6 @@ no loss is forgotten: of a datum of which there is no copy left, a loss note is 
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Sequence
 from typing import Any
@@ -30,6 +29,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.wire import decode, target_of
+from tests.extent import examples, extents
 
 from .books import check_node
 from .build import make_node
@@ -354,15 +354,12 @@ class Swarm(RuleBasedStateMachine):
 
 
 assert BROADCAST not in range(NODES)
-#: A long hunt: RASS_CUSTODY_EXAMPLES=3000.
-Swarm.TestCase.settings = settings(
-    max_examples=int(os.environ.get("RASS_CUSTODY_EXAMPLES", "50")), stateful_step_count=30, deadline=None
-)
+Swarm.TestCase.settings = settings(max_examples=examples(50), stateful_step_count=30, deadline=None)
 TestCustody = Swarm.TestCase
 
 
-#: In parts, so that they can run at the same time. Coverage would make them five times as long, and adds nothing.
-STORM_PARTS = 5
+#: In parts, so that they can run at the same time.
+STORM_PARTS = 4
 
 
 def weather(seed: int, swarm: Swarm) -> None:
@@ -379,11 +376,11 @@ def weather(seed: int, swarm: Swarm) -> None:
     swarm.teardown()
 
 
-@pytest.mark.no_cover
 @pytest.mark.parametrize("part", range(STORM_PARTS))
-def test_storms(part: int) -> None:
+@pytest.mark.parametrize("storms", extents(400, 30_000))
+def test_storms(storms: int, part: int) -> None:
     """The same, many times deeper and from fixed seeds: finds a hand-over not cancelled when data come round."""
-    for seed in range(part, int(os.environ.get("RASS_CUSTODY_STORMS", "1500")), STORM_PARTS):
+    for seed in range(part, storms, STORM_PARTS):
         weather(seed, Swarm())
 
 
@@ -394,9 +391,9 @@ class FaultySwarm(Swarm):
         self.fault(i)
 
 
-@pytest.mark.no_cover
-def test_storms_of_faults() -> None:
-    for seed in range(100):
+@pytest.mark.parametrize("storms", extents(50, 5_000))
+def test_storms_of_faults(storms: int) -> None:
+    for seed in range(storms):
         weather(seed, FaultySwarm())
 
 
@@ -411,14 +408,12 @@ class UngatedSwarm(Swarm):
     make_gate = Ungated
 
 
-@pytest.mark.no_cover
 def test_without_the_gate_the_storms_find_data_that_are_on_no_disk() -> None:
     with pytest.raises(AssertionError, match="in custody on no disk"):  # noqa: PT012
         for seed in range(200):
             weather(seed, UngatedSwarm())
 
 
-@pytest.mark.no_cover
 def test_if_taken_left_before_the_commit_the_storms_would_find_a_loss_that_nobody_knows_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

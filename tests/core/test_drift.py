@@ -10,6 +10,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.messages import Beacon
+from tests.extent import examples
 
 from .build import make_node
 from .routing_harness import NEIGHBOUR_STEPS, Swarm
@@ -61,7 +62,7 @@ class Drifting(Swarm):
 
 
 @pytest.mark.parametrize("policy", ["rass", "survival"])
-@settings(max_examples=40, deadline=None, phases=ONLY)
+@settings(max_examples=examples(40), deadline=None, phases=ONLY)
 @given(seed=st.integers(0, 1 << 32))
 def test_no_cycles_with_drifting_clocks_lost_beacons_and_bases_that_come_and_go(policy: str, seed: int) -> None:
     rng = random.Random(seed)
@@ -83,7 +84,7 @@ def test_no_cycles_with_drifting_clocks_lost_beacons_and_bases_that_come_and_go(
         swarm.turn()
 
 
-@settings(max_examples=20, deadline=None, phases=ONLY)
+@settings(max_examples=examples(20), deadline=None, phases=ONLY)
 @given(seed=st.integers(0, 1 << 32))
 def test_costs_become_right_with_drifting_clocks(seed: int) -> None:
     rng = random.Random(seed)

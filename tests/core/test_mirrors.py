@@ -26,6 +26,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.spares.mirrors import ASK_STEPS
+from tests.extent import examples
 
 from .books import mirrors, spares
 from .build import beacon, data, datum, make_node, of, statement
@@ -395,7 +396,7 @@ def test_large_data_rest_without_a_mirror_but_their_giver_keeps_a_copy() -> None
 # -- all together ------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(seed=st.integers(0, 1 << 32), loss=st.sampled_from([0.0, 0.1, 0.3]), immediate=st.booleans(), auto=st.booleans())
 def test_one_copy_at_a_time_may_rot_and_no_datum_is_lost(seed: int, loss: float, immediate: bool, auto: bool) -> None:
     """While one copy of two is struck, then repaired, then the other, and frames get lost: nothing is ever lost."""

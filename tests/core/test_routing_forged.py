@@ -15,6 +15,7 @@ from rass_mav.core.routes.neighbours import MOST_TURN_S
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.table import MAX_BASES, RoutingTable
 from rass_mav.core.settings import NodeSettings
+from tests.extent import examples
 
 from .build import beacon
 from .routing_harness import Swarm
@@ -123,7 +124,7 @@ def test_a_neighbour_whose_newest_beacon_was_made_up_is_heard_again_with_the_sec
     assert routing.next_hop is None
 
 
-@settings(max_examples=60, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=examples(60), deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(st.integers(0, 1 << 32), st.sampled_from(["rass", "survival"]), st.data())
 def test_after_one_made_up_beacon_everybody_finds_the_way_again(seed: int, policy: str, data: st.DataObject) -> None:
     """It may be in anybody's name, and say anything. There may be a cycle as long as it is believed, and no longer."""

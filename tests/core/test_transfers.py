@@ -12,6 +12,7 @@ from rass_mav.core.datum import MAX_PAYLOAD
 from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
+from tests.extent import examples
 
 from .build import beacon, datum, make_node, of, talk
 
@@ -73,7 +74,7 @@ def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, st
             return
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(1, 6000), st.integers(0, 1 << 32))
 def test_it_arrives_over_a_network_that_loses_doubles_and_reorders(size: int, seed: int) -> None:
     giver, receiver = giver_of(noise(size), inline_bytes=0, max_tries=50), make_node(2, inline_bytes=0)
@@ -284,7 +285,7 @@ lies = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.lists(lies, max_size=30))
 def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> None:
     node = giver_of(noise(1000), 2)

@@ -15,6 +15,7 @@ from rass_mav.experiment.oracle import Ceiling, Moment, is_due, survival
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.swarm.world import World
+from tests.extent import examples
 
 SMALL = {"nodes": 16, "arena_m": 8, "steps": 30}
 
@@ -180,7 +181,7 @@ def test_no_policy_with_one_copy_is_better_on_average(policy: str) -> None:
     assert 0 < kept < expected + 3 * math.sqrt(variance)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(st.integers(0, 12), st.sampled_from(["step-id", "step+id", "together"]), st.none() | st.integers(0, 20))
 def test_data_are_due_when_the_swarm_makes_them(interval: int, due: str, until: int | None) -> None:
     options = {"nodes": 4, "arena_m": 4, "data.interval_steps": interval, "data.due": due, "data.until_step": until}

@@ -1,4 +1,4 @@
-"""20 and 100 nodes on one radio of 57,600 bit/s, which also carries the flight telemetry."""
+"""20 nodes, and in a soak 100, on one radio of 57,600 bit/s, which also carries the flight telemetry."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rass_mav.link.airtime import VEHICLE_PART
 from rass_mav.link.settings import AirtimeSection
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
+from tests.extent import extents
 
 from .shared_radio import BYTES_S, Air, Arrivals, RadioNode, Simulation, Vehicle
 
@@ -81,7 +82,7 @@ def fly(nodes: int, swarm: bool, *, ground: bool = False) -> Flight:
     )
 
 
-@pytest.mark.parametrize("nodes", [20, 100])
+@pytest.mark.parametrize("nodes", extents(20, 100))
 def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
     """One flight, looked at from all sides: it takes some seconds to fly."""
     flight = fly(nodes, True)
@@ -106,7 +107,7 @@ def test_a_swarm_and_its_telemetry_share_a_slow_radio(nodes: int) -> None:
         assert core.routing.hops == (0 if node.id == 0 else 1)
 
 
-@pytest.mark.parametrize("nodes", [20, 100])
+@pytest.mark.parametrize("nodes", extents(20, 100))
 def test_what_the_autopilots_are_told_counts_on_the_radio_behind_them(nodes: int) -> None:
     """Heartbeats, values and texts are passed on by the autopilots, so they become rarer with the neighbours too."""
     flight = fly(nodes, True, ground=True)

@@ -18,6 +18,7 @@ from rass_mav.replay.recording import read_logs
 from rass_mav.replay.settings import load_settings
 from rass_mav.replay.world import ReplaySwarm
 from rass_mav.swarm.invariants import check
+from tests.extent import examples
 
 from .logs import GROUND, START, Said, place, vehicle, write
 
@@ -214,7 +215,7 @@ def test_settings_that_make_no_sense(keys: tuple[str, ...], match: str) -> None:
         load_settings(-1.0)
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_the_invariants_hold_on_any_flight(tmp_path: Path, data: Any) -> None:
     draw = data.draw

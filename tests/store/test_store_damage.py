@@ -18,6 +18,7 @@ from rass_mav.core.messages import Beacon, Data
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import OpenReport, SqliteReader
 from tests.core.build import make_node, of
+from tests.extent import examples
 
 from .store_helpers import EPOCH, commit, datum, epochs, open_store, payload
 
@@ -338,7 +339,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     header=st.booleans(),
     flips=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=4),
@@ -376,7 +377,7 @@ def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips
             assert not held
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans(), known=st.booleans())
 def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
     place: float, bits: int, truncate: bool, known: bool

@@ -23,6 +23,7 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreError
 from rass_mav.store import MemoryStore, SqliteReader
 from rass_mav.store.quota import ROW_OVERHEAD
+from tests.extent import examples
 
 from .store_helpers import EPOCH, open_store
 
@@ -222,5 +223,5 @@ class Stores(RuleBasedStateMachine):
             assert (reader.epoch, reader.next_sequence) == (EPOCH, self.committed.sequence)
 
 
-Stores.TestCase.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
+Stores.TestCase.settings = settings(max_examples=examples(40), stateful_step_count=30, deadline=None)
 TestStores = Stores.TestCase

@@ -1,11 +1,7 @@
-"""Flipped bits, cuts and zeroed pages in every file of a store: no number is given twice, and every loss is told.
-
-The suite does a part of the strikes. All 1,000: `RASS_STRIKES=1000 pytest tests/store/test_store_strikes.py`.
-"""
+"""Flipped bits, cuts and zeroed pages in every file of a store: no number is given twice, and every loss is told."""
 
 from __future__ import annotations
 
-import os
 import random
 import shutil
 from pathlib import Path
@@ -16,13 +12,13 @@ import pytest
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.errors import StoreError
 from rass_mav.store import SqliteStore, mark
+from tests.extent import extents
 
 from .store_helpers import commit, payload
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
 
-STRIKES = int(os.environ.get("RASS_STRIKES", "120"))
 NODE = 7
 FILES = ("node.db", "node.db-wal", "node.db.mark")
 
@@ -113,15 +109,16 @@ def strike(path: Path, rng: random.Random) -> str:
 
 @pytest.mark.parametrize("rebooted", [False, True])
 @pytest.mark.parametrize("part", range(2))
+@pytest.mark.parametrize("strikes", extents(80, 4_000))
 def test_no_number_is_given_twice_and_every_loss_is_told(
-    pasts: list[Past], tmp_path: Path, part: int, rebooted: bool, monkeypatch: pytest.MonkeyPatch
+    pasts: list[Past], tmp_path: Path, strikes: int, part: int, rebooted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if rebooted:
         # As after a power cut: whether the mark is the last one that was written nobody knows.
         (tmp_path / "boot_id").write_text(f"{part:032x}")
         monkeypatch.setattr(mark, "_BOOT_ID", tmp_path / "boot_id")
     whole = refused = 0
-    for seed in range(2 * part + rebooted, STRIKES, 4):
+    for seed in range(2 * part + rebooted, strikes, 4):
         rng = random.Random(seed)
         past = pasts[rng.randrange(len(pasts))]
         directory = tmp_path / str(seed)

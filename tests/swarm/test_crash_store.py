@@ -17,6 +17,7 @@ from rass_mav.store import SqliteStore
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.store.sqlite import MAX_WAITING_REMOVALS
 from rass_mav.swarm.crash_store import CrashStore
+from tests.extent import examples
 
 EPOCH = 77
 
@@ -55,7 +56,7 @@ def change(store: Store, what: tuple[Any, ...]) -> None:
         getattr(store, name)(datum(argument).id, *fate)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @example([("lose", 0, Fate.EXPIRED), ("found", 0), ("found", 0)], [])
 @given(CHANGES, CHANGES)
 def test_it_forgets_what_the_store_on_disk_forgets(first: list[tuple[Any, ...]], second: list[tuple[Any, ...]]) -> None:

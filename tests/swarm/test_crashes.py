@@ -14,6 +14,7 @@ from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.extent import examples
 from tests.nodes import node_of
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
@@ -223,7 +224,7 @@ def test_with_custody_nothing_vanishes_however_many_answers_are_lost() -> None:
     assert summary["lost"]["vanished"] == 0
 
 
-@settings(max_examples=10, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(10), suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10**6), loss=st.sampled_from([0.0, 0.2]), bases=st.integers(1, 2), mirror=st.booleans()
 )  # fmt: skip

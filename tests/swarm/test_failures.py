@@ -18,6 +18,7 @@ from rass_mav.swarm.invariants import check
 from rass_mav.swarm.processes import run as run_processes
 from rass_mav.swarm.scenario import FailureSection, Scenario
 from rass_mav.swarm.world import World
+from tests.extent import examples
 
 #: Failures are possible, but none comes.
 NEVER = {"base_off": [[10**6, 10**6 + 1]]}
@@ -128,7 +129,7 @@ def test_another_seed_is_another_plan() -> None:
 # -- the whole ---------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(15), suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10**6),
     nodes=st.integers(16, 25),

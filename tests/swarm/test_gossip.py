@@ -34,19 +34,22 @@ def receipts_of(world: World) -> list[Receipts]:
 
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("topology", ["grid", "random-walk"])
-def test_all_know_what_has_arrived_and_the_base_what_is_lost(topology: str, mirror: bool) -> None:
+@pytest.mark.parametrize(("nodes", "steps"), [(16, 350), pytest.param(49, 900, marks=pytest.mark.soak)])
+def test_all_know_what_has_arrived_and_the_base_what_is_lost(
+    nodes: int, steps: int, topology: str, mirror: bool
+) -> None:
     world = world_of(
-        nodes=25,
-        steps=500,
+        nodes=nodes,
+        steps=steps,
         seed=4,
         topology=topology,
         radio={"loss": 0.2, "duplicate": 0.1, "reorder": 0.1},
         radiation={"random_sources": 2},
         custody={"mirror": mirror, "receipt_steps": 2},
-        data={"until_step": 120},
+        data={"until_step": steps // 4},
         policy={"name": "hop-count"},
     )
-    world.run(500, after=check)
+    world.run(steps, after=check)
     ledger = world.ledger
     lost = {id for id in ledger.lost if id not in ledger.arrived}
     assert ledger.held == 0
@@ -61,7 +64,7 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(topology: str, mirr
     assert not ledger.copies
     sent = world.radio.sent
     world.run(50)
-    assert world.radio.sent - sent == 50 * 25
+    assert world.radio.sent - sent == 50 * nodes
 
 
 def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:

@@ -17,6 +17,7 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.extent import examples
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
@@ -68,7 +69,7 @@ def test_an_island_keeps_its_data_until_it_is_back(custody: Any, forward: str) -
     assert found["reliability"] > 0.85
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 1000),
     topology=st.sampled_from(["grid", "random-walk", "scale-free", "islands"]),

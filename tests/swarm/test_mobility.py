@@ -20,6 +20,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.swarm import topology
 from rass_mav.swarm.mobility import LJ_DISTANCE_M, TOPOLOGIES, LennardJones, Mobility, make_mobility
 from rass_mav.swarm.neighbours import Position, RangeGraph
+from tests.extent import examples
 
 FIVE = [[0.0, 0.0], [1.0, 0.5], [1.0, -0.5], [2, 0.5], [3.0, 0.0]]
 seeds = st.integers(0, 2**32)
@@ -90,7 +91,7 @@ def test_several_bases_start_in_different_corners(name: str) -> None:
 # Random walk
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(seeds)
 def test_every_walker_moves_15_cm_a_step_and_stays_inside_the_walls(seed: int) -> None:
     taken = track(make("random-walk", seed), 150)
@@ -140,7 +141,7 @@ def test_walkers_of_a_crowded_grid_start_beyond_the_walls_and_walk_in() -> None:
 # Lennard-Jones
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10))
 @given(seeds, st.sampled_from([8.0, 20.0]))
 def test_lennard_jones_robots_are_never_faster_than_5_cm_a_step_and_stay_inside(seed: int, arena_m: float) -> None:
     wall = arena_m / 2 - 0.5

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rass_mav.errors import ConfigError
 from rass_mav.swarm import topology
 from rass_mav.swarm.neighbours import Position, RangeGraph
+from tests.extent import examples
 
 ARENA_M = 20.0
 RANGE_M = 3.0
@@ -49,7 +50,7 @@ def test_a_line_has_its_pitch_and_its_middle_in_the_origin() -> None:
     assert topology.line(1, 2.5) == [(0.0, 0.0)]
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seeds, st.integers(1, 120), st.sampled_from([1.5, 3.0, 5.0]))
 def test_scale_free_robots_keep_the_law_of_distances(seed: int, nodes: int, range_m: float) -> None:
     positions = topology.scale_free(nodes, ARENA_M, range_m, Random(seed))
@@ -60,7 +61,7 @@ def test_scale_free_robots_keep_the_law_of_distances(seed: int, nodes: int, rang
     assert None not in RangeGraph(positions, range_m).hops_from([0])
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(seeds, st.integers(1, 120), st.sampled_from([10.0, 20.0, 1000.0]))
 def test_the_lennard_jones_start_is_connected_when_each_robot_is_placed(seed: int, nodes: int, arena_m: float) -> None:
     positions = topology.connected_uniform(nodes, arena_m, RANGE_M, Random(seed))

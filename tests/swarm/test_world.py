@@ -20,6 +20,7 @@ from rass_mav.swarm.invariants import check
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.extent import examples
 
 CONNECTED = ["grid", "scale-free", "lennard-jones", "random-walk", "line"]
 
@@ -58,20 +59,21 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
 
 
 @pytest.mark.parametrize("topology", CONNECTED)
-def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(topology: str) -> None:
-    nodes = 12 if topology == "line" else 49
+@pytest.mark.parametrize(("size", "made"), [(25, 40), pytest.param(100, 80, marks=pytest.mark.soak)])
+def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(size: int, made: int, topology: str) -> None:
+    nodes = 12 if topology == "line" else size
     world = run(
         nodes=nodes,
-        steps=320,
+        steps=4 * made,
         seed=3,
         topology=topology,
         radio={"loss": 0.3, "duplicate": 0.1, "reorder": 0.2},
         radiation={"sources": []},
         store={"capacity_items": 5000},
-        data={"until_step": 80},
+        data={"until_step": made},
     )
     summary = world.statistics.summary()
-    assert summary["created"] == 8 * (nodes - 1)
+    assert summary["created"] == made // 10 * (nodes - 1)
     assert summary["delivered"] == summary["created"], summary
     assert sum(summary["lost"].values()) == 0
     assert summary["frames"]["dropped"] > 0
@@ -206,7 +208,7 @@ def test_data_expire() -> None:
     assert world.statistics.summary()["lost"]["expired"] > 0
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     topology=st.sampled_from([*CONNECTED, "islands"]),
     policy=st.sampled_from(["rass", "rass-literal", "hop-count", "stigmergy"]),

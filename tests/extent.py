@@ -1,0 +1,23 @@
+"""How much a test does: little each time (`make test`), much when there are hours (`make soak`)."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import pytest
+from hypothesis import settings
+
+T = TypeVar("T")
+
+#: Examples of a property that names no number of its own, in the suite and in a soak.
+EXAMPLES, SOAK_EXAMPLES = 50, 2000
+
+
+def extents(short: T, long: T) -> list[pytest.ParameterSet]:
+    """Values for `pytest.mark.parametrize`: the suite takes `short`, a soak `long`."""
+    return [pytest.param(short, id="short"), pytest.param(long, id="long", marks=pytest.mark.soak)]
+
+
+def examples(number: int) -> int:
+    """`max_examples` of a property that the suite tries `number` times; a soak tries it as many times more often."""
+    return number * settings().max_examples // EXAMPLES
