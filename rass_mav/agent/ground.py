@@ -41,6 +41,7 @@ from rass_mav.mavlink.messages import (
     statustext,
 )
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
 
 from . import parameters
 
@@ -67,6 +68,7 @@ class Host(Protocol):
     settings: AgentSettings
     store: Store
     node: Participant
+    telemetry: Telemetry
     vehicle_writer: FrameWriter
     guard: Unguarded
 
@@ -177,7 +179,7 @@ class Ground:
             outbox.answer(*self._listed(i), promises=True)
 
     def _param_error(self, name: str, index: int, error: int, frame: Frame, outbox: Outbox) -> None:
-        if mav.PARAM_ERROR is not None:
+        if mav.PARAM_ERROR is not None and self._arrives(mav.PARAM_ERROR, outbox.way):
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PARAM_ERROR, mav.param_error(name, index, error, **target))
 
@@ -229,6 +231,8 @@ class Ground:
         answers: list[tuple[int, bytes]] = []
         result = mav.UNSUPPORTED
         about = _whole(message.param1)
+        if not self._arrives(about, outbox.way):
+            about = -1
         if message.command == mav.CMD_REQUEST_MESSAGE:
             answers = self._requested(about, _whole(message.param2), now)
         elif message.command == mav.CMD_GET_MESSAGE_INTERVAL and 0 <= about <= 0xFFFF:
@@ -301,8 +305,14 @@ class Ground:
         return min(due, self.texts.due())
 
     def _say(self, message_id: int, payload: bytes) -> None:
-        for outbox in self.outboxes.values():
-            outbox.say(message_id, payload)
+        for way, outbox in self.outboxes.items():
+            if self._arrives(message_id, way):
+                outbox.say(message_id, payload)
+
+    def _arrives(self, message_id: int, way: Way) -> bool:
+        """Whether the ground hears a message that is said on this way: no autopilot on it would drop it."""
+        firmware = self._agent.telemetry.firmware if way is Way.VEHICLE else None
+        return firmware is None or firmware.passes_on(message_id)
 
     def _periodic(self, message_id: int, now: float) -> list[tuple[int, bytes]]:
         if message_id == NAMED_VALUE_FLOAT:

@@ -16,6 +16,7 @@ from typing import Any
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.shortages import Shortages
+from rass_mav.agent.version import VersionQuestion
 from rass_mav.errors import ControlError, StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
@@ -125,6 +126,8 @@ class Runtime:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
                 agent.tell_ground(_CRITICAL, f"RASS: {remark}")
+            if vehicle is not None:
+                agent.services.append(VersionQuestion(agent))
             if vehicle is not None and config.autopilot.messages:
                 agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
             sensor = config.sensor.open(clock.now)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rass_mav.app.config import RunConfig
-from rass_mav.params.names import firmware_name, fitting_file
+from rass_mav.mavlink.firmware import Firmware
+from rass_mav.params.names import fitting_file
 
 from .finding import Finding, failed, passed, warned
 from .watch import Evidence, heartbeats, positions, rate, readings, unfixed
@@ -37,9 +39,7 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
     known = evidence.last["autopilot"]
     if known is None or known["heartbeat_age_s"] > SILENT_S:
         return _not_heard(url, config, evidence)
-    words = [firmware_name(known["type"])]
-    if evidence.ear is not None and any(evidence.ear.version):
-        words[0] += " " + ".".join(map(str, evidence.ear.version))
+    words = [str(_firmware(known, evidence))]
     words += [f"system {known['system_id']}", "armed" if known["armed"] else "disarmed"]
     per_second = rate(heartbeats(evidence.samples))
     if per_second is not None:
@@ -142,11 +142,15 @@ def parameters(config: RunConfig, evidence: Evidence, path: str) -> Finding | No
     known = evidence.last["autopilot"]
     if known is None or known["type"] is None:
         return None
-    file = fitting_file(known["type"], evidence.ear.version if evidence.ear else (0, 0, 0))
+    file = fitting_file(_firmware(known, evidence))
     if file is None:
         return None
     stop = "with the node stopped, " if evidence.running else ""
     return passed("parameters", f"not compared; {stop}rass-mav params check firmware_params/{file} --live {path}")
+
+
+def _firmware(known: Mapping[str, Any], evidence: Evidence) -> Firmware:
+    return Firmware(known["type"], evidence.ear.version if evidence.ear else (0, 0, 0))
 
 
 def _list(numbers: Sequence[int]) -> str:
