@@ -13,6 +13,7 @@ import pytest
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT
 from rass_mav.swarm.autopilot import to_earth
+from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.sitl import guard
 from rass_mav.swarm.sitl.air import FlightPorts
 from rass_mav.swarm.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
@@ -209,6 +210,14 @@ def test_what_cannot_be_flown_is_said_in_one_line(assignment: str, expected: str
         load_flight(FILE, assignments=[assignment])
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_last_of_six_vehicles_is_four_hops_from_the_base() -> None:
+    scenario = load_flight(str(ROOT / "sitl" / "six-copters.yaml"))
+    flown = [scenario.waypoints(n)[0] for n in range(1, 7)]
+    graph = RangeGraph([scenario.places[0], *((x, y) for x, y, _ in flown)], scenario.radio.range_m)
+    # Two lanes, 1 and 3, and 2 and 4: without either of them there is still a way.
+    assert graph.neighbours == [[1, 2], [0, 2, 3], [0, 1, 4], [1, 4, 5], [2, 3, 5], [3, 4, 6], [5]]
 
 
 def test_levels_count_the_height_in() -> None:

@@ -25,6 +25,7 @@ pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (
 
 ROOT = Path(__file__).parents[2]
 THREE = str(ROOT / "sitl" / "three-copters.yaml")
+SIX = str(ROOT / "sitl" / "six-copters.yaml")
 DEADLINE_S = 90.0
 #: With real firmware: until its GPS is believed, the flight, and the rest.
 REAL_DEADLINE_S = 420.0
@@ -114,7 +115,7 @@ def test_the_mock_flies_its_mission_beside_the_autopilots(quick: str, tmp_path: 
     check_delivery(summary)
     flight = summary["sitl"]
     assert (flight["firmware"], flight["wiring"], flight["readings"]) == ("mock", "beside-autopilots", "injected")
-    assert [vehicle["finished"] for vehicle in flight["vehicles"]] == [True, True]
+    assert flight["missions"] == {"finished": [1, 2], "unfinished": [], "not_flown": []}
     # Out of range of the base: over the relay.
     assert summary["hops"]["p95"] == 2
     assert summary["routing"]["max_hop_count"] >= 2
@@ -158,7 +159,7 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     flight = summary["sitl"]
     assert (flight["firmware"], flight["wiring"]) == ("arducopter", "through-autopilots")
     assert summary["hops"]["p95"] == 2
-    assert [vehicle["finished"] for vehicle in flight["vehicles"]] == [True, True]
+    assert flight["missions"] == {"finished": [1, 2], "unfinished": [], "not_flown": []}
     # What the autopilots send by themselves is on the air too, and what nodes say is passed on verbatim.
     frames = FrameReader().feed(tape.read_bytes())
     ours = [frame for frame in frames if frame.message_id == TUNNEL]
@@ -290,8 +291,22 @@ def test_three_arducopters_deliver_readings_through_the_autopilots(tmp_path: Pat
     flight = summary["sitl"]
     assert (flight["firmware"], flight["readings"]) == ("arducopter", "script")
     assert summary["hops"]["p95"] == 2
+    assert flight["missions"] == {"finished": [1, 2, 3], "unfinished": [], "not_flown": []}
     assert all(vehicle["highest_m"] > 10 for vehicle in flight["vehicles"])
     assert flight["vehicles"][0]["farthest_m"] > 60
+
+
+@pytest.mark.skipif(
+    shutil.which("arducopter") is None, reason="no arducopter on PATH (docs/sitl.md says how to get it)"
+)
+def test_five_of_six_arducopters_fly_on_when_an_autopilot_dies() -> None:
+    killed = "failures.kill_autopilots=[[3, 45]]"
+    summary, _ = fly(SIX, "--firmware", "arducopter", "--set", killed, deadline_s=REAL_DEADLINE_S)
+    check_delivery(summary)
+    flight = summary["sitl"]
+    assert flight["missions"] == {"finished": [1, 2, 4, 5, 6], "unfinished": [3], "not_flown": []}
+    assert [vehicle["node_id"] for vehicle in flight["vehicles"] if vehicle["killed_s"] is not None] == [3]
+    assert summary["hops"]["p95"] == 4
 
 
 @pytest.mark.skipif(shutil.which("px4") is None, reason="no px4 on PATH (docs/sitl.md says how to get it)")
