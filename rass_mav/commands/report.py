@@ -57,6 +57,9 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             f"WARNING: node {other['node_id']} speaks version {other['version']} of the wire format, "
             f"heard {other['age_s']:.0f} s ago"
         )
+    for shared in s["shared_system_ids"]:
+        nodes = ", ".join(map(str, shared["node_ids"]))
+        yield f"WARNING: nodes {nodes} share system id {shared['system_id']}, a ground station sees one vehicle"
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 from rass_mav.app.config import RunConfig
 from rass_mav.errors import LinkError, RassError
+from rass_mav.mavlink.firmware import Firmware
 
 #: What `rass-mav status` tells (docs/configuration.md).
 Status: TypeAlias = Mapping[str, Any]
@@ -30,8 +31,8 @@ class Ear:
     """MAV_AUTOPILOT by system id, of all autopilots whose heartbeat was heard."""
     frames: int = 0
     """Frames of whatever kind."""
-    version: tuple[int, int, int] = (0, 0, 0)
-    """Of the node's own autopilot; all 0: not told."""
+    parameters: Mapping[str, float] | None = None
+    """Of the node's own autopilot, by name (`params.ports`), those that it has; None: they were not read."""
 
 
 @dataclass
@@ -50,6 +51,21 @@ class Evidence:
     """The links that are in the samples, by their number in the configuration."""
     ear: Ear | None = None
     """None: a running node does not tell."""
+    blocked: frozenset[str] = frozenset()
+    """Keys of the configuration whose serial port cannot be opened; another check has told why."""
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """Of the node's own autopilot; None: it was never heard."""
+        known = self.last["autopilot"]
+        if known is None or known["type"] is None:
+            return None
+        return Firmware(known["type"], tuple(known["version"] or (0, 0, 0)))
+
+    @property
+    def parameters(self) -> Mapping[str, float] | None:
+        """Of the node's own autopilot; None: they were not read."""
+        return None if self.ear is None else self.ear.parameters
 
     @property
     def last(self) -> Status:

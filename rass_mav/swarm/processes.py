@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import random
+import tempfile
 import time
 import zlib
 from collections.abc import Callable
