@@ -17,10 +17,11 @@ from rass_mav.app.driver import Driver
 from rass_mav.app.sensor_watch import REPORT_S
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore
+from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.sensor.sentences import sentence
 
-from .app_drivers import TIMEOUT_S, run, settings
+from .app_drivers import run, settings
 from .app_nodes import RunningNode, command, free_ports
 
 
@@ -71,7 +72,7 @@ class Driven:
             while self.agent.steps < aim:
                 await asyncio.sleep(0)
 
-        await asyncio.wait_for(look(), TIMEOUT_S)
+        await asyncio.wait_for(look(), PATIENCE_S)
 
     def told(self) -> list[str]:
         told = [record.message for record in self._caplog.records if record.message.startswith("RASS")]
@@ -85,7 +86,7 @@ class Driven:
 
     async def __aexit__(self, *failure: object) -> None:
         self.driver.stop()
-        await asyncio.wait_for(self._task, TIMEOUT_S)
+        await asyncio.wait_for(self._task, PATIENCE_S)
         self._executor.shutdown()
 
 
