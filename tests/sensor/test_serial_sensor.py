@@ -133,11 +133,9 @@ def test_unplugged_in_the_middle_of_a_line_and_plugged_in_again(device: SerialDe
             await watched.until(lambda state: not state.connected)
             assert watched.sensor.receive() == []
             device.plug()
-            returned = time.monotonic()
             await watched.connected(n)
             device.say(line(n))
             assert [reading.value for reading in await watched.readings()] == [float(n)]
-            assert time.monotonic() - returned < 5.0
         state = watched.sensor.state()
         assert (state.connections, state.malformed, state.trouble) == (4, 0, "")
 
