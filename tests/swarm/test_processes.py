@@ -21,8 +21,7 @@ from rass_mav.swarm.children import Children
 from rass_mav.swarm.processes import MAX_NODES, NodeProcess, run
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
-
-PATIENCE_S = 30.0
+from tests.patience import PATIENCE_S
 
 
 def line(*assignments: str) -> Scenario:
