@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from rass_mav.experiment.curves import means
-from rass_mav.experiment.figures import Curve, Panel, Style
+from rass_mav.experiment.curves import mean_curve
+from rass_mav.experiment.figures import Panel, Style
 from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import estimate
@@ -38,15 +38,17 @@ def rows(results: Sequence[Result]) -> list[list[object]]:
 
 
 def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel:
-    """Mean delay against distance, a line a group of runs with its 95 % confidence band."""
+    """Mean delay against distance, a line a group of runs."""
     curves = []
     for style, results in groups:
         hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
-        y, half = means(_delays_at(results, h) for h in hops)
-        if any(math.isfinite(value) for value in y):
-            curves.append(Curve(style.label, hops, y, style.color, style.marker, half if len(results) > 1 else None))
+        runs = [[_delay_at(result, h) for h in hops] for result in results]
+        curve = mean_curve(style.label, style.color, style.marker, hops, runs)
+        if any(map(math.isfinite, curve.y)):
+            curves.append(curve)
     # Bands of distances at which hardly anything was made may be huge: the lines set the scale.
-    highest = max((y for curve in curves for y in curve.y if math.isfinite(y)), default=0.0)
+    lines = [line for curve in curves for line in (curve.y, *curve.singles)]
+    highest = max((y for line in lines for y in line if math.isfinite(y)), default=0.0)
     return Panel(
         title, "distance from the base at creation (hops)", "mean delay of the data that arrived (steps)", curves,
         (0, 1.15 * highest if highest else 1),
@@ -55,5 +57,10 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
 
 def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
     """Mean delay of each run, of its data made so many hops from the base, where any arrived."""
-    distances = [result.distances.get(hops) for result in results]
-    return [d.delay_sum / d.arrived for d in distances if d is not None and d.arrived]
+    return [delay for result in results if not math.isnan(delay := _delay_at(result, hops))]
+
+
+def _delay_at(result: Result, hops: int) -> float:
+    """The same of one run; NaN where none arrived."""
+    found = result.distances.get(hops)
+    return found.delay_sum / found.arrived if found is not None and found.arrived else math.nan

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rass_mav.experiment.curves import by_policy, final_reliability, mean_curve, over_time, reliability
-from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted, estimate
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
@@ -65,14 +65,15 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         write_csv(out / "reliability.csv", SERIES_COLUMNS, series),
         draw(
             out / "reliability.png",
-            [Panel("Reliability over time: five drones", "step", y_label, whole, (0, 1.03))], note=note,
+            [Panel("Reliability over time: five drones", "step", y_label, whole, (0, 1.03), bounds=SHARE)],
+            note=note,
         ),
         draw(
             out / "reliability-by-drone.png",
             [
                 Panel(
                     f"Data from {letter}", "step", y_label,
-                    [_curve(group, node) for group in policies.values()], (0, 1.03),
+                    [_curve(group, node) for group in policies.values()], (0, 1.03), bounds=SHARE,
                 )
                 for node, letter in LETTERS.items()
             ],

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.experiment.figures import Bars, draw_bars, policy_style
+from rass_mav.experiment.figures import SHARE, Bars, draw_bars, policy_style
 from rass_mav.experiment.measures import ATTACK, HEALING
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import Estimate, counted, estimate
@@ -118,8 +118,8 @@ def _draw(path: Path, variant: str, arrived: dict[tuple[str, str, str], Estimate
     for policy in policies:
         style = policy_style(policy)
         found = [arrived[attacker, policy, variant] for attacker in attackers]
-        bars.append(Bars(style.label, style.color, [f.mean for f in found], [f.half_width or 0.0 for f in found]))
+        bars.append(Bars(style.label, style.color, found))
     return draw_bars(
         path, f"Data that arrive beside an attacker: {_TITLES[variant].lower()}", "arrived / created", attackers, bars,
-        note=f"mean of {counted(runs, 'error bars')}",
+        bounds=SHARE, note=f"mean of {counted(runs, 'error bars')}",
     )  # fmt: skip

@@ -98,17 +98,13 @@ def _draw(
                 Bars(
                     style.label if not hatch else "",
                     style.color,
-                    [0.0 if e is None else 100 * e.mean for e in found],
-                    [0.0 if e is None else 100 * (e.half_width or 0.0) for e in found],
+                    [e and e.times(100) for e in found],
                     hatch,
                 )
             )
     names = [TOPOLOGY_TITLES.get(topology, topology) for topology in groups]
-    return draw_bars(path, f"{title} (world paper)", y_label, names, series, note=note)
+    return draw_bars(path, f"{title} (world paper)", y_label, names, series, bounds=(0, 100), note=note)
 
 
 def _percent(value: Estimate | None) -> str:
-    if value is None:
-        return "n/a"
-    half = None if value.half_width is None else 100 * value.half_width
-    return Estimate(100 * value.mean, half, value.runs).text(1)
+    return "n/a" if value is None else value.times(100).text(1)

@@ -18,7 +18,7 @@ from rass_mav.experiment.curves import (
     summary_estimate,
     total_stored,
 )
-from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.published import TABLE_1, Published
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted
@@ -164,7 +164,9 @@ def _reliability(title: str, topology: str, policies: dict[str, list[Result]], p
         if authors is not None:
             style = policy_style(policy)
             curves.append(Curve(f"{style.label}, authors", authors.step, authors.reliability, style.color, line="--"))
-    return Panel(f"Reliability over time: {title}", "step", "reliability (1 - lost / created)", curves, (0, 1.03))
+    return Panel(
+        f"Reliability over time: {title}", "step", "reliability (1 - lost / created)", curves, (0, 1.03), bounds=SHARE
+    )
 
 
 def _stored(title: str, topology: str, policies: dict[str, list[Result]], published: Published) -> Panel:

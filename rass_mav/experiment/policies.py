@@ -15,10 +15,10 @@ from typing import Any
 from rass_mav.errors import ConfigError
 from rass_mav.experiment import distances
 from rass_mav.experiment.comparison import Comparison, compare
-from rass_mav.experiment.figures import LEVEL, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
+from rass_mav.experiment.figures import LEVEL, SHARE, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
 from rass_mav.experiment.runs import Extent, Result, Run
-from rass_mav.experiment.statistics import Estimate, counted
+from rass_mav.experiment.statistics import Estimate, Interval, counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings, kinds
 from rass_mav.swarm.ledger import LOST
@@ -179,7 +179,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
             panels = _delays(_title(world, topology, here), here) if where == topology else []
             if panels:
                 name = f"delay-by-distance-{topology}{'-failures' if world == FAILING else ''}.png"
-                note = f"each point: mean over the means of {_count(results)}"
+                note = f"each point: mean over the means of {_count(results, 'band')}"
                 files.append(draw(out / name, panels, columns=min(2, len(panels)), note=note))
     return files
 
@@ -256,8 +256,8 @@ def _title(world: str, topology: str, here: dict[tuple[str, str], list[Result]])
     return f"{title}, {died} of {summary['nodes'] - summary['bases']} drones die"
 
 
-def _count(results: Sequence[Result]) -> str:
-    return counted(len({result.seed for result in results}), "error bars")
+def _count(results: Sequence[Result], interval: Interval) -> str:
+    return counted(len({result.seed for result in results}), interval)
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
@@ -270,8 +270,8 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
     # Stigmergy keeps a fiftieth of the data: it would squeeze all others into a corner.
     framing = [p for found in points.values() for (policy, _), p in found.items() if policy != "stigmergy"]
     framing = framing or [p for found in points.values() for p in found.values()]
-    widest = max(point.x + point.x_half for point in framing)
-    lowest = min(point.y - point.y_half for point in framing)
+    widest = max(point.x.reach[1] for point in framing)
+    lowest = min(point.y.reach[0] for point in framing)
     panels = []
     for world, runs in here.items():
         ceiling = next(iter(runs.values())).ceiling
@@ -280,7 +280,8 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
                 f"What safety costs: {_title(world, topology, groups[world, topology])}",
                 "data and copies sent per datum created", "reliability (1 - lost / created)",
                 list(points[world].values()), (0.0, 1.08 * widest or 1.0),
-                (max(0.0, math.floor(10 * lowest) / 10), 1.01), None if ceiling is None else ceiling.mean,
+                (max(0.0, math.floor(10 * lowest) / 10), 1.01), SHARE,
+                None if ceiling is None else ceiling.mean,
             )
         )  # fmt: skip
     used = dict.fromkeys(what for runs in here.values() for what in runs)
@@ -290,7 +291,7 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
     keys.append(replace(LEVEL, label="ceiling: an oracle with one copy,\none hop a step"))
     some = next(iter(groups.values()))
     note = (
-        f"mean of {_count(next(iter(some.values())))}; in brackets: points outside of the axes\n"
+        f"mean of {_count(next(iter(some.values())), 'error bars')}; in brackets: points outside of the axes\n"
         "the ceiling bounds one copy with one hop a step; spare copies and immediate forwarding can be above it"
     )
     return draw_scatter(path, panels, keys, note=note)
@@ -299,7 +300,7 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
 def _point(what: tuple[str, str], c: Comparison) -> Point:
     return Point(
         replace(policy_style(what[0]), marker=_look(*what).marker),
-        c.transmissions.mean, c.reliability.mean, c.transmissions.half_width or 0.0, c.reliability.half_width or 0.0,
+        c.transmissions, c.reliability,
     )  # fmt: skip
 
 
