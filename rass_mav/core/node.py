@@ -230,7 +230,7 @@ class Node(Participant):
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:
         if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
-            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has given {given.given}")
+            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has assigned {given.given}")
         if (given.origin, given.epoch) != (self.id, self.store.epoch):
             # The origin itself knows better what it has assigned.
             self.receipts.deny(given)

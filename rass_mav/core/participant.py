@@ -125,7 +125,7 @@ class Participant(ABC):
         if not self._has_room_for_own(len(payload)):
             self.store.count("overflow")
             self.observer.overflow()
-            raise StoreFullError("no room for a new datum")
+            raise StoreFullError("no space for a new datum")
         id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
         datum = make_datum(id, kind, now, payload)
         self.observer.created(datum)

@@ -1,4 +1,4 @@
-"""From the results of runs to curves: means over runs with their confidence bands."""
+"""Curves from the results of runs: means over runs with their confidence bands."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def over_time(
 
 
 def by_policy(results: Iterable[Result]) -> dict[str, list[Result]]:
-    """Results of each policy, in the order in which the policies come."""
+    """Results by policy, in order of first occurrence."""
     groups: dict[str, list[Result]] = {}
     for result in results:
         groups.setdefault(result.policy, []).append(result)

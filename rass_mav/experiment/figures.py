@@ -1,4 +1,4 @@
-"""Figures: lines with confidence bands, and bars. One look for all, the same colour for the same policy everywhere.
+"""Figures: lines with confidence bands, and bars. All look alike, with the same colour for the same policy everywhere.
 
 matplotlib (the extra `sim`) is imported when a figure is drawn, never before, and without its global state.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Style:
-    """How a policy looks: the colours of Okabe and Ito can be told apart by colour-blind people."""
+    """A policy's drawing style: colour-blind people can distinguish the colours of Okabe and Ito."""
 
     label: str
     color: str
@@ -54,7 +54,7 @@ class Curve:
     """A line."""
 
     label: str
-    """In the legend; empty: not there."""
+    """In the legend; empty: not in it."""
     x: Sequence[float]
     y: Sequence[float]
     """NaN leaves a gap."""
@@ -63,7 +63,7 @@ class Curve:
     half: Sequence[float] | None = None
     """Half widths of confidence intervals: a band around the line; NaN: none there."""
     line: str = "-"
-    """- ours, -- the authors'."""
+    """- for ours, -- for the authors'."""
 
 
 @dataclass(frozen=True)
@@ -115,13 +115,13 @@ class Scatter:
     points: Sequence[Point]
     x_range: tuple[float, float]
     y_range: tuple[float, float]
-    """A point outside of the ranges is drawn at their edge, with its place in brackets."""
+    """A point outside the ranges is drawn at their edge, with its place in brackets."""
     level: float | None = None
     """A horizontal line at this y."""
 
 
 def need_matplotlib() -> None:
-    """Raises `ConfigError` if figures cannot be drawn; before hours of runs, not after."""
+    """Raises `ConfigError` if figures cannot be drawn: before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:
         raise ConfigError("figures need matplotlib: pip install 'rass-mav[sim]'")
 
@@ -129,7 +129,7 @@ def need_matplotlib() -> None:
 def draw(
     path: Path, panels: Sequence[Panel], *, columns: int = 1, legend_columns: int | None = None, note: str = ""
 ) -> Path:
-    """Write panels, row by row, as PNG. `note`: small print below. The first panel's legend stands above all."""
+    """Write panels, row by row, as PNG. `note`: small print below. The first panel's legend is above all."""
     rows = -(-len(panels) // columns)
     figure = _figure((6.4 * columns, 4.0 * rows + 0.9))
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -223,8 +223,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
     ours = [curve for curve in panel.curves if curve.line == "-"]
     for curve in panel.curves:
-        # Lines that coincide stay visible: each is thinner than the one below it, its markers stand elsewhere. The
-        # authors' lines lie above ours and are dashed.
+        # Lines that coincide stay visible: each is thinner than the one below it, and its markers are elsewhere. The
+        # authors' lines are above ours and dashed.
         order = ours.index(curve) if curve in ours else len(ours)
         spacing = max(1, len(curve.x) // 9)
         axes.plot(

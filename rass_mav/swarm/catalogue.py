@@ -12,7 +12,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.swarm.scenario import Scenario
 
 _SHIPPED = Path(__file__).parent / "scenarios"
-#: What `swarm` runs when it is told nothing, and with `--transport udp`.
+#: What `swarm` runs without arguments, and with `--transport udp`.
 DEFAULT = "demo"
 DEFAULT_UDP = "udp-line"
 
@@ -47,7 +47,7 @@ def load_scenario(name: str, options: dict[str, Any] | None = None, assignments:
 
 
 def check_nodes(scenario: Scenario, path: Path) -> None:
-    """Raise `ConfigError` for settings that make no node. `path`: of the scenario."""
+    """Raise `ConfigError` for settings that are not valid for a node. `path`: of the scenario."""
     with under(path.name):
         settings = scenario.agent_settings(0)
         settings.node_settings()
@@ -57,7 +57,7 @@ def check_nodes(scenario: Scenario, path: Path) -> None:
 def overridden(
     path: Path, options: dict[str, Any], assignments: Sequence[str], variant: dict[str, dict[str, Any]] | None = None
 ) -> dict[str, Any]:
-    """The keys of a file, then of the variant, then `options` and `assignments`: each goes before those before it."""
+    """The keys of a file, then of the variant, then `options` and `assignments`: each overrides the ones before."""
     raw = read_yaml(path)
     for section, keys in (variant or {}).items():
         raw.setdefault(section, {}).update(keys)

@@ -171,7 +171,7 @@ class Receipts(NoReceipts):
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
         if not (self._news.keys() | self._round.keys()) <= self.statements.of.keys():
-            return "something is to be said that is not known"
+            return "an unknown statement is due to be sent"
         return self.statements.disagreement()
 
     # -- learning ------------------------------------------------------------------------------------------------------
