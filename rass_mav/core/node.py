@@ -154,7 +154,7 @@ class Node(Participant):
         routing = self.routing
         self.transfers.lifetime_s = routing.lifetime_s * (routing.turn_s / routing.step_s)
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""

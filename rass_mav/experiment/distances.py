@@ -54,6 +54,6 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
 
 
 def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
-    """Mean delay of each run, of its data created so many hops from the base, where any arrived."""
+    """Mean delay of each run, of its data created at this distance from the base, where any arrived."""
     distances = [result.distances.get(hops) for result in results]
     return [d.delay_sum / d.arrived for d in distances if d is not None and d.arrived]

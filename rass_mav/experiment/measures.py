@@ -14,11 +14,11 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.experiment.oracle import Ceiling
 from rass_mav.swarm.world import World
 
-#: Time series contain every so many steps, and the last one; so do the authors' curves.
+#: Steps between two samples of a time series, which also has the last step; the authors' curves are the same.
 EVERY = 5
 #: Attackers are present from this step until that one.
 ATTACK = (50, 150)
-#: Late data that arrive within so many steps after the attackers have left have healed.
+#: Late data have healed if they arrive within this many steps after the attackers have left.
 HEALING = 200
 #: Distance of a datum that was created out of every base's reach.
 OUT_OF_REACH = -1

@@ -31,7 +31,7 @@ from .repairs import Repairs
 from .repairs import apply as repair
 from .report import OpenReport
 
-#: So many removals wait for other changes before `take` returns them alone.
+#: Removals that wait for other changes until `take` returns them alone.
 MAX_WAITING_REMOVALS = 512
 #: Bytes (payload and `ROW_OVERHEAD`) that may wait in memory for the next commit. The limit is reached when the disk
 #: fails or does not keep up; then `put` refuses. A batch that is being written is not counted, so twice as much may
@@ -327,7 +327,7 @@ class SqliteStore:
         """Whether rows on disk do not show yet that they are older. Call it before reading them."""
         return self._changes.aged or self._in_flight().aged
 
-    # -- what is stored ------------------------------------------------------------------------------------------------
+    # -- stored data ---------------------------------------------------------------------------------------------------
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
@@ -485,7 +485,7 @@ class SqliteStore:
             raise RuntimeError("not the batch that was taken last")
         return out
 
-    # -- the end -------------------------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Write buffered changes and release the files, also if writing fails. Waits for a write in flight."""

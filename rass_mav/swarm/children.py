@@ -17,7 +17,7 @@ from rass_mav.errors import SwarmError
 
 #: How long a process may take to end after SIGTERM, seconds.
 STOP_S = 20.0
-# A process that has closed its pipes gets so long to end, seconds.
+# The time that a process which has closed its pipes gets to end, seconds.
 _LAST_BREATH_S = 2.0
 # How much of a dead child's stderr is reported: characters, and lines.
 _TAIL_CHARACTERS = 4000

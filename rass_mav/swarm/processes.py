@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 #: More processes than this test nothing but the machine.
 MAX_NODES = 64
-#: After the scenario's steps, data in transit get at least so long to arrive, seconds.
+#: The time that data in transit get to arrive after the scenario's steps, seconds, at least.
 DRAIN_S = 10.0
 # Further steps for each node: with loss, a hop takes more than one.
 _DRAIN_STEPS_A_NODE = 5

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rass_mav.swarm.scenario import RadioSection
 
-#: At most so many others overtake a frame; if fewer are in transit, it waits for the next step.
+#: The most frames that overtake another; if fewer are in transit, it waits for the next step.
 _OVERTAKEN_BY = 16
 
 #: Called with each frame put on the air, and its step.
 Record = Callable[[bytes, int], None]
-# So many bytes of frames are digested together: one call for each frame would cost more than its bytes.
+# Bytes of frames that are digested together: one call for each frame would cost more than its bytes.
 _DIGEST_BYTES = 1 << 14
 
 #: A frame, preceded by the nodes that hear it, each as often as it does.

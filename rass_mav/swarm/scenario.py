@@ -139,7 +139,8 @@ class FailureSection(Section):
     """Failures besides radiation. All except `kill_every_s` are for virtual time; see docs/simulation.md."""
 
     kill_every_s: Positive | None = None
-    """With the udp transport: every so many seconds a drone is killed with SIGKILL and started again; null: none."""
+    """With the udp transport: seconds between two kills, in each of which SIGKILL ends a drone that is started again;
+    null: none."""
     die_fraction: Fraction = 0.0
     """This part of the drones, rounded to the nearest number, dies for good, each at a step uniform over the run."""
     die_rate: Fraction = 0.0

@@ -150,8 +150,8 @@ class VirtualSwarm(ABC):
             except StoreError as error:
                 self._fail(node_id, error)
         if self.hostile is not None:
-            for liar, frame in self.hostile.turn(t, now):
-                self.radio.send(liar, frame, t)
+            for attacker, frame in self.hostile.turn(t, now):
+                self.radio.send(attacker, frame, t)
         if self._at_once:
             self._deliver(t, now)
         self.loops += count_loops(
@@ -192,10 +192,10 @@ class VirtualSwarm(ABC):
             if outgoing.way is Way.NEIGHBOURS:
                 send(node_id, outgoing.frame, t)
                 if self.hostile is not None:
-                    for liar, frame in self.hostile.overhear(
+                    for attacker, frame in self.hostile.overhear(
                         node_id, outgoing.frame, self.neighbours, t, t * self.step_s
                     ):
-                        send(liar, frame, t)
+                        send(attacker, frame, t)
 
     def _make_store(self, settings: AgentSettings, rng: random.Random) -> MemoryStore:
         """An empty store, with an epoch of its own."""

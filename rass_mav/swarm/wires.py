@@ -77,7 +77,7 @@ class Wires:
         self._selector.register(file, selectors.EVENT_READ, ready)
 
     def poll(self, timeout_s: float) -> None:
-        """Handle what has arrived; wait for it at most so long."""
+        """Handle what has arrived; wait for it for at most `timeout_s` seconds."""
         for key, _ in self._selector.select(max(timeout_s, 0.0)):
             key.data()
 

@@ -190,7 +190,7 @@ class Holdings:
         """The record of a datum; None: no copy is here."""
         return self._all.get(id)
 
-    # -- room ----------------------------------------------------------------------------------------------------------
+    # -- capacity ------------------------------------------------------------------------------------------------------
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""

@@ -108,7 +108,7 @@ class Statements:
         self.gone: list[Identity] = []
         """Statements forgotten since this list was last cleared."""
 
-    # -- what is known -------------------------------------------------------------------------------------------------
+    # -- knowledge -----------------------------------------------------------------------------------------------------
 
     def sum(self, pair: Pair) -> Sum:
         """What all bases together state about an origin and epoch; sound."""
@@ -173,7 +173,7 @@ class Statements:
             return "a sum is not sound"
         return "too many statements" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
 
-    # -- taking in -----------------------------------------------------------------------------------------------------
+    # -- adding statements ---------------------------------------------------------------------------------------------
 
     def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
         """Add a sound statement that is not kept. Returns the pairs about which something new is known; whether it is
@@ -273,13 +273,13 @@ class Statements:
         self.digest ^= mark(identity)
         self.gone.append(identity)
 
-    # -- what origins deny ---------------------------------------------------------------------------------------------
+    # -- denials -------------------------------------------------------------------------------------------------------
 
     def deny(self, given: Given, since: int = 0) -> bool:
         """An origin states how many numbers it has assigned: entries that name others are dead. Returns whether there
         are any.
 
-        `since`: so many more it may have assigned since then.
+        `since`: how many more it may have assigned since then.
         """
         pair = (given.origin, given.epoch)
         false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given + since]

@@ -81,7 +81,7 @@ class Disk:
         return self._off
 
     def cut(self, *, after: int = 0) -> None:
-        """Cut the power after so many further writes, truncations, deletions and syncs. 0: now."""
+        """Cut the power after `after` further writes, truncations, deletions and syncs. 0: now."""
         self._off = after == 0
         self._changes_left = after
 

@@ -96,7 +96,7 @@ class Computer:
             self._flipped = True
 
     def commit(self, gate: CommitGate, t: int, steps: int) -> Sequence[Outgoing]:
-        """Begin or end a commit that takes so many steps. Returns what may leave now.
+        """Begin or end a commit that takes `steps` steps. Returns what may leave now.
 
         Raises `StoreError` if the power goes, or the store is damaged; a write that just fails is tried again.
         """
