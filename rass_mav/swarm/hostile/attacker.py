@@ -42,7 +42,7 @@ class Attacker:
         """Once a step, after the turns of the honest nodes. Returns what it sends."""
         return ()
 
-    # -- what they know to do ------------------------------------------------------------------------------------------
+    # -- common actions ------------------------------------------------------------------------------------------------
 
     def base(self) -> Beacon | None:
         """A base's beacon, or that of a node with a route to one; None: none was overheard."""
