@@ -1,4 +1,4 @@
-"""From the results of runs to curves: means over runs, and how sure they are."""
+"""Curves from the results of runs: means over runs, and how certain they are."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def over_time(
 
 
 def by_policy(results: Iterable[Result]) -> dict[str, list[Result]]:
-    """Results of each policy, in the order in which the policies come."""
+    """Results by policy, in order of first occurrence."""
     groups: dict[str, list[Result]] = {}
     for result in results:
         groups.setdefault(result.policy, []).append(result)

@@ -1,4 +1,4 @@
-"""Delay by the distance at which data were made: policies that lose far data look faster in a mean over all."""
+"""Delay by the distance at which data were created: in a mean over all, policies that lose distant data look faster."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import estimate
 from rass_mav.experiment.tables import figures_of
 
-#: Columns of delay-by-distance.csv behind those that say which runs a row is about.
+#: Columns of delay-by-distance.csv after those that identify a row's runs.
 COLUMNS = (
     "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", "delay_of_runs_mean",
     "delay_of_runs_ci95",
@@ -20,7 +20,7 @@ COLUMNS = (
 
 
 def rows(results: Sequence[Result]) -> list[list[object]]:
-    """`COLUMNS`, a row a distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
+    """`COLUMNS`, a row for each distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
     found: list[list[object]] = []
     for hops in sorted({hops for result in results for hops in result.distances}):
         here = [result.distances[hops] for result in results if hops in result.distances]
@@ -46,7 +46,7 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
         curve = mean_curve(style.label, style.color, style.marker, hops, runs)
         if any(map(math.isfinite, curve.y)):
             curves.append(curve)
-    # Bands of distances at which hardly anything was made may be huge: the lines set the scale.
+    # Bands of distances at which hardly any data were created may be huge: the lines set the scale.
     lines = [line for curve in curves for line in (curve.y, *curve.singles)]
     highest = max((y for line in lines for y in line if math.isfinite(y)), default=0.0)
     return Panel(
@@ -56,7 +56,7 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
 
 
 def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
-    """Mean delay of each run, of its data made so many hops from the base, where any arrived."""
+    """Mean delay of each run, of its data created at this distance from the base, where any arrived."""
     return [delay for result in results if not math.isnan(delay := _delay_at(result, hops))]
 
 

@@ -1,4 +1,4 @@
-"""Figures: lines with confidence bands or single runs, bars and points. One look for all, and a colour for each policy.
+"""Figures: lines with confidence bands or single runs, bars and points. All look alike, with the same colour for the same policy everywhere.
 
 matplotlib (the extra `sim`) is imported when a figure is drawn, never before, and without its global state.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Style:
-    """How a policy looks: the colours of Okabe and Ito can be told apart by colour-blind people."""
+    """A policy's drawing style: colour-blind people can distinguish the colours of Okabe and Ito."""
 
     label: str
     color: str
@@ -59,7 +59,7 @@ class Curve:
     """A line."""
 
     label: str
-    """In the legend; empty: not there."""
+    """In the legend; empty: not in it."""
     x: Sequence[float]
     y: Sequence[float]
     """NaN leaves a gap."""
@@ -70,7 +70,7 @@ class Curve:
     singles: Sequence[Sequence[float]] = ()
     """The runs of which the line is the mean, where they are too few for a band: thin lines."""
     line: str = "-"
-    """- ours, -- the authors'."""
+    """- for ours, -- for the authors'."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Scatter:
     points: Sequence[Point]
     x_range: tuple[float, float]
     y_range: tuple[float, float]
-    """A point outside of the ranges is drawn at their edge, with its place in brackets."""
+    """A point outside the ranges is drawn at their edge, with its place in brackets."""
     bounds: tuple[float, float]
     """What y can be: error bars are cut there. x can be anything from 0 on."""
     level: float | None = None
@@ -129,7 +129,7 @@ class Scatter:
 
 
 def need_matplotlib() -> None:
-    """Raises `ConfigError` if figures cannot be drawn; before hours of runs, not after."""
+    """Raises `ConfigError` if figures cannot be drawn: before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:
         raise ConfigError("figures need matplotlib: pip install 'rass-mav[sim]'")
 
@@ -137,7 +137,7 @@ def need_matplotlib() -> None:
 def draw(
     path: Path, panels: Sequence[Panel], *, columns: int = 1, legend_columns: int | None = None, note: str = ""
 ) -> Path:
-    """Write panels, row by row, as PNG. `note`: small print below. The first panel's legend stands above all.
+    """Write panels, row by row, as PNG. `note`: small print below. The first panel's legend is above all.
 
     Panels of the same quantities in one row have the same scale.
     """
@@ -272,8 +272,8 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
     ours = [curve for curve in panel.curves if curve.line == "-"]
     for curve in panel.curves:
-        # Lines that coincide stay visible: each is thinner than the one below it, and its markers stand elsewhere, or
-        # where there is no elsewhere are smaller and edged. The authors' lines lie above ours and are dashed.
+        # Lines that coincide stay visible: each is thinner than the one below it, and its markers are elsewhere, or
+        # where that is impossible, smaller and edged. The authors' lines are above ours and dashed.
         order = ours.index(curve) if curve in ours else len(ours)
         spacing = max(1, len(curve.x) // 9)
         axes.plot(

@@ -1,4 +1,4 @@
-"""The paper's physical experiment, simulated: four drones, two ways to the base, one of them past a source."""
+"""The paper's physical experiment, simulated: four drones, two routes to the base, one of them past a source."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def plan(extent: Extent, policies: Sequence[str]) -> list[Run]:
 
 
 def of_origin(result: Result, node: int) -> list[float]:
-    """Reliability over time of the data that one drone made; 1 while it has made none."""
+    """Reliability over time of the data that one drone created; 1 while it has created none."""
     origins = result.extra["origins"]
     pairs = zip(origins["created"][str(node)], origins["lost"][str(node)], strict=True)
     return [1 - lost / created if created else 1.0 for created, lost in pairs]
@@ -51,7 +51,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     text = (
         "# Five drones: reliability\n\n"
         f"Mean of {runs} runs of {steps} steps ± half of the 95 % confidence interval (Student's t).\n"
-        "The source stands beside A; C's data go past it, or round by D and B.\n\n"
+        "The source is beside A; C's data go past it, or round it by D and B.\n\n"
         + markdown(["Algorithm", "all data", *names], lines)
         + _gaps(policies)
     )

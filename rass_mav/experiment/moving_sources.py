@@ -1,4 +1,5 @@
-"""What becomes of data when the sources of radiation move: fitness is a step old, and a safe place does not stay so."""
+"""What becomes of data when the sources of radiation move: fitness is a step old, and a safe place does not stay
+safe."""
 
 from __future__ import annotations
 

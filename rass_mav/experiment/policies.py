@@ -1,4 +1,4 @@
-"""All policies beside each other, with spare copies and immediate forwarding and without: what safety costs.
+"""Comparison of all policies, with and without spare copies and immediate forwarding: what safety costs.
 
 All run in the world `paper` with the same seeds: the same places, motion, sources, noise and failures. So they are
 compared run by run. The ceiling is what an oracle would keep with one copy (`oracle`).
@@ -34,7 +34,7 @@ class Place:
     title: str
     scenario: str
     keys: dict[str, Any] = field(default_factory=dict)
-    """What differs from the scenario."""
+    """Differences from the scenario."""
 
 
 #: By the name that `--topology` takes.
@@ -50,7 +50,7 @@ PLACES = {
 
 @dataclass(frozen=True)
 class Look:
-    """How a variant is called and drawn."""
+    """The name and the drawing style of a variant."""
 
     title: str
     marker: str
@@ -58,11 +58,11 @@ class Look:
 
 @dataclass(frozen=True)
 class Variant:
-    """How data are kept and passed on, whatever the policy."""
+    """How data are kept and handed over, whatever the policy."""
 
     look: Look
     keys: dict[str, Any] = field(default_factory=dict)
-    """What differs from the scenarios, which have one copy, one hop a step and no receipts."""
+    """Differences from the scenarios, which have one copy, one hop a step and no receipts."""
     policies: tuple[str, ...] = _HAND_ON
     """Which policies have it."""
 
@@ -90,12 +90,12 @@ VARIANTS = {
         },
     ),
 }  # fmt: skip
-#: Stigmergy has no variants: what is new is broadcast once, and kept by all who have room.
+#: Stigmergy has no variants: new data are broadcast once, and kept by all nodes with space.
 EVERYWHERE = Look("copies everywhere", "X")
 
 #: Policy and variant that the others are compared with.
 REFERENCE = ("rass", "plain")
-#: What `Run.world` says of runs without and with failures.
+#: `Run.world` of runs without and with failures.
 WORLD, FAILING = "paper", "paper-failures"
 
 _REASONS = tuple(fate.value for fate in LOST)
@@ -110,7 +110,7 @@ DISTANCE_COLUMNS = ("world", "topology", "policy", "variant", *distances.COLUMNS
 
 #: The runs of each world and topology, by policy and variant.
 Groups = dict[tuple[str, str], dict[tuple[str, str], list[Result]]]
-#: What is told of them.
+#: The figures reported for them.
 Compared = dict[tuple[str, str], dict[tuple[str, str], Comparison]]
 
 
@@ -122,7 +122,7 @@ def plan(
     *,
     die_fraction: float | None = None,
 ) -> list[Run]:
-    """The runs of each combination; with `die_fraction` (0..1) all of them once more, failing.
+    """The runs of each combination; with `die_fraction` (0..1) all of them once more, with failures.
 
     Raises `ConfigError`.
     """
@@ -206,7 +206,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _text(groups: Groups, compared: Compared) -> str:
-    """A table a topology and world."""
+    """A table for each topology and world."""
     some = next(iter(groups.values()))
     first = next(iter(some.values()))
     reference = f"{policy_style(REFERENCE[0]).label}, {_look(*REFERENCE).title}"
@@ -243,7 +243,7 @@ def _cells(policy: str, variant: str, c: Comparison) -> list[str]:
 
 
 def _delay(policy: str, c: Comparison) -> Estimate | None:
-    # Stigmergy knows no base: its delays would be those of copies that happen to come there.
+    # Stigmergy knows no base: its delays would be those of copies that happen to reach one.
     return None if policy == "stigmergy" else c.delay
 
 
@@ -264,7 +264,7 @@ def _count(results: Sequence[Result], interval: Interval) -> str:
 
 
 def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -> Path:
-    """Reliability against what is sent for it: a panel a world."""
+    """Reliability against data sent: a panel a world."""
     here = {world: runs for (world, where), runs in compared.items() if where == topology}
     points = {world: {what: _point(what, c) for what, c in runs.items()} for world, runs in here.items()}
     # Stigmergy keeps a fiftieth of the data: it would squeeze all others into a corner.
@@ -291,7 +291,7 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
     keys.append(replace(LEVEL, label="ceiling: an oracle with one copy,\none hop a step"))
     some = next(iter(groups.values()))
     note = (
-        f"mean of {_count(next(iter(some.values())), 'error bars')}; in brackets: points outside of the axes\n"
+        f"mean of {_count(next(iter(some.values())), 'error bars')}; in brackets: points outside the axes\n"
         "the ceiling bounds one copy with one hop a step; spare copies and immediate forwarding can be above it"
     )
     return draw_scatter(path, panels, keys, note=note)

@@ -1,4 +1,4 @@
-"""Means over runs and how sure they are."""
+"""Means over runs and their confidence."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ class Estimate(NamedTuple):
 def estimate(values: Sequence[float], confidence: float = 0.95) -> Estimate | None:
     """Mean and its two-sided confidence interval by Student's t. None without values.
 
-    The half width is t s / sqrt(n): s the sample's standard deviation, t the quantile for n - 1 degrees of freedom.
-    It says how sure the mean is, not how far single runs scatter.
+    The half width is t s / sqrt(n): s is the sample's standard deviation, t the quantile for n - 1 degrees of freedom.
+    It shows how sure the mean is, not how far single runs scatter.
     """
     n = len(values)
     if not n:
@@ -72,7 +72,7 @@ def estimate(values: Sequence[float], confidence: float = 0.95) -> Estimate | No
 
 
 def counted(runs: int, interval: Interval | None = None) -> str:
-    """So many runs, in words. `interval`: how a figure shows the confidence interval of several runs."""
+    """The number of runs, in words. `interval`: how a figure shows the confidence interval of several runs."""
     if runs == 1:
         return "1 run"
     if interval is None:

@@ -222,7 +222,7 @@ def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -
     with pytest.raises(ConfigError, match=f"^nodes: expected at most {MAX_NODES} with transport udp, got 65$"):
         run(line("nodes=65"))
     (tmp_path / "mine").touch()
-    with pytest.raises(ConfigError, match="expected a new or an empty directory"):
+    with pytest.raises(ConfigError, match="expected a new or empty directory"):
         run(line(), keep=tmp_path)
     with pytest.raises(ConfigError, match=r"^radiation\.drift: expected"):
         run(line("radiation.drift=1e9"))
