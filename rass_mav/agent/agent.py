@@ -280,13 +280,10 @@ class Agent:
             message = self.peers.understood(frame, now)
             if message is None or self.guard.shuts_out(message, now):
                 return ()
-            if (
-                may_be_neighbour is not None
-                and type(message) is Beacon
-                and message.sender != self.settings.node_id
-                and not may_be_neighbour(message.sender)
-            ):
-                return ()
+            if type(message) is Beacon and message.sender != self.settings.node_id:
+                if may_be_neighbour is not None and not may_be_neighbour(message.sender):
+                    return ()
+                self.peers.beacon_from(message.sender, frame.system_id)
             return self._answers(message, now)
 
         return self.guard.take(frame, now, hear) or ()

@@ -1,7 +1,8 @@
 """The conversation with ground stations: parameters, commands, texts, values (docs/ground-station.md).
 
-Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, and messages/common.html. Requests to
-other components of the vehicle are ignored. A command to all components is answered only if it is known here.
+Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, ftp.html, and messages/common.html.
+Requests to other components of the vehicle are ignored. A command to all components is answered only if it is known
+here.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from rass_mav.mavlink.messages import (
     statustext,
 )
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
 
 from . import parameters
 
@@ -67,6 +69,7 @@ class Host(Protocol):
     settings: AgentSettings
     store: Store
     node: Participant
+    telemetry: Telemetry
     vehicle_writer: FrameWriter
     guard: Unguarded
 
@@ -166,7 +169,8 @@ class Ground:
         except ConfigError as error:
             self.refused += 1
             log.warning("parameter from the ground refused: %s", error)
-            self.texts.add(_WARNING, str(error))
+            for mistake in error.mistakes:
+                self.texts.add(_WARNING, mistake)
             self._param_error(message.param_id, -1, _reason(index, error), frame, outbox)
             outbox.answer(*self._listed(index))
             return
@@ -176,7 +180,7 @@ class Ground:
             outbox.answer(*self._listed(i), promises=True)
 
     def _param_error(self, name: str, index: int, error: int, frame: Frame, outbox: Outbox) -> None:
-        if mav.PARAM_ERROR is not None:
+        if mav.PARAM_ERROR is not None and self._arrives(mav.PARAM_ERROR, outbox.way):
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PARAM_ERROR, mav.param_error(name, index, error, **target))
 
@@ -224,10 +228,23 @@ class Ground:
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PING, mav.ping(message.time_usec, message.seq, **target))
 
+    def _on_file_transfer(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        # A ground station that hears nothing would ask again for seconds before it tries another way. What is for all
+        # components is for the autopilot, which has files.
+        own = self._agent.vehicle_writer
+        if (message.target_system, message.target_component) != (own.system_id, own.component_id):
+            return
+        target = {"target_system": frame.system_id, "target_component": frame.component_id}
+        refusal = mav.file_transfer_refusal(bytes(message.payload), **target)
+        if refusal is not None:
+            outbox.answer(mav.FILE_TRANSFER_PROTOCOL, refusal)
+
     def _on_command(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
         answers: list[tuple[int, bytes]] = []
         result = mav.UNSUPPORTED
         about = _whole(message.param1)
+        if not self._arrives(about, outbox.way):
+            about = -1
         if message.command == mav.CMD_REQUEST_MESSAGE:
             answers = self._requested(about, _whole(message.param2), now)
         elif message.command == mav.CMD_GET_MESSAGE_INTERVAL and 0 <= about <= 0xFFFF:
@@ -300,8 +317,14 @@ class Ground:
         return min(due, self.texts.due())
 
     def _say(self, message_id: int, payload: bytes) -> None:
-        for outbox in self.outboxes.values():
-            outbox.say(message_id, payload)
+        for way, outbox in self.outboxes.items():
+            if self._arrives(message_id, way):
+                outbox.say(message_id, payload)
+
+    def _arrives(self, message_id: int, way: Way) -> bool:
+        """Whether the ground hears a message that is said on this way: no autopilot on it would drop it."""
+        firmware = self._agent.telemetry.firmware if way is Way.VEHICLE else None
+        return firmware is None or firmware.passes_on(message_id)
 
     def _periodic(self, message_id: int, now: float) -> list[tuple[int, bytes]]:
         if message_id == NAMED_VALUE_FLOAT:
@@ -347,6 +370,7 @@ _HANDLERS: dict[int, _Handler] = {
     mav.PARAM_REQUEST_READ: Ground._on_param_read,
     mav.PARAM_SET: Ground._on_param_set,
     mav.PING: Ground._on_ping,
+    mav.FILE_TRANSFER_PROTOCOL: Ground._on_file_transfer,
     COMMAND_LONG: Ground._on_command,
     mav.COMMAND_INT: Ground._on_command,
 }

@@ -23,6 +23,8 @@ log = logging.getLogger(__name__)
 
 #: How many nodes with another version are remembered.
 MAX_OTHERS = 16
+#: How many nodes' system ids are remembered.
+MAX_SPEAKERS = 256
 
 #: A TUNNEL message: target system and component, payload type, payload, and the target node id in the payload.
 Opened: TypeAlias = tuple[int, int, int, bytes, int]
@@ -49,7 +51,8 @@ class Peers:
     """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "writer"
+        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "system_ids",
+        "writer",
     )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int) -> None:
@@ -66,6 +69,8 @@ class Peers:
         """TUNNEL payloads of another version, type or purpose."""
         self.other_versions: dict[int, OtherVersion] = {}
         """By node id, the longest silent first. Use it only to inform people: any sender can forge it."""
+        self.system_ids: dict[int, int] = {}
+        """System id of each node's last beacon, by node id, the longest silent first. Use it only to inform people."""
 
     def tunnels(self, data: bytes) -> list[Frame]:
         """The frames with TUNNEL messages in a datagram of whole frames."""
@@ -98,6 +103,14 @@ class Peers:
         except MalformedError as error:
             self._count(error, now)
             return None
+
+    def beacon_from(self, node_id: int, system_id: int) -> None:
+        """A neighbour sent a beacon under this system id."""
+        known = self.system_ids
+        known.pop(node_id, None)
+        known[node_id] = system_id
+        if len(known) > MAX_SPEAKERS:
+            del known[next(iter(known))]
 
     def _count(self, error: MalformedError, now: float) -> None:
         if isinstance(error, ForeignError):

@@ -16,6 +16,7 @@ from typing import Any
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.shortages import Shortages
+from rass_mav.agent.version import VersionQuestion
 from rass_mav.errors import ControlError, StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
@@ -115,6 +116,8 @@ class Runtime:
             for section in config.links:
                 links.append(section.open(vehicle))
                 stack.callback(links[-1].close)
+            for warning in config.warnings():
+                log.warning("%s", warning)
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
@@ -123,6 +126,8 @@ class Runtime:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
                 agent.tell_ground(_CRITICAL, f"RASS: {remark}")
+            if vehicle is not None:
+                agent.services.append(VersionQuestion(agent))
             if vehicle is not None and config.autopilot.messages:
                 agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
             sensor = config.sensor.open(clock.now)
@@ -144,18 +149,7 @@ class Runtime:
             self._driver = driver
             if self._stopped:
                 driver.stop()
-            log.info("node %d (%s) runs, store %s", settings.node_id, config.node.role, config.store_path)
-            self._notifier.ready(f"node {settings.node_id} ({config.node.role})")
-            if self._narrate is not None:
-                self._narrate(_introduction(config, vehicle, links))
-            if self._ready is not None:
-                about = {
-                    "node_id": settings.node_id,
-                    "role": config.node.role,
-                    "life": f"{store.life:08x}",
-                    "epoch": f"{store.epoch:08x}",
-                }
-                self._ready({**about, "socket": str(config.socket_path)})
+            self._announce(store, vehicle, links)
             try:
                 try:
                     await driver.run()
@@ -169,6 +163,17 @@ class Runtime:
                 store.close()
                 raise
             store.close()
+
+    def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
+        config = self._config
+        node_id, role = config.agent_settings().node_id, config.node.role
+        log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)
+        self._notifier.ready(f"node {node_id} ({role})")
+        if self._narrate is not None:
+            self._narrate(_introduction(config, vehicle, links))
+        if self._ready is not None:
+            about = {"node_id": node_id, "role": role, "life": f"{store.life:08x}", "epoch": f"{store.epoch:08x}"}
+            self._ready({**about, "socket": str(config.socket_path)})
 
     def _watch(self, agent: Agent, vehicle: VehiclePort | None, sensor: Sensor | None, now: float) -> None:
         """Let people hear what changes: at the ground, and on the terminal."""

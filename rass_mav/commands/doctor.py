@@ -24,6 +24,7 @@ def _doctor(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "critical")
     report = check_up(options.config)
     lines = [clean(finding.line()) for finding in report.findings]
-    lines.append(f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed")
+    counts = f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed"
+    lines.append(f"{counts}, {skipped} not checked" if (skipped := report.count("skip")) else counts)
     answer(options, report.plain(), lines)
     return 1 if report.count("fail") else 0

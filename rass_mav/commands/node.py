@@ -116,8 +116,11 @@ def _check(options: argparse.Namespace) -> int:
     from rass_mav.config.loading import dump_yaml, to_plain
 
     config = _config(options)
+    warnings = config.warnings()
+    for warning in warnings:
+        sys.stderr.write(f"{options.config}: warning: {warning}\n")
     if options.json:
-        print_json({"ok": True, "config": to_plain(filled_in(config))})
+        print_json({"ok": True, "config": to_plain(filled_in(config)), "warnings": warnings})
     elif options.show:
         sys.stdout.write(dump_yaml(filled_in(config)))
     else:

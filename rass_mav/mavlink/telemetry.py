@@ -12,12 +12,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, MalformedError
 
+from .component import AUTOPILOT_VERSION
 from .dialect import common
+from .firmware import Firmware
 from .frames import Frame
 from .identity import AUTOPILOT_COMPONENT
 from .messages import GLOBAL_POSITION_INT, HEARTBEAT, HOME_POSITION, LOCAL_POSITION_NED, NAME_SIZE, NAMED_VALUE_FLOAT
+from .vehicle_parameters import AutopilotVersion, read_version
 
 _global_position = common.MAVLink_global_position_int_message.unpacker
 _named_value = common.MAVLink_named_value_float_message.unpacker
@@ -94,6 +97,10 @@ class Telemetry:
         """When the last heartbeat was received."""
         self.autopilot: int | None = None
         """MAV_AUTOPILOT of its heartbeat."""
+        self.version: AutopilotVersion | None = None
+        """What its AUTOPILOT_VERSION said; None: it was not heard."""
+        self.signed = False
+        """The last heartbeat was signed."""
         self.no_fix_at: float | None = None
         """When the last position without a fix was received."""
         self.armed = False
@@ -114,7 +121,7 @@ class Telemetry:
         :returns: True if it came from our autopilot and changed the state. False otherwise, also for rejected values
             and for a position without a fix.
         """
-        message_id, _, system_id, component_id, payload, _ = frame
+        message_id, _, system_id, component_id, payload, signed = frame
         if system_id != self.system_id or component_id != self.component_id or not system_id:
             if message_id == NAMED_VALUE_FLOAT:
                 if self.system_id and self._is_reading(payload[8:18]):
@@ -122,17 +129,19 @@ class Telemetry:
                 return False
             if self.system_id or not system_id or component_id != self.component_id or message_id != HEARTBEAT:
                 return False
-            return self._on_heartbeat(payload, now, latch=system_id)
+            return self._on_heartbeat(payload, now, signed, latch=system_id)
         if message_id == NAMED_VALUE_FLOAT:
             return self._on_named_value(payload, now)
         if message_id == GLOBAL_POSITION_INT:
             return self._on_global_position(payload, now)
         if message_id == HEARTBEAT:
-            return self._on_heartbeat(payload, now)
+            return self._on_heartbeat(payload, now, signed)
         if message_id == LOCAL_POSITION_NED:
             return self._on_local_position(payload, now)
         if message_id == HOME_POSITION:
             return self._on_home_position(payload, now)
+        if message_id == AUTOPILOT_VERSION:
+            return self._on_version(frame)
         return False
 
     def _is_reading(self, name: bytes) -> bool:
@@ -178,7 +187,22 @@ class Telemetry:
         self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, now)
         return True
 
-    def _on_heartbeat(self, payload: bytes, now: float, latch: int = 0) -> bool:
+    @property
+    def firmware(self) -> Firmware | None:
+        """What the autopilot runs; None: no heartbeat of it was heard."""
+        if self.autopilot is None:
+            return None
+        return Firmware(self.autopilot) if self.version is None else Firmware(self.autopilot, self.version.version)
+
+    def _on_version(self, frame: Frame) -> bool:
+        try:
+            self.version = read_version(frame)
+        except MalformedError:
+            self.rejected += 1
+            return False
+        return True
+
+    def _on_heartbeat(self, payload: bytes, now: float, signed: bool, latch: int = 0) -> bool:
         _, _, autopilot, base_mode, _, _ = _heartbeat.unpack_from(payload.ljust(_heartbeat.size, b"\0"))
         if autopilot == _NO_AUTOPILOT:
             return False
@@ -186,6 +210,7 @@ class Telemetry:
             self.system_id = latch
         self.heartbeat_at = now
         self.autopilot = autopilot
+        self.signed = signed
         self.armed = bool(base_mode & _ARMED)
         return True
 

@@ -15,11 +15,9 @@ from rass_mav.errors import MalformedError
 
 from .component import CMD_REQUEST_MESSAGE, PARAM_NAME_SIZE, REAL32, single
 from .dialect import common, payload_of
+from .firmware import PX4
 from .frames import Frame
 from .messages import command_long, parse
-
-ARDUPILOT: int = common.MAV_AUTOPILOT_ARDUPILOTMEGA
-PX4: int = common.MAV_AUTOPILOT_PX4
 
 _BYTEWISE: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 _C_CAST: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST | common.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
+import os
 import random
+import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -19,7 +23,14 @@ import msgspec
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
-from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
+from rass_mav.app.config import (
+    MAX_SOCKET_PATH,
+    AutopilotSection,
+    ControlSection,
+    NodeSection,
+    RunConfig,
+    RunStoreSettings,
+)
 from rass_mav.app.payloads import parse_name
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
@@ -32,6 +43,7 @@ from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.stopwatch import Stopwatch
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.swarm.workplace import workplace
 
@@ -39,6 +51,10 @@ log = logging.getLogger(__name__)
 
 #: More processes than this are no test of anything but the machine.
 MAX_NODES = 64
+#: Kept configurations listen on ports from here on, below those that systems give to whoever asks for any.
+KEPT_PORT = 14600
+# Each directory has one of so many ranges of `MAX_NODES` ports.
+_KEPT_RANGES = 128
 #: After the scenario's steps, data that are on their way get at least so long to arrive, seconds.
 DRAIN_S = 10.0
 # Further steps for each node: with loss, a hop takes more than one.
@@ -68,6 +84,7 @@ class NodeProcess(RunningNode):
         """Last answer to `status` in this life."""
         self.earlier = {"malformed": 0, "skipped_steps": 0}
         """Sums over earlier lives, as far as they were asked."""
+        self._config: RunConfig
         self._client: ControlClient | None = None
 
     def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
@@ -75,7 +92,7 @@ class NodeProcess(RunningNode):
         settings = scenario.agent_settings(self.node_id)
         self.until_step = until_step
         vehicle, link = self._wiring(settings, ports)
-        config = RunConfig(
+        self._config = RunConfig(
             node=NodeSection(
                 id=self.node_id,
                 role="base" if settings.base else "drone",
@@ -93,8 +110,27 @@ class NodeProcess(RunningNode):
             mavlink=settings.mavlink,
             control=ControlSection(socket=str(self.socket)),
         )
-        config.check()
-        self.config.write_text(dump_yaml(config), encoding="utf-8")
+        self._write_config()
+
+    def _write_config(self) -> None:
+        self._config.check()
+        self.config.write_text(dump_yaml(self._config), encoding="utf-8")
+
+    def bequeath(self, ports: range) -> None:
+        """Write a configuration with which the node can be run again later, when there is neither radio nor autopilot.
+
+        It hears all nodes of the swarm, which are listened to on these ports by node id.
+        """
+        peers = [PeerSection(address=f"127.0.0.1:{port}", id=n) for n, port in enumerate(ports)]
+        listen = peers.pop(self.node_id).address
+        links = (LinkSection(listen=listen, peers=tuple(peers)),) if peers else ()
+        socket = self.store.with_suffix(".sock")
+        if len(os.fsencode(socket)) > MAX_SOCKET_PATH:
+            socket = Path(tempfile.gettempdir(), f"rass-{listen.rpartition(':')[2]}.sock")
+        self._config = replace(
+            self._config, autopilot=AutopilotSection(), links=links, control=ControlSection(socket=str(socket))
+        )
+        self._write_config()
 
     def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
         """The autopilot's URL, and the link to the neighbours."""
@@ -171,6 +207,7 @@ class ProcessSwarm:
         self._ports: Ports
         self._begun = 0.0
         self._next_look = self._next_sample = 0.0
+        self._next_kill = math.inf
         self._loops = 0
         self.kills = 0
         """Processes killed with SIGKILL and started again."""
@@ -190,8 +227,12 @@ class ProcessSwarm:
         self._await(
             lambda: [node.name for node in self._nodes if not node.ready], START_S + _START_EACH_S * len(self._nodes)
         )
-        self._world.tell("start")
+        self._set_off()
         self._begun = time.monotonic()
+
+    def _set_off(self) -> None:
+        """Let the world begin; returns when it has."""
+        self._world.tell("start")
 
     def _surround(self, record: str | None) -> None:
         """Start what the nodes are to find. `record`: see `AirOrder`."""
@@ -202,15 +243,21 @@ class ProcessSwarm:
         """The scenario's steps, in real time, with its failures."""
         every = self._scenario.failures.kill_every_s
         end = self._begun + self._scenario.steps * self._step_s
-        next_kill = self._begun + every if every is not None and self._drones else end
+        if every is not None and self._drones:
+            self._next_kill = self._begun + every
         while (now := time.monotonic()) < end:
-            if now >= next_kill:
-                self._kill(self._kill_rng.choice(self._drones))
-                next_kill += every or 0.0
+            next_failure = self._fail(now)
             self._look(now)
             if progress is not None:
                 progress(int((now - self._begun) / self._step_s))
-            self._children.wait(min(end, next_kill, self._next_look))
+            self._children.wait(min(end, next_failure, self._next_look))
+
+    def _fail(self, now: float) -> float:
+        """Let happen what is due of the scenario's failures. Returns when to come again; infinity: never."""
+        if now >= self._next_kill:
+            self._kill(self._kill_rng.choice(self._drones))
+            self._next_kill += self._scenario.failures.kill_every_s or 0.0
+        return self._next_kill
 
     def drain(self) -> None:
         """Let arrive what is on its way, until all has or nothing is left; at most `DRAIN_S` and some steps."""
@@ -244,6 +291,14 @@ class ProcessSwarm:
         """End all conversations with nodes."""
         for node in self._nodes:
             node.hang_up()
+
+    def bequeath(self) -> None:
+        """Leave configurations that can be run again, of all nodes that have had one."""
+        # Swarms that were kept in two directories can be run at the same time.
+        begin = KEPT_PORT + zlib.crc32(os.fsencode(self._directory)) % _KEPT_RANGES * MAX_NODES
+        for node in self._nodes:
+            if node.config.exists():
+                node.bequeath(range(begin, begin + len(self._nodes)))
 
     # -- meanwhile -----------------------------------------------------------------------------------------------------
 
@@ -393,14 +448,16 @@ def conduct(
 
     `make`: the swarm, by its directory, the one of its control sockets, and its children.
     """
-    begin = time.perf_counter()
+    watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         directory, sockets, children = stack.enter_context(workplace(keep))
         swarm = make(directory, sockets, children)
+        if keep is not None:
+            stack.callback(swarm.bequeath)
         stack.callback(swarm.hang_up)
         swarm.start(record)
         swarm.fly(progress)
         swarm.drain()
         summary = swarm.summary(swarm.stop())
-    wall = time.perf_counter() - begin
-    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
+    # All processes have ended, so that their time is known.
+    return {**summary, **watch.figures(scenario.nodes * scenario.steps)}

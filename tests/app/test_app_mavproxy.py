@@ -36,7 +36,7 @@ class MavProxy:
         # MAVProxy looks for its start-up files at home.
         home = {**os.environ, "HOME": str(directory), "PYTHONUNBUFFERED": "1", "PYTHONWARNINGS": "ignore"}
         command = [sys.executable, "-m", "MAVProxy.mavproxy", f"--master=udpin:127.0.0.1:{port}"]
-        command += ["--default-modules=param,misc,cmdlong", f"--state-basedir={directory}", "--logfile=mav.tlog"]
+        command += ["--default-modules=param,misc,cmdlong,ftp", f"--state-basedir={directory}", "--logfile=mav.tlog"]
         self._process = subprocess.Popen(
             command, cwd=directory, env=home, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
@@ -95,6 +95,8 @@ def test_mavproxy_lists_reads_and_sets_our_parameters(proxy: MavProxy) -> None:
     proxy.type(f"vehicle {SYSTEM}:{COMPANION}")
     proxy.until("Set vehicle")
     proxy.type("param fetch")
+    # It asks by file transfer first, and as soon as that is refused, by PARAM_REQUEST_LIST.
+    proxy.until(r"Requested parameter list \(ftp\)")
     proxy.until(f"Received {len(INDEX)} parameters")
     proxy.type("param show RASS_*")
     for name in sorted(INDEX):

@@ -224,9 +224,13 @@ def fails(tmp_path: Path, config: str, code: int) -> str:
 def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) -> None:
     port, other, vehicle = free_ports(3)
     links = [{"listen": f"127.0.0.1:{port}", "peers": [{"address": f"127.0.0.1:{other}"}]}]
-    tidy(RunningNode(tmp_path, 1, links=links)).start()
+    first = tidy(RunningNode(tmp_path, 1, links=links)).start()
     RunningNode(tmp_path, 2, links=links)
-    assert fails(tmp_path, "n2.yaml", 1) == f"udp:127.0.0.1:{port}: address already in use"
+    assert first.process is not None
+    said = fails(tmp_path, "n2.yaml", 1)
+    assert said.startswith(f"udp:127.0.0.1:{port}: address already in use by process {first.process.pid} (")
+    assert "rass_mav run n1.yaml" in said
+    assert said.endswith(f"rass-mav status CONFIG; or another program: ss -lunp 'sport = :{port}'")
 
     elsewhere = [{**links[0], "listen": "127.0.0.1:0"}]
     RunningNode(tmp_path, 3, links=elsewhere, store={"path": "n1.db"})
@@ -238,7 +242,8 @@ def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", vehicle))
         RunningNode(tmp_path, 5, links=elsewhere, autopilot={"url": f"udpin:127.0.0.1:{vehicle}"})
-        assert fails(tmp_path, "n5.yaml", 1) == f"udpin:127.0.0.1:{vehicle}: address already in use"
+        said = fails(tmp_path, "n5.yaml", 1)
+        assert said.startswith(f"udpin:127.0.0.1:{vehicle}: address already in use by process {os.getpid()} (")
 
     RunningNode(tmp_path, 6, links=elsewhere, policy={"alpha": "ten"})
     assert fails(tmp_path, "n6.yaml", 2) == "n6.yaml: policy.alpha: expected a number >= 0, got 'ten'"
