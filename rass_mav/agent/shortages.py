@@ -1,4 +1,4 @@
-"""Tells the ground what the node has lacked for long, and when it is there again (docs/ground-station.md)."""
+"""Reports to the ground what a node has lacked for long, and when it is available again (docs/ground-station.md)."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ from collections.abc import Callable
 from rass_mav.agent.agent import POSITION_STALE_S, Agent
 from rass_mav.mavlink.frames import Frame
 
-#: What is missing is told after so many seconds without it.
+#: Seconds without a base, a position or a reading before that is reported.
 NO_BASE_S = 120.0
 NO_POSITION_S = 60.0
 NO_READING_S = 30.0
-#: That it is back is told when it has been there for so long, seconds: a loose contact comes and goes.
+#: Seconds that it must be available again before that is reported: a loose contact comes and goes.
 BACK_S = 10.0
-#: Between two texts that the same thing is missing, seconds at least.
+#: Seconds between two reports that the same thing is missing, at least.
 AGAIN_S = 300.0
 _WARNING = 4
 _INFO = 6
 
 
 class Shortage:
-    """One thing that should be there: whether people have to hear that it is not, or that it is again."""
+    """One thing that should be available. It determines when to report that it is missing, or available again."""
 
     __slots__ = ("_after_s", "_again_at", "_since", "_there", "missed")
 
     def __init__(self, after_s: float, now: float) -> None:
-        """`after_s`: how long it has to be missing before that is told, seconds."""
+        """`after_s`: how long it must be missing before that is reported, seconds."""
         self._after_s = after_s
         self._there = False
         self._since = now
-        """Since when it has been there, or missing, without a break."""
+        """Since when it has been available, or missing, without a break."""
         self._again_at = -math.inf
         self.missed = False
-        """Whether the ground was told last that it is missing."""
+        """Whether the last report was that it is missing."""
 
     def look(self, there: bool, now: float) -> bool:
-        """Whether to tell now that `missed` has changed."""
+        """Update the state. Returns whether to report now that `missed` has changed."""
         if there != self._there:
             self._there, self._since = there, now
         lasts_s = now - self._since
@@ -51,7 +51,7 @@ class Shortage:
 
 
 class Shortages:
-    """A service of the agent: a way to a base, a position, a reading."""
+    """A service of the agent. It watches for a route to a base, a position and a reading."""
 
     def __init__(
         self,
@@ -63,9 +63,9 @@ class Shortages:
         trouble: Callable[[], str] = lambda: "",
     ) -> None:
         """
-        :param position: whether there should be one: a drone with an autopilot.
-        :param reading: the same: a node with a sensor, or a drone whose autopilot may have one.
-        :param trouble: why there is no reading, in words; empty: nobody knows.
+        :param position: whether a position is expected: on a drone with an autopilot.
+        :param reading: whether a reading is expected: on a node with a sensor, or a drone whose autopilot may have one.
+        :param trouble: returns why there is no reading, in words; empty: unknown.
         """
         self._agent = agent
         self._base = None if agent.node.base else Shortage(NO_BASE_S, now)
@@ -74,10 +74,10 @@ class Shortages:
         self._trouble = trouble
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Telemetry has it already."""
+        """Nothing: telemetry has handled the frame already."""
 
     def step(self, now: float) -> None:
-        """Once a step. Each text fits one STATUSTEXT, for airtime is dear."""
+        """Once a step: send the reports that are due. Each text fits one STATUSTEXT, to save airtime."""
         agent = self._agent
         if (base := self._base) is not None:
             route = agent.node.routing.route
@@ -88,9 +88,9 @@ class Shortages:
                     agent.tell_ground(_WARNING, f"RASS: no base in reach for {NO_BASE_S:g} s, data wait here")
         if (position := self._position) is not None and position.look(self._has_position(now), now):
             if position.missed:
-                agent.tell_ground(_WARNING, f"RASS: no position for {NO_POSITION_S:g} s, data carry none")
+                agent.tell_ground(_WARNING, f"RASS: no position for {NO_POSITION_S:g} s, none in new data")
             else:
-                agent.tell_ground(_INFO, "RASS: the position is known again")
+                agent.tell_ground(_INFO, "RASS: position available again")
         if (reading := self._reading) is not None and reading.look(agent.node.risk.known(now), now):
             if reading.missed:
                 why = self._trouble()
@@ -98,10 +98,10 @@ class Shortages:
                     _WARNING, f"RASS: no radiation reading, worst risk assumed{': ' + why if why else ''}"
                 )
             else:
-                agent.tell_ground(_INFO, "RASS: the radiation sensor reads again")
+                agent.tell_ground(_INFO, "RASS: radiation readings available again")
 
     def _has_position(self, now: float) -> bool:
-        """One that a measurement would carry, be it relative to the autopilot's origin only."""
+        """Whether there is a position for a measurement, on Earth or only relative to the autopilot's origin."""
         telemetry = self._agent.telemetry
         known = (telemetry.position, telemetry.local)
         return any(position is not None and now - position.at <= POSITION_STALE_S for position in known)

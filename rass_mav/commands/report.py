@@ -54,7 +54,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         )
     for other in s["other_versions"]:
         yield (
-            f"WARNING: node {other['node_id']} speaks version {other['version']} of the wire format, "
+            f"WARNING: node {other['node_id']} uses version {other['version']} of the wire format, "
             f"heard {other['age_s']:.0f} s ago"
         )
     for shared in s["shared_system_ids"]:

@@ -129,7 +129,7 @@ def versions(config: RunConfig, evidence: Evidence) -> Finding:
     if not others:
         return passed("versions", f"no other than {VERSION} of the wire format is heard")
     behind = {other["node_id"] if other["version"] < VERSION else config.node_id for other in others}
-    said = ", ".join(f"node {other['node_id']} speaks version {other['version']}" for other in others)
+    said = ", ".join(f"node {other['node_id']} uses version {other['version']}" for other in others)
     return warned(
         "versions", f"{said}, this one {VERSION}; they take no data from each other",
         f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/protocol.md)",

@@ -45,14 +45,14 @@ CASES = [
     (
         lose_fix,
         NO_POSITION_S,
-        "RASS: no position for 60 s, data carry none",
-        "RASS: the position is known again",
+        "RASS: no position for 60 s, none in new data",
+        "RASS: position available again",
     ),
     (
         lose_reading,
         NO_READING_S,
         "RASS: no radiation reading, worst risk assumed",
-        "RASS: the radiation sensor reads again",
+        "RASS: radiation readings available again",
     ),
 ]
 #: It takes so long until what is not heard any more is not known any more.
@@ -116,7 +116,7 @@ def test_from_the_start_on_it_is_missing() -> None:
     assert field.told() == [
         "RASS: no radiation reading, worst risk assumed: th",
         "e cable is loose",
-        "RASS: no position for 60 s, data carry none",
+        "RASS: no position for 60 s, none in new data",
         "RASS: no base in reach for 120 s, data wait here",
     ]
 

@@ -76,12 +76,12 @@ def test_custody_does_not_end_on_the_word_of_another_version() -> None:
 def test_each_node_of_another_version_is_told_of_once() -> None:
     agent = make(2)
     hears(agent, VERSION_1["beacon-drone"], 0.0)
-    assert "".join(texts(agent, 0.0)) == f"RASS: node 3 speaks version 1, this one {VERSION}: update node 3"
+    assert "".join(texts(agent, 0.0)) == f"RASS: node 3 uses version 1, this one {VERSION}: update node 3"
     for t in range(1, 100):
         hears(agent, VERSION_1["beacon-drone"], float(t))
         assert texts(agent, float(t)) == []
     hears(agent, beacon_of(VERSION + 1, 7), 100.0)
-    assert "".join(texts(agent, 100.0)) == f"RASS: node 7 speaks version 3, this one {VERSION}: update node 2"
+    assert "".join(texts(agent, 100.0)) == f"RASS: node 7 uses version 3, this one {VERSION}: update node 2"
 
 
 def test_who_has_spoken_another_version_long_ago_is_not_told_of() -> None:
@@ -154,5 +154,5 @@ def test_the_status_names_them() -> None:
         "commits": {"failed": 0}, "faults": None, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
     lines = list(status_lines(status))
-    assert "WARNING: node 7 speaks version 1 of the wire format, heard 3 s ago" in lines
+    assert "WARNING: node 7 uses version 1 of the wire format, heard 3 s ago" in lines
     assert "WARNING: nodes 4, 9 share system id 3, a ground station sees one vehicle" in lines

@@ -196,9 +196,9 @@ def other(node_id: int, version: int, age_s: float = 1.0) -> dict[str, Any]:
     ("others", "level", "said", "remedy"),
     [
         ([], "pass", "no other than 2", ""),
-        ([other(4, 1)], "warn", "node 4 speaks version 1, this one 2", "on node 4 "),
-        ([other(4, 3)], "warn", "node 4 speaks version 3", "on node 7 "),
-        ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 speaks version 3", "on node 4, 7 "),
+        ([other(4, 1)], "warn", "node 4 uses version 1, this one 2", "on node 4 "),
+        ([other(4, 3)], "warn", "node 4 uses version 3", "on node 7 "),
+        ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 uses version 3", "on node 4, 7 "),
         ([other(4, 1, 121.0)], "pass", "no other than 2", ""),
     ],
 )
