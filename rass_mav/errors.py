@@ -8,9 +8,16 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
+#: Of a file with many mistakes so many are told.
+MOST_LINES = 50
+
 
 class RassError(Exception):
     """Base of all errors caused by the outside world, never by our own mistakes."""
+
+    def lines(self) -> list[str]:
+        """What people are told, a line for each mistake."""
+        return [" ".join(str(self).split())]
 
 
 class MalformedError(RassError):
@@ -34,7 +41,22 @@ class DatumError(RassError):
 
 
 class ConfigError(RassError):
-    """A configuration, scenario or command line that does not make sense; names the file and the key."""
+    """A configuration, scenario or command line that does not make sense: a line for each mistake, which names the file
+    and the key."""
+
+    def __init__(self, *mistakes: str) -> None:
+        super().__init__(*mistakes)
+        self.mistakes = mistakes
+        """At least one."""
+
+    def __str__(self) -> str:
+        return "\n".join(self.mistakes)
+
+    def lines(self) -> list[str]:
+        """The mistakes, at most `MOST_LINES`; then how many more there are."""
+        told = [" ".join(mistake.split()) for mistake in self.mistakes[:MOST_LINES]]
+        more = len(self.mistakes) - len(told)
+        return [*told, f"and {more} more mistakes"] if more else told
 
 
 class LogError(RassError):
@@ -43,6 +65,12 @@ class LogError(RassError):
 
 class LinkError(RassError):
     """A port, socket or peer address that cannot be used."""
+
+    def __init__(self, text: str, remedy: str = "") -> None:
+        """`text`: what is wrong; `remedy`: what a person can do about it, which the message ends with."""
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+        self.text = text
+        self.remedy = remedy
 
 
 class SwarmError(RassError):

@@ -15,12 +15,16 @@ class Allowance:
         self._seconds = seconds
         self._taken: deque[float] = deque(maxlen=count)
 
+    def would(self, now: float) -> bool:
+        """Whether one more would get through now."""
+        taken = self._taken
+        return len(taken) != taken.maxlen or now - taken[0] >= self._seconds
+
     def take(self, now: float) -> bool:
         """Whether one more gets through now."""
-        taken = self._taken
-        if len(taken) == taken.maxlen and now - taken[0] < self._seconds:
+        if not self.would(now):
             return False
-        taken.append(now)
+        self._taken.append(now)
         return True
 
 

@@ -1,7 +1,8 @@
 """The conversation with ground stations: parameters, commands, texts, values (docs/ground-station.md).
 
-Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, and messages/common.html. What other
-components of the vehicle are asked is left alone; a command for all of them is answered only if it is known here.
+Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, ftp.html, and messages/common.html.
+What other components of the vehicle are asked is left alone; a command for all of them is answered only if it is known
+here.
 """
 
 from __future__ import annotations
@@ -168,7 +169,8 @@ class Ground:
         except ConfigError as error:
             self.refused += 1
             log.warning("refused from the ground: %s", error)
-            self.texts.add(_WARNING, str(error))
+            for mistake in error.mistakes:
+                self.texts.add(_WARNING, mistake)
             self._param_error(message.param_id, -1, _reason(index, error), frame, outbox)
             outbox.answer(*self._listed(index))
             return
@@ -225,6 +227,17 @@ class Ground:
         if message.target_system == BROADCAST and message.target_component == BROADCAST:
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PING, mav.ping(message.time_usec, message.seq, **target))
+
+    def _on_file_transfer(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        # A ground station that hears nothing would ask again for seconds before it tries another way. What is for all
+        # components is for the autopilot, which has files.
+        own = self._agent.vehicle_writer
+        if (message.target_system, message.target_component) != (own.system_id, own.component_id):
+            return
+        target = {"target_system": frame.system_id, "target_component": frame.component_id}
+        refusal = mav.file_transfer_refusal(bytes(message.payload), **target)
+        if refusal is not None:
+            outbox.answer(mav.FILE_TRANSFER_PROTOCOL, refusal)
 
     def _on_command(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
         answers: list[tuple[int, bytes]] = []
@@ -357,6 +370,7 @@ _HANDLERS: dict[int, _Handler] = {
     mav.PARAM_REQUEST_READ: Ground._on_param_read,
     mav.PARAM_SET: Ground._on_param_set,
     mav.PING: Ground._on_ping,
+    mav.FILE_TRANSFER_PROTOCOL: Ground._on_file_transfer,
     COMMAND_LONG: Ground._on_command,
     mav.COMMAND_INT: Ground._on_command,
 }

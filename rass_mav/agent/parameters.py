@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert, to_plain
-from rass_mav.config.sections import Section
+from rass_mav.config.sections import Section, under
 from rass_mav.core.store import Store
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.component import single
@@ -106,13 +106,11 @@ def changed(
     if single(parameter.read(settings)) == value:
         return settings
     new = _replaced(settings, parameter, value)
-    try:
+    with under(parameter.name):
         new.node_settings()
         replicating = [each.policy.name for each in (settings, new) if each.policy.make().replicates]
         if len(replicating) == 1:
             raise ConfigError(f"to and from {replicating[0]} by the file only")
-    except ConfigError as error:
-        raise ConfigError(f"{parameter.name}: {error}") from None
     if unused == "refuse" and single(parameter.read(new)) != value:
         raise ConfigError(f"{parameter.name}: policy {new.policy.name} has no such weight")
     return new
@@ -139,7 +137,7 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
     try:
         new = convert({**to_plain(section), key: plain}, type(section), parameter.name)
     except ConfigError as error:
-        raise ConfigError(str(error).replace(f": {key}: ", ": ", 1)) from None
+        raise ConfigError(*(line.replace(f": {key}: ", ": ", 1) for line in error.mistakes)) from None
     changed: dict[str, Any] = {section_name: new}
     return replace(settings, **changed)
 
@@ -175,7 +173,7 @@ def recall(store: Store, configured: AgentSettings) -> tuple[AgentSettings, list
                 settings = changed(settings, parameter, value, unused="keep")
             except ConfigError as error:
                 left.append((parameter, value))
-                errors.append(str(error))
+                errors += error.mistakes
         if len(left) == len(waiting):
             return settings, errors
         waiting = left

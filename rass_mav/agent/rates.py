@@ -31,13 +31,17 @@ _BUSY = (common.MAV_RESULT_TEMPORARILY_REJECTED, common.MAV_RESULT_IN_PROGRESS)
 
 
 def message_ids(messages: Mapping[str, float]) -> dict[int, float]:
-    """Seconds between two messages by message id, from such by name. Raises `ConfigError` for an unknown name."""
+    """Seconds between two messages by message id, from such by name. Raises `ConfigError` for unknown names."""
     found = {}
+    unknown = []
     for name, interval_s in messages.items():
         id = getattr(common, f"MAVLINK_MSG_ID_{name}", None)
-        if not isinstance(id, int):
-            raise ConfigError(f"{name}: no message of the common dialect")
-        found[id] = interval_s
+        if isinstance(id, int):
+            found[id] = interval_s
+        else:
+            unknown.append(f"{name}: no message of the common dialect")
+    if unknown:
+        raise ConfigError(*unknown)
     return found
 
 

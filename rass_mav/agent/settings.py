@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Literal, Protocol
 
 from rass_mav.config.bounds import NonNegative, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, Mistakes, Section
 from rass_mav.core.settings import CustodySettings, Forward, NodeSettings, RiskSettings, RoutingSettings
-from rass_mav.errors import ConfigError
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.settings import StoreSettings
@@ -113,15 +112,20 @@ class AgentSettings(Section):
         )
 
     def node_settings(self) -> NodeSettings:
-        """What core needs of it."""
-        policy = self.policy.make()
-        if policy.replicates and self.data.bytes > INLINE_BYTES:
-            raise ConfigError(
-                f"data.bytes: expected at most {INLINE_BYTES} with policy {policy.name}, got {self.data.bytes}"
+        """What core needs of it. Raises `ConfigError`."""
+        mistakes = Mistakes()
+        policy = None
+        with mistakes.gathering():
+            policy = self.policy.make()
+        if policy is not None and policy.replicates and self.data.bytes > INLINE_BYTES:
+            mistakes.add(
+                "data.bytes", f"expected at most {INLINE_BYTES} with policy {policy.name}, got {self.data.bytes}"
             )
         drop_oldest = self.store.overflow == "drop-oldest"
         if drop_oldest and self.custody.mode != "none":
-            raise ConfigError("store.overflow: drop-oldest breaks custody, expected custody.mode none with it")
+            mistakes.add("store.overflow", "drop-oldest breaks custody, expected custody.mode none with it")
+        mistakes.check()
+        assert policy is not None
         bounded = not self.base or policy.replicates
         acknowledged = self.custody.mode == "acknowledged"
         return NodeSettings(

@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
 from rass_mav.config.bounds import Count, NodeId, Positive
-from rass_mav.config.loading import convert, read_yaml, set_key
-from rass_mav.config.sections import Meta, Section, under
+from rass_mav.config.loading import read_yaml, set_keys
+from rass_mav.config.sections import Meta, Mistakes, Section
+from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
 from rass_mav.errors import ConfigError
 from rass_mav.link.address import parse_vehicle_url
@@ -134,56 +135,83 @@ class RunConfig(Section):
 
     def check(self) -> None:
         """Raise `ConfigError` for what no single key can say."""
-        self.agent_settings().node_settings()
-        if not self.base and not self.links:
-            raise ConfigError("links: a drone needs at least one")
-        for index, link in enumerate(self.links):
-            link.check(f"links[{index}]")
-        through = [index for index, link in enumerate(self.links) if link.kind.through]
-        if through:
-            first = f"links[{through[0]}].type: {self.links[through[0]].type}"
-            if self.autopilot.url is None:
-                raise ConfigError(f"{first} needs autopilot.url")
-            if not self.mavlink.autopilot_id:
-                # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
-                raise ConfigError(f"{first} needs mavlink.autopilot_id, the autopilot's system id")
-        if len(through) > 1:
-            raise ConfigError(f"links[{through[1]}].type: only one link can go through the autopilot")
+        mistakes = Mistakes()
+        self.look_over(mistakes)
+        mistakes.check()
+
+    def look_over(self, mistakes: Mistakes) -> None:
+        """The same, added to the mistakes of single keys."""
+        with mistakes.gathering():
+            _ = self.node_id
+        if mistakes.sound("policy", "custody", "store", "data"):
+            with mistakes.gathering():
+                replace(self, node=replace(self.node, id=0)).agent_settings().node_settings()
+        self._look_over_links(mistakes)
         for key, url in (("autopilot.url", self.autopilot.url), ("ground.url", self.ground.url)):
             if url is not None:
-                with under(key):
+                with mistakes.gathering(key):
                     parse_vehicle_url(url)
         if not self.autopilot.messages.keys() <= DEFAULT_MESSAGES.keys():
             from rass_mav.agent.rates import message_ids  # with all message definitions, which a client does not need
 
-            with under("autopilot.messages"):
+            with mistakes.gathering("autopilot.messages"):
                 message_ids(self.autopilot.messages)
-        self.sensor.check()
+        if mistakes.sound("sensor.type"):
+            with mistakes.gathering():
+                self.sensor.check()
         if self.mavlink.reading_name in VALUE_NAMES:
-            raise ConfigError(
-                f"mavlink.reading_name: expected another name than {', '.join(VALUE_NAMES)}, which the node says itself"
+            mistakes.add(
+                "mavlink.reading_name",
+                f"expected another name than {', '.join(VALUE_NAMES)}, which the node says itself",
             )
         if not self.mavlink.reading_name.isascii():
-            raise ConfigError(f"mavlink.reading_name: expected ASCII characters, got {self.mavlink.reading_name!r}")
+            mistakes.add("mavlink.reading_name", f"expected ASCII characters, got {self.mavlink.reading_name!r}")
         if self.store.path is not None and not self.store.path:
-            raise ConfigError("store.path: expected a path, got ''")
-        if len(str(self.socket_path).encode()) > MAX_SOCKET_PATH:
-            raise ConfigError(
-                f"control.socket: expected a path of at most {MAX_SOCKET_PATH} bytes, got {str(self.socket_path)!r}"
-            )
+            mistakes.add("store.path", "expected a path, got ''")
+        if mistakes.sound("node.id", "mavlink.system_id", "store.path", "control.socket"):
+            socket = str(self.socket_path)
+            if len(socket.encode()) > MAX_SOCKET_PATH:
+                mistakes.add("control.socket", f"expected a path of at most {MAX_SOCKET_PATH} bytes, got {socket!r}")
+
+    def _look_over_links(self, mistakes: Mistakes) -> None:
+        if not self.base and not self.links and mistakes.sound("node.role", "links"):
+            mistakes.add("links", "a drone needs at least one")
+        types = [f"links[{index}].type" for index in range(len(self.links))]
+        for index, link in enumerate(self.links):
+            if mistakes.sound(types[index]):
+                with mistakes.gathering():
+                    link.check(f"links[{index}]")
+        through = [index for index, link in enumerate(self.links) if link.kind.through]
+        if not through:
+            return
+        first = self.links[through[0]].type
+        if self.autopilot.url is None and mistakes.sound("autopilot.url"):
+            mistakes.add(types[through[0]], f"{first} needs autopilot.url")
+        elif not self.mavlink.autopilot_id and mistakes.sound("mavlink.autopilot_id"):
+            # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
+            mistakes.add(types[through[0]], f"{first} needs mavlink.autopilot_id, the autopilot's system id")
+        if len(through) > 1:
+            mistakes.add(types[through[1]], "only one link can go through the autopilot")
+
+    def warnings(self) -> list[str]:
+        """What does not fit this computer as it is now, though it may fit it later. Asks the system."""
+        found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
+        return [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
 
 
 def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
     """Read and check a configuration. `assignments`: `key.path=value`, they override the file.
 
-    Raises `ConfigError` that names the file and the key.
+    Raises `ConfigError` with all mistakes; each names the file and the key.
     """
     raw = read_yaml(path)
-    for assignment in assignments:
-        set_key(raw, assignment)
-    config = convert(raw, RunConfig, str(path))
-    with under(str(path)):
-        config.check()
+    mistakes = Mistakes(str(path))
+    set_keys(raw, assignments, mistakes)
+    config = build_with(raw, RunConfig, mistakes)
+    if config is not None:
+        config.look_over(mistakes)
+    mistakes.check()
+    assert config is not None
     return config
 
 

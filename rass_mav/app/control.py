@@ -205,7 +205,7 @@ class ControlServer:
             request = _request(line)
             payload = load_bytes(request.payload) if isinstance(request, PutRequest) else b""
         except (MalformedError, ConfigError) as error:
-            raise ControlError(f"not a request: {error}") from None
+            raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
         driver = self._driver
         if isinstance(request, StatusRequest):
             yield {"status": status(driver, self._started)}

@@ -90,6 +90,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
                 "name": channel.link.name,
                 "trouble": channel.link.trouble or None,
                 "one_hop": channel.link.one_hop,
+                "interfaces": [way._asdict() for way in channel.link.carriers()],
                 **channel.link.counters()._asdict(),
                 **channel.lane.report(),
             }

@@ -175,7 +175,8 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
             ControlClient(config.socket_path, timeout_s=1.0).close()
         except ControlError:
             raise error from None
-        raise type(error)(f"{error}; the node of {path} runs and has the autopilot's port: stop it first") from None
+        said = error.text if isinstance(error, LinkError) else error
+        raise type(error)(f"{said}; the node of {path} runs and has the autopilot's port: stop it first") from None
 
 
 def _lines(found: Comparison) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import time
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -73,6 +72,7 @@ def _replay(options: argparse.Namespace) -> int:
     from rass_mav.replay.recording import read_logs
     from rass_mav.replay.settings import load_settings
     from rass_mav.replay.world import ReplaySwarm
+    from rass_mav.swarm.stopwatch import Stopwatch
 
     settings, scale = load_settings(options.range, options.assignments)
     for name in ("output", "record"):
@@ -82,14 +82,14 @@ def _replay(options: argparse.Namespace) -> int:
         settings = settings.with_highest(recording.highest)
     with recorder(options.record, settings.node.step_s, recording.start_us / 1e6) as record:
         swarm = ReplaySwarm(recording, settings, base=options.base, record=record)
-        wall = _run(swarm, options)
+        watch = Stopwatch()
+        _run(swarm, options)
+        took = watch.figures(len(swarm.agents) * swarm.t)
     rows = arrivals(swarm)
     if options.output is not None:
         with os_errors_as(RassError, options.output), options.output.open("w", newline="", encoding="utf-8") as file:
             write_csv(rows, file)
-    result = summary(swarm, rows)
-    result["wall_s"] = round(wall, 3)
-    result["robot_steps_per_s"] = round(len(swarm.agents) * swarm.t / wall) if wall else 0
+    result = {**summary(swarm, rows), **took}
     answer(options, result, map(clean, chain(summary_lines(result), [""], _lines(result, rows))))
     return 0
 
@@ -100,11 +100,10 @@ def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
         raise ConfigError(f"{option} {path}: this is one of the logs")
 
 
-def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> float:
-    """Play it; returns the seconds it took."""
+def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> None:
+    """Play it."""
     from rass_mav.swarm.invariants import check
 
-    begin = time.perf_counter()
     with progress(swarm.span_steps, "steps", quiet=options.json) as advance:
 
         def after(swarm: ReplaySwarm) -> None:
@@ -114,7 +113,6 @@ def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> float:
 
         swarm.run(swarm.span_steps, after=after)
         swarm.drain(int(options.drain / swarm.step_s), after=after)
-    return time.perf_counter() - begin
 
 
 def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:

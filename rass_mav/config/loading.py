@@ -1,6 +1,7 @@
 """From YAML to typed settings and back, with errors that a person can act on.
 
-Every error is a `ConfigError` of one line: `node.yaml: policy.alpha: expected a number >= 0, got 'ten'`.
+Every error is a `ConfigError`; each of its lines names the file and the key:
+`node.yaml: policy.alpha: expected a number >= 0, got 'ten'`.
 """
 
 from __future__ import annotations
@@ -9,13 +10,13 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
-from rass_mav.config.sections import Section, under
+from rass_mav.config.sections import Mistakes, Section, under
 from rass_mav.config.typed import build, plain, shown
 from rass_mav.errors import ConfigError, os_errors_as
 
@@ -161,8 +162,18 @@ def set_key(raw: dict[str, Any], assignment: str) -> None:
             place = place[index]
 
 
+def set_keys(raw: dict[str, Any], assignments: Iterable[str], mistakes: Mistakes) -> None:
+    """Carry out several, as `set_key` does; adds what makes no sense to `mistakes`."""
+    for assignment in assignments:
+        try:
+            set_key(raw, assignment)
+        except ConfigError as error:
+            path = assignment.partition("=")[0].strip()
+            mistakes.add_line(re.sub(r"\.([0-9]+)(?![^.])", r"[\1]", path), str(error))
+
+
 def convert(raw: Any, type: type[S], source: str) -> S:
-    """`raw` as a section. Raises `ConfigError` that begins with `source`, a file's name for instance."""
+    """`raw` as a section. Raises `ConfigError`, each line of which begins with `source`, a file's name for instance."""
     with under(source):
         return build(raw, type)
 

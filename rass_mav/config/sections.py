@@ -7,7 +7,7 @@ A section is a frozen dataclass, so that a node needs nothing compiled. Bounds s
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
@@ -57,6 +57,16 @@ class Section:
         super().__init_subclass__(**more)
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
 
+    def __post_init__(self) -> None:
+        """Raises `ConfigError` with all mistakes."""
+        mistakes = tuple(self.mistakes())
+        if mistakes:
+            raise ConfigError(*mistakes)
+
+    def mistakes(self) -> Iterable[str]:
+        """What no single key can say: a line for each mistake, which begins with the key."""
+        return ()
+
 
 def fields_of(section: type[Section]) -> tuple[Field, ...]:
     """The keys of a section, in the order of the file's documentation."""
@@ -80,4 +90,72 @@ def under(key: str) -> Iterator[None]:
     try:
         yield
     except ConfigError as error:
-        raise ConfigError(f"{key}: {error}") from None
+        raise ConfigError(*(f"{key}: {mistake}" for mistake in error.mistakes)) from None
+
+
+class Mistakes:
+    """All that is wrong with a configuration, gathered, so that it can be said at once.
+
+    A key is told of once. Whoever looks at several keys asks first whether they are `sound`: what follows from a
+    mistake is none of its own.
+    """
+
+    def __init__(self, source: str = "") -> None:
+        """`source`: stands before all keys, a file's name for instance."""
+        self._source = source
+        self._lines: list[str] = []
+        self._told: set[str] = set()
+        self._doubtful: set[str] = set()
+
+    def add(self, key: str, text: str) -> None:
+        """A mistake at a key, as `links[0].listen`; empty: in the whole."""
+        if key not in self._told:
+            self.add_line(key, self._line(f"{key or 'the whole file'}: {text}"))
+
+    def add_line(self, key: str, line: str) -> None:
+        """The same, in words that do not begin with the key."""
+        self._lines.append(line)
+        self._told.add(key)
+        self._doubtful.add(key)
+
+    def doubt(self, key: str) -> None:
+        """A mistake elsewhere is probably meant for this key."""
+        self._doubtful.add(key)
+
+    def told(self, key: str) -> bool:
+        """Whether there is a mistake at this very key."""
+        return key in self._told
+
+    def sound(self, *keys: str) -> bool:
+        """Whether nothing is wrong at any of these keys, in them or around them."""
+        return not any(_within(key, bad) or _within(bad, key) for key in keys for bad in self._doubtful)
+
+    @contextmanager
+    def gathering(self, key: str = "") -> Iterator[None]:
+        """Gather the `ConfigError` of a block. `key`: stands before its lines; empty: they begin with their keys.
+
+        What concerns keys that are not `sound` is left out.
+        """
+        try:
+            yield
+        except ConfigError as error:
+            before = f"{key}: " if key else ""
+            self.add_lines(before + line for line in error.mistakes)
+
+    def add_lines(self, lines: Iterable[str]) -> None:
+        """What somebody else has found; each line begins with its key. As `gathering`."""
+        keyed = [(line.partition(": ")[0], line) for line in lines]
+        for key, line in [(key, line) for key, line in keyed if self.sound(key)]:
+            self.add_line(key, self._line(line))
+
+    def check(self) -> None:
+        """Raise `ConfigError` if there is any."""
+        if self._lines:
+            raise ConfigError(*self._lines)
+
+    def _line(self, text: str) -> str:
+        return f"{self._source}: {text}" if self._source else text
+
+
+def _within(key: str, whole: str) -> bool:
+    return key == whole or not whole or key.startswith((whole + ".", whole + "["))

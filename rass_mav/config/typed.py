@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from rass_mav.config.sections import Meta, Section, fields_of
+from rass_mav.config.sections import Meta, Mistakes, Section, fields_of
 from rass_mav.errors import ConfigError
 
 S = TypeVar("S", bound=Section)
@@ -17,11 +18,33 @@ _SHOWN = 60
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
+class _Bad:
+    """Stands in the place of a value that cannot be built."""
+
+    def __repr__(self) -> str:
+        return "..."
+
+
+_BAD = _Bad()
+
+
 def build(raw: Any, section: type[S]) -> S:
-    """`raw` as a section. Raises `ConfigError` that begins with the key: `links[0].peers: expected a list, got 3`."""
-    _check_values(raw, "")
-    built: S = _build(raw, section, "")
+    """`raw` as a section. Raises `ConfigError`, each line of which begins with the key:
+    `links[0].peers: expected a list, got 3`."""
+    mistakes = Mistakes()
+    built = build_with(raw, section, mistakes)
+    mistakes.check()
+    assert built is not None
     return built
+
+
+def build_with(raw: Any, section: type[S], mistakes: Mistakes) -> S | None:
+    """The same, with what does not fit added to `mistakes`.
+
+    Then what is returned has defaults in the place of the mistakes, for further checks; None: that is impossible too.
+    """
+    built = _build(_possible(raw, "", mistakes), section, "", mistakes)
+    return None if built is _BAD else built
 
 
 def plain(value: Any) -> Any:
@@ -48,21 +71,27 @@ def shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
-def _check_values(raw: Any, path: str) -> None:
-    """What no type can say. .nan passes every comparison, and .inf most of them. No path, name or address has control
-    characters or halves of a character in it: they end it for the system, or do worse to who reads the log."""
+def _possible(raw: Any, path: str, mistakes: Mistakes) -> Any:
+    """The values less those that are wrong whatever the type. .nan passes every comparison, and .inf most of them. No
+    path, name or address has control characters or halves of a character in it: they end it for the system, or do
+    worse to who reads the log."""
     if isinstance(raw, float) and not math.isfinite(raw):
-        raise ConfigError(f"{path}: expected a finite number, got {raw}")
+        mistakes.add(path, f"expected a finite number, got {raw}")
+        return _BAD
     if isinstance(raw, str) and _CONTROL.search(raw):
-        raise ConfigError(f"{path or 'the whole file'}: expected text without control characters, got {shown(raw)}")
+        mistakes.add(path, f"expected text without control characters, got {shown(raw)}")
+        return _BAD
     if isinstance(raw, dict):
+        kept = {}
         for key, value in raw.items():
             if _CONTROL.search(str(key)):
-                raise ConfigError(f"{path or 'the whole file'}: expected a name as key, got {shown(key)}")
-            _check_values(value, _join(path, str(key)))
-    elif isinstance(raw, list):
-        for index, value in enumerate(raw):
-            _check_values(value, f"{path}[{index}]")
+                mistakes.add(path, f"expected a name as key, got {shown(key)}")
+            else:
+                kept[key] = _possible(value, _join(path, str(key)), mistakes)
+        return kept
+    if isinstance(raw, list):
+        return [_possible(value, f"{path}[{index}]", mistakes) for index, value in enumerate(raw)]
+    return raw
 
 
 def _join(path: str, key: str) -> str:
@@ -84,15 +113,20 @@ def _alternatives(hint: Any) -> tuple[tuple[Any, Any], ...]:
     return ((hint, None),)
 
 
-def _build(raw: Any, hint: Any, path: str) -> Any:
+def _build(raw: Any, hint: Any, path: str, mistakes: Mistakes) -> Any:
+    if raw is _BAD:
+        return _BAD
     for kind, bounds in _alternatives(hint):
         if _is(raw, kind):
-            value = _container(raw, kind, path) if isinstance(raw, (dict, list, tuple)) and kind is not Any else raw
-            if kind is float:
+            value = raw
+            if isinstance(raw, (dict, list, tuple)) and kind is not Any:
+                value = _container(raw, kind, path, mistakes)
+            elif kind is float:
                 value = float(raw)
-            if bounds is None or _within(value, bounds):
+            if value is _BAD or bounds is None or _within(value, bounds):
                 return value
-    raise ConfigError(f"{path or 'the whole file'}: expected {_words(hint)}, got {shown(raw)}")
+    mistakes.add(path, f"expected {_words(hint)}, got {shown(raw)}")
+    return _BAD
 
 
 def _is(raw: Any, kind: Any) -> bool:
@@ -133,44 +167,77 @@ def _within(value: Any, bounds: Any) -> bool:
     )
 
 
-def _container(raw: Any, kind: Any, path: str) -> Any:
+def _container(raw: Any, kind: Any, path: str, mistakes: Mistakes) -> Any:
     members = get_args(kind)
     origin = get_origin(kind)
     if origin is dict:
         key_hint, hint = members
-        return {_build(key, key_hint, _join(path, str(key))): _build(raw[key], hint, _join(path, key)) for key in raw}
+        built = {
+            _build(key, key_hint, _join(path, str(key)), mistakes): _build(raw[key], hint, _join(path, key), mistakes)
+            for key in raw
+        }
+        return _BAD if any(item is _BAD for pair in built.items() for item in pair) else built
     if origin in (list, tuple):
         hints = [members[0]] * len(raw) if origin is list or members[-1] is Ellipsis else members
-        items = [_build(item, hint, f"{path}[{n}]") for n, (item, hint) in enumerate(zip(raw, hints, strict=True))]
+        items = [
+            _build(item, hint, f"{path}[{n}]", mistakes) for n, (item, hint) in enumerate(zip(raw, hints, strict=True))
+        ]
+        if any(item is _BAD for item in items):
+            return _BAD
         return items if origin is list else tuple(items)
-    return _section(raw, kind, path)
+    return _section(raw, kind, path, mistakes)
 
 
-def _section(raw: dict[str, Any], section: type[Section], path: str) -> Section:
+def _section(raw: dict[str, Any], section: type[Section], path: str, mistakes: Mistakes) -> Any:
     known = {field.name: field for field in fields_of(section)}
     values = {}
+    # Whether its own keys are right, whatever may be wrong in the sections below it.
+    right = True
     for key, value in raw.items():
         if key not in known:
-            raise ConfigError(f"{_join(path, key)}: unknown key ({_hint(key, list(known))})")
-        values[key] = _build(value, known[key].hint, _join(path, key))
+            right = False
+            meant = closest(key, known)
+            hint = "known: " + ", ".join(known) if meant is None else f"did you mean {meant!r}?"
+            mistakes.add(_join(path, key), f"unknown key ({hint})")
+            if meant is not None:
+                mistakes.doubt(_join(path, meant))
+            continue
+        built = _build(value, known[key].hint, _join(path, key), mistakes)
+        if built is not _BAD:
+            values[key] = built
+        elif mistakes.told(_join(path, key)) or not isinstance(value, dict):
+            right = False
     for field in known.values():
-        if field.required and field.name not in raw:
-            raise ConfigError(f"{_join(path, field.name)}: missing, expected {_words(field.hint)}")
+        if field.required and field.name not in values:
+            right = False
+            if field.name not in raw:
+                mistakes.add(_join(path, field.name), f"missing, expected {_words(field.hint)}")
+    if not right and any(field.required and field.name not in values for field in known.values()):
+        return _BAD
     try:
         return section(**values)
-    except ValueError as error:
-        # A section's own words. It may know its place in the whole, or just its own keys.
-        text = str(error)
-        raise ConfigError(
-            text if not path or text.startswith((path + ".", path + ":")) else _join(path, text)
-        ) from None
+    except ConfigError as error:
+        # The section's own words. It may know its place in the whole, or just its own keys.
+        if right:
+            at_home = (path + ".", path + ":")
+            said = (line if not path or line.startswith(at_home) else _join(path, line) for line in error.mistakes)
+            mistakes.add_lines(said)
+        return _BAD
 
 
-def _hint(key: str, known: list[str]) -> str:
+def choices(section: type[Section], key: str) -> list[str]:
+    """The names of which a key is one, as `policy.name`."""
+    name, _, rest = key.partition(".")
+    (hint,) = (field.hint for field in fields_of(section) if field.name == name)
+    ((kind, bounds),) = _alternatives(hint)
+    return choices(kind, rest) if rest else sorted(_names(kind, bounds))
+
+
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """What was probably meant; None: nothing is like it."""
     import difflib  # only who makes a mistake needs it
 
-    close = difflib.get_close_matches(key, known, 1)
-    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+    return next(iter(difflib.get_close_matches(name, list(known), 1)), None)
 
 
 # -- the same in words -------------------------------------------------------------------------------------------------
@@ -191,7 +258,7 @@ def _option(kind: Any, bounds: Any) -> str:
     if kind is bool:
         return "true or false"
     if origin is Literal or (bounds is not None and bounds.one_of is not None):
-        values = sorted(map(str, members or bounds.one_of()))
+        values = sorted(_names(kind, bounds))
         return values[0] if len(values) == 1 else "one of " + ", ".join(values)
     if kind is str:
         return "text" + _length(bounds, "characters")
@@ -202,6 +269,10 @@ def _option(kind: Any, bounds: Any) -> str:
     if isinstance(kind, type) and issubclass(kind, Section):
         return "a section with keys " + ", ".join(field.name for field in fields_of(kind))
     return "another value"
+
+
+def _names(kind: Any, bounds: Any) -> list[str]:
+    return [str(name) for name in get_args(kind) or bounds.one_of()]
 
 
 def _range(bounds: Any) -> str:

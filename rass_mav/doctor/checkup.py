@@ -58,7 +58,11 @@ def check_up(path: str) -> Report:
     except ConfigError as error:
         findings += [
             computer.packages(computer.needed_packages(None)),
-            failed("configuration", str(error), "rass-mav check says the same; docs/configuration.md has all keys"),
+            failed(
+                "configuration",
+                "; ".join(error.lines()),
+                "rass-mav check says the same; docs/configuration.md has all keys",
+            ),
             service.service(name),
         ]
         return Report(path, None, False, tuple(findings))
@@ -72,10 +76,7 @@ def check_up(path: str) -> Report:
     ]
     serial = {port.key: ports.serial_port(port) for port in ports.serial_ports(config)}
     findings += serial.values()
-    interfaces = network.interfaces()
-    findings += [
-        network.link_address(index, link, interfaces) for index, link in enumerate(config.links) if not link.kind.shared
-    ]
+    findings += [network.link_address(index, link) for index, link in enumerate(config.links) if not link.kind.shared]
     found, evidence, free = node.look(config)
     findings.append(found)
     if evidence is None and free:

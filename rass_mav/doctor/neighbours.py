@@ -23,23 +23,27 @@ def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
     ):
         return skipped(name, "its port cannot be opened")
     if why := evidence.troubles.get(name):
-        in_use = "in use" in why
-        remedy = "another program has it (ss -ulnp), or a second node: give one of them another port"
-        return failed(name, why, remedy if in_use else f"correct {name}")
+        return failed(name, why, evidence.remedies.get(name, f"correct {name}"))
     state = evidence.link(index)
     if state is None:
         return failed(name, "the running node does not have it", "restart the node")
     if trouble := state["trouble"]:
         if section.kind.through:
             return skipped(name, "the autopilot's port is not open")
-        return failed(
-            name, f"{state['name']}: {trouble.lower()}", "is it still there, and does no other program use it?"
+        remedy = (
+            "is it still there, and does no other program use it?"
+            if section.kind.shared
+            else f"see {name} address above"
         )
+        return failed(name, f"{state['name']}: {trouble[0].lower()}{trouble[1:]}", remedy)
     text = f"{section.type} {state['name']}: open, {state['received']} frames or pieces received"
     if evidence.running:
         text += f", {state['sent']} sent"
-        if state["dropped_out"] > state["sent"]:
-            return warned(name, f"{text}, {state['dropped_out']} could not be sent", "is the network there?")
+        sent, dropped = evidence.grown(index, "sent"), evidence.grown(index, "dropped_out")
+        if dropped > sent:
+            return warned(
+                name, f"{text}; while we looked {dropped} could not be sent and {sent} could", "is the network there?"
+            )
     return passed(name, text)
 
 

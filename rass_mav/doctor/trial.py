@@ -37,7 +37,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 
 from .network import is_known
-from .watch import LOOK_S, MOST_S, Ear, Evidence, Status, seen_enough
+from .watch import LOOK_S, MOST_S, Ear, Evidence, seen_enough
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
 #: What an autopilot does not have it may pass over in silence, and there is not much time.
@@ -90,18 +90,18 @@ class Listener:
 async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
     """Open what the configuration names, look for at most so many seconds, and close it again. Opens no store."""
     clock = Clock()
-    troubles: dict[str, str] = {}
+    evidence = Evidence(False, [])
     async with AsyncExitStack() as stack:
-        vehicle = _open_vehicle(config, troubles)
+        vehicle = _open_vehicle(config, evidence)
         if vehicle is not None:
             stack.callback(vehicle.close)
         links: dict[int, Link] = {}
         for index in range(len(config.links)):
-            link = _open_link(config, index, vehicle, troubles)
+            link = _open_link(config, index, vehicle, evidence)
             if link is not None:
                 links[index] = link
                 stack.callback(link.close)
-        sensor = _open_sensor(config, clock, troubles)
+        sensor = _open_sensor(config, clock, evidence)
         if sensor is not None:
             stack.callback(sensor.close)
         executor = stack.enter_context(ThreadPoolExecutor(1, "trial"))
@@ -114,7 +114,7 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
         driver = Driver(agent, list(links.values()), vehicle, clock.now, executor, rng, sensor, mute=True)
         started = clock.now()
         task = asyncio.create_task(driver.run())
-        samples: list[Status] = []
+        samples = evidence.samples
         while not samples or (clock.now() - started < most_s and (listener.busy or not seen_enough(config, samples))):
             # A bug that ends the driver comes out here.
             await asyncio.wait({task}, timeout=LOOK_S)
@@ -123,7 +123,8 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
             samples.append(status(driver, started))
         driver.stop()
         await task
-        return Evidence(False, samples, troubles, list(links), listener.ear)
+        evidence.opened, evidence.ear = list(links), listener.ear
+        return evidence
 
 
 def _settings(config: RunConfig) -> AgentSettings:
@@ -146,43 +147,43 @@ def _settings(config: RunConfig) -> AgentSettings:
     )
 
 
-def _open_vehicle(config: RunConfig, troubles: dict[str, str]) -> VehiclePort | None:
+def _open_vehicle(config: RunConfig, evidence: Evidence) -> VehiclePort | None:
     if config.autopilot.url is None:
         return None
     url = parse_vehicle_url(config.autopilot.url)
     if url.mode != "serial" and not is_known(url.address[0]):
-        troubles["autopilot.url"] = f"the name {url.address[0]} is not known"
+        evidence.note("autopilot.url", LinkError(f"the name {url.address[0]} is not known"))
         return None
     try:
         return open_vehicle(url)
     except LinkError as error:
-        troubles["autopilot.url"] = str(error)
+        evidence.note("autopilot.url", error)
         return None
 
 
-def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, troubles: dict[str, str]) -> Link | None:
+def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, evidence: Evidence) -> Link | None:
     section = config.links[index]
     key = f"links[{index}]"
     if section.kind.through and vehicle is None:
-        troubles[key] = "the autopilot's port is not open"
+        evidence.note(key, LinkError("the autopilot's port is not open"))
         return None
     if not section.kind.shared:
         texts = [section.listen, section.broadcast, *(peer.address for peer in section.peers)]
         for text in filter(None, texts):
             host = parse_address(text, any_port=True)[0]
             if not is_known(host):
-                troubles[key] = f"the name {host} is not known"
+                evidence.note(key, LinkError(f"the name {host} is not known"))
                 return None
     try:
         return section.open(vehicle)
     except LinkError as error:
-        troubles[key] = str(error)
+        evidence.note(key, error)
         return None
 
 
-def _open_sensor(config: RunConfig, clock: Clock, troubles: dict[str, str]) -> Sensor | None:
+def _open_sensor(config: RunConfig, clock: Clock, evidence: Evidence) -> Sensor | None:
     try:
         return config.sensor.open(clock.now)
     except (ConfigError, LogError) as error:
-        troubles["sensor"] = str(error)
+        evidence.note("sensor", error)
         return None

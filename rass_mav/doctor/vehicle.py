@@ -38,7 +38,8 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             return passed("autopilot", "none configured, a base needs none")
         return warned("autopilot", "none configured, so data bear no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
-        return failed("autopilot", why, "another program may have the port; see ss -ulnp, and docs/installation.md")
+        remedy = "another program may have the port; see ss -ulnp, and docs/installation.md"
+        return failed("autopilot", why, evidence.remedies.get("autopilot.url", remedy))
     known, firmware = evidence.last["autopilot"], evidence.firmware
     if not is_heard(evidence) or firmware is None:
         return _not_heard(url, config, evidence)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from rass_mav.app.config import RunConfig
+from rass_mav.errors import LinkError, RassError
 from rass_mav.mavlink.firmware import Firmware
 
 #: What `rass-mav status` tells (docs/configuration.md).
@@ -44,6 +45,8 @@ class Evidence:
     """One look after the other, at least one."""
     troubles: dict[str, str] = field(default_factory=dict)
     """What could not be opened in a trial, by key of the configuration: why."""
+    remedies: dict[str, str] = field(default_factory=dict)
+    """What to do about some of them, likewise."""
     opened: list[int] = field(default_factory=list)
     """The links that are in the samples, by their number in the configuration."""
     ear: Ear | None = None
@@ -69,10 +72,22 @@ class Evidence:
         """The last look."""
         return self.samples[-1]
 
+    def note(self, key: str, error: RassError) -> None:
+        """Something could not be opened in a trial. `key`: of the configuration."""
+        self.troubles[key] = str(error)
+        if isinstance(error, LinkError) and error.remedy:
+            self.troubles[key], self.remedies[key] = error.text, error.remedy
+
     def link(self, index: int) -> Mapping[str, Any] | None:
         """The last look at a link; None: it could not be opened."""
         links: Sequence[Mapping[str, Any]] = self.last["links"]
         return links[self.opened.index(index)] if index in self.opened else None
+
+    def grown(self, index: int, counter: str) -> int:
+        """By how much a counter of an opened link has grown while we looked."""
+        place = self.opened.index(index)
+        first, last = (sample["links"][place][counter] for sample in (self.samples[0], self.last))
+        return int(last - first)
 
 
 def heartbeats(samples: Sequence[Status]) -> list[float]:

@@ -6,11 +6,10 @@ from pkgutil import resolve_name
 from typing import Annotated
 
 from rass_mav.config.bounds import NodeId, Positive
-from rass_mav.config.sections import Meta, Section
-from rass_mav.errors import ConfigError
+from rass_mav.config.sections import Meta, Mistakes, Section
 
 from .airtime import FRAME_BYTES, Budget
-from .base import Link
+from .base import Link, Remark
 from .kinds import KINDS, LinkKind
 from .vehicle import VehiclePort
 
@@ -76,7 +75,7 @@ class LinkSection(Section):
     """Multicast group and port, as 239.255.82.83:14601; null: none."""
     interface: str | None = None
     """Network interface for multicast and for broadcast to 255.255.255.255, by name (wlan0) or by its own IPv4
-    address (multicast only); null: the system chooses."""
+    address; null: the system chooses."""
     ttl: Annotated[int, Meta(ge=0, le=255)] = 1
     """Multicast frames pass so many routers less one."""
 
@@ -92,11 +91,19 @@ class LinkSection(Section):
 
     def check(self, key: str) -> None:
         """Raise `ConfigError` for what cannot be. `key`: of this link."""
+        mistakes = Mistakes()
         for name, value in vars(self).items():
             types = [type for type, kind in KINDS.items() if name in kind.keys]
             if value and types and self.type not in types:
-                raise ConfigError(f"{key}.{name}: belongs to type {' or '.join(types)}, this link is {self.type}")
-        resolve_name(self.kind.link).check(self, key)
+                mistakes.add(f"{key}.{name}", f"belongs to type {' or '.join(types)}, this link is {self.type}")
+        with mistakes.gathering():
+            resolve_name(self.kind.link).check(self, key)
+        mistakes.check()
+
+    def remarks(self, key: str) -> list[Remark]:
+        """What does not fit this computer as it is now. `key`: of this link, which was checked."""
+        link: type[Link] = resolve_name(self.kind.link)
+        return list(link.remarks(self, key))
 
     def open(self, vehicle: VehiclePort | None) -> Link:
         """The link. `vehicle`: the autopilot's port. Raises `LinkError`."""

@@ -21,6 +21,7 @@ COMMAND_INT: int = common.MAVLINK_MSG_ID_COMMAND_INT
 #: Newer than some versions of the dialect; None: it is not there, and is not sent.
 PARAM_ERROR: int | None = getattr(common, "MAVLINK_MSG_ID_PARAM_ERROR", None)
 PING: int = common.MAVLINK_MSG_ID_PING
+FILE_TRANSFER_PROTOCOL: int = common.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 AUTOPILOT_VERSION: int = common.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 MESSAGE_INTERVAL: int = common.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 ONBOARD_COMPUTER_STATUS: int = common.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS
@@ -46,6 +47,9 @@ _CAPABILITIES: int = (
     | common.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
+# A file transfer's header: sequence, session, opcode, size of the data, answered opcode, burst's end, padding, offset.
+_FTP_HEADER = struct.Struct("<HBBBBBxI")
+_FTP_PAYLOAD = 251
 _UNKNOWN_U8 = 0xFF
 _UNKNOWN_I8 = 0x7F
 _UNKNOWN_I16 = 0x7FFF
@@ -91,6 +95,24 @@ def command_ack(command: int, result: int, *, target_system: int, target_compone
 def ping(time_us: int, sequence: int, *, target_system: int, target_component: int) -> bytes:
     """PING; as an answer, with the time and sequence of the question and its sender as the target."""
     return payload_of(common.MAVLink_ping_message(time_us, sequence, target_system, target_component))
+
+
+def file_transfer_refusal(request: bytes, *, target_system: int, target_component: int) -> bytes | None:
+    """FILE_TRANSFER_PROTOCOL that refuses a request as an unknown command (https://mavlink.io/en/services/ftp.html).
+
+    :param request: the field `payload` of the request, 251 bytes.
+    :returns: None: it is no request but an answer, which must not be answered.
+    """
+    sequence, session, opcode, *_ = _FTP_HEADER.unpack_from(request)
+    if opcode in (common.MAV_FTP_OPCODE_ACK, common.MAV_FTP_OPCODE_NAK):
+        return None
+    header = _FTP_HEADER.pack((sequence + 1) & 0xFFFF, session, common.MAV_FTP_OPCODE_NAK, 1, opcode, 0, 0)
+    payload = header + bytes((common.MAV_FTP_ERR_UNKNOWNCOMMAND,))
+    return payload_of(
+        common.MAVLink_file_transfer_protocol_message(
+            0, target_system, target_component, payload.ljust(_FTP_PAYLOAD, b"\0")
+        )
+    )
 
 
 def message_interval(message_id: int, interval_s: float | None) -> bytes:

@@ -8,8 +8,9 @@ from typing import Any
 
 from rass_mav.agent.settings import AgentSettings, DataSettings
 from rass_mav.config.bounds import Positive
-from rass_mav.config.loading import convert, set_key
-from rass_mav.config.sections import Section
+from rass_mav.config.loading import set_keys
+from rass_mav.config.sections import Mistakes, Section
+from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, RiskSettings, RoutingSettings
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
@@ -93,12 +94,15 @@ def load_settings(range_m: float | None = None, assignments: Sequence[str] = ())
     raw: dict[str, Any] = {}
     if range_m is not None:
         raw["radio"] = {"range_m": range_m}
-    for assignment in assignments:
-        set_key(raw, assignment)
+    mistakes = Mistakes("replay")
+    set_keys(raw, assignments, mistakes)
     risk = raw.setdefault("risk", {})
     is_open = isinstance(risk, dict) and "high" not in risk
     low = risk.get("low", 0.0) if is_open else None
     if isinstance(low, (int, float)):
         # Some value above `low`, until the logs are read.
         risk["high"] = low + 1.0
-    return convert(raw, ReplaySettings, "replay"), is_open
+    settings = build_with(raw, ReplaySettings, mistakes)
+    mistakes.check()
+    assert settings is not None
+    return settings, is_open

@@ -7,9 +7,8 @@ from pkgutil import resolve_name
 from typing import Annotated
 
 from rass_mav.config.bounds import NonNegative, Positive
-from rass_mav.config.sections import Meta, Section
+from rass_mav.config.sections import Meta, Mistakes, Section
 from rass_mav.config.typed import shown
-from rass_mav.errors import ConfigError
 
 from .base import Sensor
 from .dose import TUBES, DoseMeter, Tube, Unit
@@ -71,11 +70,13 @@ class SensorSettings(Section):
     def check(self) -> None:
         """Raise `ConfigError` for keys that are missing, or would have no effect."""
         kind = self.kind
+        mistakes = Mistakes()
         if kind.needs and getattr(self, kind.keys[0]) is None:
-            raise ConfigError(f"sensor.{kind.keys[0]}: missing, expected {kind.needs} with sensor.type {self.type}")
+            mistakes.add(f"sensor.{kind.keys[0]}", f"missing, expected {kind.needs} with sensor.type {self.type}")
         for key, value in vars(self).items():
             if key not in ("type", *kind.keys) and value != getattr(type(self), key):
-                raise ConfigError(f"sensor.{key}: has no effect with sensor.type {self.type}, got {shown(value)}")
+                mistakes.add(f"sensor.{key}", f"has no effect with sensor.type {self.type}, got {shown(value)}")
+        mistakes.check()
 
     def open(self, now: Callable[[], float]) -> Sensor | None:
         """The sensor; None: readings are the autopilot's.

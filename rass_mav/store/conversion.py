@@ -1,4 +1,4 @@
-"""A store of the last version, made into one of this: schema 1 had no life, no `at_least`, and nothing kept apart."""
+"""Conversion of a store of the previous version: schema 1 had no life, no `at_least`, and no second contents."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _FATES = {fate.value: fate for fate in Fate}
 
 
 def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int, vfs: str | None) -> OpenReport:
-    """Make the store at `path` one of this version; the old one goes `aside`, with all that it is.
+    """Convert the store at `path` to this version; the old one is moved to `aside`, unchanged.
 
-    Its life is what was its epoch. It kept no mark, so its last numbers may be missing: the epoch is a new one.
+    Its life is its former epoch. It kept no mark, so its last numbers may be missing: the epoch is a new one.
     `StoreError` and the errors of SQLite; then nothing has changed.
     """
     with closing(connect(path, "ro", vfs=vfs)) as old:
@@ -49,7 +49,7 @@ def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int
 
 
 def check_old(connection: sqlite3.Connection) -> str:
-    """What is wrong with a store of the last version, in its rows; empty: nothing."""
+    """What is wrong with the rows of a store of the previous version; empty: nothing."""
     bad = connection.execute(
         "SELECT arrival FROM datum WHERE (typeof(origin) = 'integer' AND typeof(epoch) = 'integer' "
         "AND typeof(sequence) = 'integer' AND typeof(kind) = 'integer' AND typeof(created) = 'real' "

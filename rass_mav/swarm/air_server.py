@@ -12,6 +12,7 @@ outlives its parent.
 
     start           a mock world begins to turn; until then it stands at step 0
     off NODE        this node's process is dead: what it said last is passed on, then it hears nothing until it speaks
+    down NODE       only where vehicles fly: this node's autopilot is dead
     stop            say the figures and end
 """
 
@@ -141,6 +142,10 @@ class Air(ABC, Generic[F]):
         self._air[node].forget()
         self._companion[node].forget()
 
+    def down(self, node: int) -> None:
+        """The autopilot of a node is dead."""
+        raise ValueError("there are no autopilots of their own here")
+
     def figures(self) -> F:
         """What has been counted so far."""
         radio = self._radio
@@ -233,6 +238,8 @@ class _Orders:
                     self._air.started = True
                 case ["off", node]:
                     self._air.off(int(node))
+                case ["down", node]:
+                    self._air.down(int(node))
                 case ["stop"]:
                     self.stopped = True
                 case words:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from rass_mav.config.loading import convert, read_yaml, set_key
-from rass_mav.config.sections import under
+from rass_mav.config.loading import read_yaml, set_keys
+from rass_mav.config.sections import Mistakes
+from rass_mav.config.typed import build_with
 from rass_mav.errors import ConfigError
 from rass_mav.swarm.scenario import Scenario
+
+S = TypeVar("S", bound=Scenario)
 
 _SHIPPED = Path(__file__).parent / "scenarios"
 #: What `swarm` runs when it is told nothing, and with `--transport udp`.
@@ -35,31 +38,40 @@ def find(name: str) -> Path:
 def load_scenario(name: str, options: dict[str, Any] | None = None, assignments: Sequence[str] = ()) -> Scenario:
     """A scenario with some keys overridden: `options` by key path, then `assignments` (`key.path=value`).
 
-    Raises `ConfigError` that names the file and the key.
+    Raises `ConfigError` with all mistakes; each names the file and the key.
     """
     path = find(name)
-    scenario = convert(overridden(path, options or {}, assignments), Scenario, path.name)
+    scenario = read_scenario(path, Scenario, options or {}, assignments)
     variant = scenario.variants.get(scenario.policy.name)
-    if variant is not None:
-        scenario = convert(overridden(path, options or {}, assignments, variant), Scenario, path.name)
-    check_nodes(scenario, path)
+    return scenario if variant is None else read_scenario(path, Scenario, options or {}, assignments, variant)
+
+
+def read_scenario(
+    path: Path,
+    kind: type[S],
+    options: dict[str, Any],
+    assignments: Sequence[str],
+    variant: dict[str, dict[str, Any]] | None = None,
+) -> S:
+    """A file, with the keys of the variant, then `options` and `assignments` over it: each goes before those before it.
+
+    Raises `ConfigError` with all mistakes.
+    """
+    mistakes = Mistakes(path.name)
+    raw = _overridden(path, options, variant or {})
+    set_keys(raw, assignments, mistakes)
+    scenario = build_with(raw, kind, mistakes)
+    if scenario is not None and mistakes.sound("policy", "custody", "store", "data"):
+        with mistakes.gathering():
+            scenario.agent_settings(0).node_settings()
+    mistakes.check()
+    assert scenario is not None
     return scenario
 
 
-def check_nodes(scenario: Scenario, path: Path) -> None:
-    """Raise `ConfigError` for settings that make no node. `path`: of the scenario."""
-    with under(path.name):
-        settings = scenario.agent_settings(0)
-        settings.node_settings()
-        settings.policy.make()
-
-
-def overridden(
-    path: Path, options: dict[str, Any], assignments: Sequence[str], variant: dict[str, dict[str, Any]] | None = None
-) -> dict[str, Any]:
-    """The keys of a file, then of the variant, then `options` and `assignments`: each goes before those before it."""
+def _overridden(path: Path, options: dict[str, Any], variant: dict[str, dict[str, Any]]) -> dict[str, Any]:
     raw = read_yaml(path)
-    for section, keys in (variant or {}).items():
+    for section, keys in variant.items():
         raw.setdefault(section, {}).update(keys)
     for key, value in options.items():
         place = raw
@@ -69,6 +81,4 @@ def overridden(
             if not isinstance(place, dict):
                 raise ConfigError(f"{path.name}: {section}: expected a section, got {place!r}")
         place[last] = value
-    for assignment in assignments:
-        set_key(raw, assignment)
     return raw

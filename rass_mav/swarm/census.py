@@ -21,10 +21,11 @@ class Census:
     vanished; with custody that never happens.
     """
 
-    def __init__(self, stores: Sequence[Path], bases: int, step_s: float) -> None:
-        """`stores`: the file of each node, by node id. Nodes 0 .. bases - 1 are bases."""
-        self._stores = list(stores)
-        self._bases = bases
+    def __init__(self, stores: Sequence[Path], bases: int, step_s: float, *, first: int = 0) -> None:
+        """`stores`: the file of each node, by node id, the first of which is `first`. So many at the beginning are
+        `bases`."""
+        self._stores = dict(enumerate(stores, first))
+        self._bases = list(self._stores)[:bases]
         self._step_s = step_s
         self._created: dict[tuple[int, int], int] = {}
         """(origin, epoch) -> how many sequence numbers are used: the most that was ever seen durable."""
@@ -63,7 +64,7 @@ class Census:
 
     def look_at_bases(self, now: float) -> None:
         """Note what has arrived since the last look. `now`: seconds since 1970."""
-        for node_id in range(self._bases):
+        for node_id in self._bases:
             with self._open(node_id) as store:
                 offset = date_offset(store.meta())
                 for info in store.held():
@@ -74,7 +75,7 @@ class Census:
 
     def look_at_all(self, now: float) -> None:
         """The same, and what every node has created."""
-        for node_id in range(self._bases, len(self._stores)):
+        for node_id in self._stores.keys() - self._bases:
             self._open(node_id).close()
         self.look_at_bases(now)
 
@@ -102,11 +103,11 @@ class Census:
         self.look_at_bases(now)
         on_drones: set[DatumId] = set()
         losses: dict[DatumId, Fate] = {}
-        for node_id in range(len(self._stores)):
+        for node_id in self._stores:
             with self._open(node_id) as store:
                 self.overflow += store.counters().get(Fate.OVERFLOW.value, 0)
                 losses.update(store.losses())
-                if node_id >= self._bases:
+                if node_id not in self._bases:
                     on_drones.update(store.ids())
                     continue
                 for id in store.ids():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import selectors
 import signal
 import subprocess
@@ -114,9 +115,16 @@ class Child:
             how = f"killed by signal {-code}"
         return SwarmError(f"{self.name}: {how}{self._tail()}")
 
+    def note(self, line: str) -> None:
+        """Add a line to its log: what it has said in another way than on stderr."""
+        with self.log.open("a", encoding="utf-8") as log:
+            log.write(f"{line}\n")
+
     def _tail(self) -> str:
         text = self.log.read_bytes()[-_TAIL_CHARACTERS:].decode(errors="replace")
-        lines = [line.strip() for line in text.splitlines() if line.strip()][-_TAIL_LINES:]
+        said = [line.strip() for line in text.splitlines() if line.strip()]
+        # Whoever says the same many times has said it once.
+        lines = [line for line, _ in itertools.groupby(said)][-_TAIL_LINES:]
         return ": " + " | ".join(lines) if lines else ""
 
     def _close(self) -> None:

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
+import os
 import random
 import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,24 +23,38 @@ import msgspec
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
-from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
+from rass_mav.app.config import (
+    MAX_SOCKET_PATH,
+    AutopilotSection,
+    ControlSection,
+    NodeSection,
+    RunConfig,
+    RunStoreSettings,
+)
 from rass_mav.app.payloads import parse_name
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
-from rass_mav.errors import ConfigError, ControlError, SwarmError, os_errors_as
+from rass_mav.errors import ConfigError, ControlError, SwarmError
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
-from rass_mav.swarm.children import Child, Children, orderly_end
+from rass_mav.swarm.children import Child, Children
 from rass_mav.swarm.loops import count_loops
+from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.stopwatch import Stopwatch
 from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.workplace import workplace
 
 log = logging.getLogger(__name__)
 
 #: More processes than this are no test of anything but the machine.
 MAX_NODES = 64
+#: Kept configurations listen on ports from here on, below those that systems give to whoever asks for any.
+KEPT_PORT = 14600
+# Each directory has one of so many ranges of `MAX_NODES` ports.
+_KEPT_RANGES = 128
 #: After the scenario's steps, data that are on their way get at least so long to arrive, seconds.
 DRAIN_S = 10.0
 # Further steps for each node: with loss, a hop takes more than one.
@@ -55,25 +72,19 @@ _LOOK_SHARE = 0.1
 P = TypeVar("P", bound=Ports)
 
 
-class NodeProcess:
-    """One node: its files, its process, and what it said of itself last."""
+class NodeProcess(RunningNode):
+    """One node of a scenario: what it is told, and what it said of itself last."""
 
     def __init__(self, node_id: int, directory: Path, socket: Path) -> None:
         """`directory`: for configuration, store and log. `socket`: of the control socket, at most 107 bytes."""
-        self.node_id = node_id
-        self.name = f"node {node_id}"
-        self.config = directory / f"node-{node_id}.yaml"
-        self.store = directory / f"node-{node_id}.db"
-        self.log = directory / f"node-{node_id}.log"
-        self.socket = socket
+        super().__init__(node_id, directory, socket, f"node-{node_id}")
         self.until_step = 0
         """Steps in which this life of the node makes data."""
-        self.ready = False
         self.status: dict[str, Any] = {}
         """Last answer to `status` in this life."""
         self.earlier = {"malformed": 0, "skipped_steps": 0}
         """Sums over earlier lives, as far as they were asked."""
-        self.child: Child
+        self._config: RunConfig
         self._client: ControlClient | None = None
 
     def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
@@ -81,7 +92,7 @@ class NodeProcess:
         settings = scenario.agent_settings(self.node_id)
         self.until_step = until_step
         vehicle, link = self._wiring(settings, ports)
-        config = RunConfig(
+        self._config = RunConfig(
             node=NodeSection(
                 id=self.node_id,
                 role="base" if settings.base else "drone",
@@ -99,8 +110,27 @@ class NodeProcess:
             mavlink=settings.mavlink,
             control=ControlSection(socket=str(self.socket)),
         )
-        config.check()
-        self.config.write_text(dump_yaml(config), encoding="utf-8")
+        self._write_config()
+
+    def _write_config(self) -> None:
+        self._config.check()
+        self.config.write_text(dump_yaml(self._config), encoding="utf-8")
+
+    def bequeath(self, ports: range) -> None:
+        """Write a configuration with which the node can be run again later, when there is neither radio nor autopilot.
+
+        It hears all nodes of the swarm, which are listened to on these ports by node id.
+        """
+        peers = [PeerSection(address=f"127.0.0.1:{port}", id=n) for n, port in enumerate(ports)]
+        listen = peers.pop(self.node_id).address
+        links = (LinkSection(listen=listen, peers=tuple(peers)),) if peers else ()
+        socket = self.store.with_suffix(".sock")
+        if len(os.fsencode(socket)) > MAX_SOCKET_PATH:
+            socket = Path(tempfile.gettempdir(), f"rass-{listen.rpartition(':')[2]}.sock")
+        self._config = replace(
+            self._config, autopilot=AutopilotSection(), links=links, control=ControlSection(socket=str(socket))
+        )
+        self._write_config()
 
     def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
         """The autopilot's URL, and the link to the neighbours."""
@@ -108,20 +138,6 @@ class NodeProcess:
         radio = PeerSection(address=f"127.0.0.1:{ports.air[self.node_id]}")
         link = LinkSection(listen="127.0.0.1:0", peers=(radio,))
         return f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}", link
-
-    def start(self, children: Children) -> None:
-        """Begin a life. It is under way when `ready`."""
-        self.ready = False
-        arguments = ["-m", "rass_mav.swarm.tether", "run", str(self.config), "--json"]
-        self.child = children.start(self.name, arguments, self.log, self.heard)
-
-    def heard(self) -> None:
-        """There is something on its stdout: the line that says it is ready, or the end. Raises `SwarmError`."""
-        self.child.read()
-        line = self.child.next_line()
-        if line is not None:
-            # If it could not start, it says why on stderr too, and the end of its output follows.
-            self.ready = "error" not in msgspec.json.decode(line)
 
     def ask(self) -> int | None:
         """Ask for its status. Returns its next hop. Raises `SwarmError`, also if a frame hit a fault in the node."""
@@ -191,6 +207,7 @@ class ProcessSwarm:
         self._ports: Ports
         self._begun = 0.0
         self._next_look = self._next_sample = 0.0
+        self._next_kill = math.inf
         self._loops = 0
         self.kills = 0
         """Processes killed with SIGKILL and started again."""
@@ -210,8 +227,12 @@ class ProcessSwarm:
         self._await(
             lambda: [node.name for node in self._nodes if not node.ready], START_S + _START_EACH_S * len(self._nodes)
         )
-        self._world.tell("start")
+        self._set_off()
         self._begun = time.monotonic()
+
+    def _set_off(self) -> None:
+        """Let the world begin; returns when it has."""
+        self._world.tell("start")
 
     def _surround(self, record: str | None) -> None:
         """Start what the nodes are to find. `record`: see `AirOrder`."""
@@ -222,15 +243,21 @@ class ProcessSwarm:
         """The scenario's steps, in real time, with its failures."""
         every = self._scenario.failures.kill_every_s
         end = self._begun + self._scenario.steps * self._step_s
-        next_kill = self._begun + every if every is not None and self._drones else end
+        if every is not None and self._drones:
+            self._next_kill = self._begun + every
         while (now := time.monotonic()) < end:
-            if now >= next_kill:
-                self._kill(self._kill_rng.choice(self._drones))
-                next_kill += every or 0.0
+            next_failure = self._fail(now)
             self._look(now)
             if progress is not None:
                 progress(int((now - self._begun) / self._step_s))
-            self._children.wait(min(end, next_kill, self._next_look))
+            self._children.wait(min(end, next_failure, self._next_look))
+
+    def _fail(self, now: float) -> float:
+        """Let happen what is due of the scenario's failures. Returns when to come again; infinity: never."""
+        if now >= self._next_kill:
+            self._kill(self._kill_rng.choice(self._drones))
+            self._next_kill += self._scenario.failures.kill_every_s or 0.0
+        return self._next_kill
 
     def drain(self) -> None:
         """Let arrive what is on its way, until all has or nothing is left; at most `DRAIN_S` and some steps."""
@@ -264,6 +291,14 @@ class ProcessSwarm:
         """End all conversations with nodes."""
         for node in self._nodes:
             node.hang_up()
+
+    def bequeath(self) -> None:
+        """Leave configurations that can be run again, of all nodes that have had one."""
+        # Swarms that were kept in two directories can be run at the same time.
+        begin = KEPT_PORT + zlib.crc32(os.fsencode(self._directory)) % _KEPT_RANGES * MAX_NODES
+        for node in self._nodes:
+            if node.config.exists():
+                node.bequeath(range(begin, begin + len(self._nodes)))
 
     # -- meanwhile -----------------------------------------------------------------------------------------------------
 
@@ -413,27 +448,16 @@ def conduct(
 
     `make`: the swarm, by its directory, the one of its control sockets, and its children.
     """
-    if keep is not None:
-        _prepare(keep)
-    begin = time.perf_counter()
+    watch = Stopwatch()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(orderly_end())
-        # Always a short path: a unix socket's may have 107 bytes.
-        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
-        children = stack.enter_context(Children())
-        swarm = make((keep or sockets).absolute(), sockets, children)
+        directory, sockets, children = stack.enter_context(workplace(keep))
+        swarm = make(directory, sockets, children)
+        if keep is not None:
+            stack.callback(swarm.bequeath)
         stack.callback(swarm.hang_up)
         swarm.start(record)
         swarm.fly(progress)
         swarm.drain()
         summary = swarm.summary(swarm.stop())
-    wall = time.perf_counter() - begin
-    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
-
-
-def _prepare(directory: Path) -> None:
-    with os_errors_as(ConfigError, directory):
-        directory.mkdir(parents=True, exist_ok=True)
-        used = any(directory.iterdir())
-    if used:
-        raise ConfigError(f"{directory}: expected a new or an empty directory")
+    # All processes have ended, so that their time is known.
+    return {**summary, **watch.figures(scenario.nodes * scenario.steps)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import field, replace
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -101,30 +102,29 @@ class RadiationSection(Section):
             return self.sets[max(run - 1, 0) % 10 % len(self.sets)]
         return self.sources_of(seed) or []
 
-    def __post_init__(self) -> None:
+    def mistakes(self) -> Iterator[str]:
         """What no single key can say."""
         if self.sets is not None and (not self.sets or self.sources is not None):
-            raise ValueError(
-                "radiation.sets: expected at least one set of sources, and no radiation.sources beside them"
-            )
+            yield ("radiation.sets: expected at least one set of sources, and no radiation.sources beside them")
         if self.tolerance[0] >= self.tolerance[1]:
-            raise ValueError(f"radiation.tolerance: expected two rising numbers, got {list(self.tolerance)}")
+            yield f"radiation.tolerance: expected two rising numbers, got {list(self.tolerance)}"
         if self.cylinder_m and (self.drift or (self.sources is None and self.sets is None)):
-            raise ValueError("radiation.cylinder_m: expected 0 unless the sources are given and stay where they are")
+            yield "radiation.cylinder_m: expected 0 unless the sources are given and stay where they are"
 
 
 Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
 """[[from, to], ...]: from one step until another, one span after the other."""
 
 
-def _check_spans(key: str, spans: Steps) -> None:
+def _wrong_spans(key: str, spans: Steps) -> Iterator[str]:
     last = 0
     for begin, end in spans:
         if not last <= begin < end:
-            raise ValueError(
+            yield (
                 f"{key}: expected [from, to] one after the other, each from below its to, "
                 f"got {[list(pair) for pair in spans]}"
             )
+            return
         last = end
 
 
@@ -159,17 +159,15 @@ class FailureSection(Section):
     base_wiped: bool = False
     """Whether bases come back with an empty store of a new epoch."""
 
-    def __post_init__(self) -> None:
+    def mistakes(self) -> Iterator[str]:
         """What no single key can say."""
         if self.battery_steps is not None and self.battery_steps[0] > self.battery_steps[1]:
-            raise ValueError(
-                f"failures.battery_steps: expected two numbers that do not fall, got {list(self.battery_steps)}"
-            )
+            yield (f"failures.battery_steps: expected two numbers that do not fall, got {list(self.battery_steps)}")
         if self.recharge_steps is not None and self.battery_steps is None:
-            raise ValueError("failures.recharge_steps: expected null unless failures.battery_steps is given")
+            yield "failures.recharge_steps: expected null unless failures.battery_steps is given"
         if self.base_wiped and not self.base_off:
-            raise ValueError("failures.base_wiped: expected false unless failures.base_off is given")
-        _check_spans("failures.base_off", self.base_off)
+            yield "failures.base_wiped: expected false unless failures.base_off is given"
+        yield from _wrong_spans("failures.base_off", self.base_off)
 
     @property
     def of_robots(self) -> list[str]:
@@ -194,10 +192,10 @@ class DiskSection(Section):
     flip_rate: NonNegative = 0.0
     """How many bits of a node's database and log flip in a step, on average."""
 
-    def __post_init__(self) -> None:
+    def mistakes(self) -> Iterator[str]:
         """What no single key can say."""
-        _check_spans("disk.full", self.full)
-        _check_spans("disk.read_only", self.read_only)
+        yield from _wrong_spans("disk.full", self.full)
+        yield from _wrong_spans("disk.read_only", self.read_only)
 
 
 class HostileSection(Section):
@@ -249,24 +247,23 @@ class Scenario(Section):
     """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They go before the
     file's other keys, and the command's options go before them (applied by `catalogue.load_scenario`)."""
 
-    def __post_init__(self) -> None:
+    def mistakes(self) -> Iterator[str]:
         """What no single key can say."""
         if self.bases > self.nodes:
-            raise ValueError(f"bases: expected at most nodes ({self.nodes}), got {self.bases}")
+            yield f"bases: expected at most nodes ({self.nodes}), got {self.bases}"
         if self.topology == "positions":
             given = len(self.mobility.positions or ())
             if given != self.nodes:
-                raise ValueError(f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}")
-        if any(attacker.near >= self.nodes for attacker in self.hostile):
-            raise ValueError(f"hostile.near: expected a node id below {self.nodes}")
+                yield f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}"
+        for index, attacker in enumerate(self.hostile):
+            if attacker.near >= self.nodes:
+                yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
         if self.hostile and self.transport != "loopback":
-            raise ValueError("hostile: expected no attackers unless the transport is loopback")
+            yield "hostile: expected no attackers unless the transport is loopback"
         if self.disk is not None and self.transport != "loopback":
-            raise ValueError("disk: expected null unless the transport is loopback; processes have the machine's disk")
+            yield "disk: expected null unless the transport is loopback; processes have the machine's disk"
         if self.disk is not None and self.radiation.corruption:
-            raise ValueError(
-                "radiation.corruption: expected false with a disk; disk.flip_rate flips bits where they lie on it"
-            )
+            yield ("radiation.corruption: expected false with a disk; disk.flip_rate flips bits where they lie on it")
 
     @property
     def arena(self) -> float:

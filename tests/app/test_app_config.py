@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.config.loading import MAX_VALUES, convert, dump_yaml, read_yaml, set_key, to_plain
-from rass_mav.errors import ConfigError
+from rass_mav.errors import MOST_LINES, ConfigError
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
-DRONE = "node: {id: 7}\nlinks: [{peers: [{address: '10.0.0.1:14600'}]}]\n"
+LINKS = "links: [{peers: [{address: '10.0.0.1:14600'}]}]\n"
+DRONE = "node: {id: 7}\n" + LINKS
 
 
 def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes) -> str:
@@ -34,21 +35,21 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("policy: {alpha: ten}", "node.yaml: policy.alpha: expected a number >= 0, got 'ten'"),
-        ("policy: {alpha: -1}", "node.yaml: policy.alpha: expected a number >= 0, got -1"),
-        ("policy: {alpha: .nan}", "node.yaml: policy.alpha: expected a finite number, got nan"),
-        ("policy: {alfa: 1}", "node.yaml: policy.alfa: unknown key (did you mean 'alpha'?)"),
-        ("polic: {}", "node.yaml: polic: unknown key (did you mean 'policy'?)"),
-        ("log: {zzz: 1}", "node.yaml: log.zzz: unknown key (known: level)"),
-        ("policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, hop_cost, "
+        (DRONE + "policy: {alpha: ten}", "node.yaml: policy.alpha: expected a number >= 0, got 'ten'"),
+        (DRONE + "policy: {alpha: -1}", "node.yaml: policy.alpha: expected a number >= 0, got -1"),
+        (DRONE + "policy: {alpha: .nan}", "node.yaml: policy.alpha: expected a finite number, got nan"),
+        (DRONE + "policy: {alfa: 1}", "node.yaml: policy.alfa: unknown key (did you mean 'alpha'?)"),
+        (DRONE + "polic: {}", "node.yaml: polic: unknown key (did you mean 'policy'?)"),
+        (DRONE + "log: {zzz: 1}", "node.yaml: log.zzz: unknown key (known: level)"),
+        (DRONE + "policy: 3", "node.yaml: policy: expected a section with keys name, alpha, beta, threshold, hop_cost, "
          "unknown_hops, rules, got 3"),
-        ("policy: {name: best}",
+        (DRONE + "policy: {name: best}",
          "node.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, "
          "survival, got 'best'"),
         (DRONE + "policy: {name: rass, alpha: 0, beta: 0}",
          "node.yaml: policy.alpha: alpha and beta must not both be 0"),
-        ("risk: {gain: 1.5}", "node.yaml: risk.gain: expected a number > 0 and <= 1, got 1.5"),
-        ("risk: {scale: logarithmic}",
+        (DRONE + "risk: {gain: 1.5}", "node.yaml: risk.gain: expected a number > 0 and <= 1, got 1.5"),
+        (DRONE + "risk: {scale: logarithmic}",
          "node.yaml: risk.low: expected a number > 0 with risk.scale logarithmic, got 0"),
         (DRONE + "sensor: {type: geiger}",
          "node.yaml: sensor.type: expected one of autopilot, bgeigie, gmc, log, mightyohm, radpro, got 'geiger'"),
@@ -72,25 +73,26 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
          "node.yaml: sensor.cpm_per_usvh: expected a number > 0, got 0"),
         (DRONE + "sensor: {type: gmc, port: /dev/ttyUSB0, baud: fast}",
          "node.yaml: sensor.baud: expected a whole number >= 50 and <= 4000000, got 'fast'"),
-        ("risk: {low: 1, high: 1}", "node.yaml: risk.high: expected a number above risk.low (1), got 1"),
-        ("node: {id: 65535}", "node.yaml: node.id: expected a whole number >= 0 and <= 65534, got 65535"),
-        ("node: {role: king}", "node.yaml: node.role: expected one of base, drone, got 'king'"),
-        ("node: {forward: later}", "node.yaml: node.forward: expected one of immediate, step, got 'later'"),
-        ("custody: {mirror: true, mode: none}",
+        (DRONE + "risk: {low: 1, high: 1}", "node.yaml: risk.high: expected a number above risk.low (1), got 1"),
+        ("node: {id: 65535}\n" + LINKS, "node.yaml: node.id: expected a whole number >= 0 and <= 65534, got 65535"),
+        ("node: {id: 1, role: king}\n" + LINKS, "node.yaml: node.role: expected one of base, drone, got 'king'"),
+        ("node: {id: 1, forward: later}\n" + LINKS,
+         "node.yaml: node.forward: expected one of immediate, step, got 'later'"),
+        (DRONE + "custody: {mirror: true, mode: none}",
          "node.yaml: custody.mirror: expected false with custody.mode none, got true"),
-        ("custody: {mirror_until: ever}",
+        (DRONE + "custody: {mirror_until: ever}",
          "node.yaml: custody.mirror_until: expected one of passed-on, receipt, got 'ever'"),
-        ("custody: {copies: 2}", "node.yaml: custody.copies: expected one of 1, auto, got 2"),
-        ("custody: {copies: some}", "node.yaml: custody.copies: expected one of 1, auto, got 'some'"),
-        ("custody: {receipts: 2}", "node.yaml: custody.receipts: expected true or false, got 2"),
-        ("mavlink: {reading_name: ''}",
+        (DRONE + "custody: {copies: 2}", "node.yaml: custody.copies: expected one of 1, auto, got 2"),
+        (DRONE + "custody: {copies: some}", "node.yaml: custody.copies: expected one of 1, auto, got 'some'"),
+        (DRONE + "custody: {receipts: 2}", "node.yaml: custody.receipts: expected true or false, got 2"),
+        (DRONE + "mavlink: {reading_name: ''}",
          "node.yaml: mavlink.reading_name: expected text of 1 to 10 characters, got ''"),
-        ("mavlink: {system_id: null}",
+        (LINKS + "mavlink: {system_id: null}",
          "node.yaml: node.id: missing, expected a whole number 0..65534 (or give mavlink.system_id)"),
         ("node: {id: 1}", "node.yaml: links: a drone needs at least one"),
-        ("links: 3", "node.yaml: links: expected a list, got 3"),
-        ("links: [{peers: [{id: 3}]}]", "node.yaml: links[0].peers[0].address: missing, expected text"),
-        ("links: [{peers: [{id: x, address: 'a:1'}]}]",
+        ("node: {id: 1}\nlinks: 3", "node.yaml: links: expected a list, got 3"),
+        ("node: {id: 1}\nlinks: [{peers: [{id: 3}]}]", "node.yaml: links[0].peers[0].address: missing, expected text"),
+        ("node: {id: 1}\nlinks: [{peers: [{id: x, address: 'a:1'}]}]",
          "node.yaml: links[0].peers[0].id: expected a whole number >= 0 and <= 65534, got 'x'"),
         ("node: {id: 1}\nlinks: [{peers: [{address: '10.0.0.1'}]}]",
          "node.yaml: links[0].peers[0].address: expected host:port (IPv4 address or name), got '10.0.0.1'"),
@@ -158,6 +160,89 @@ def test_each_mistake_is_one_line_that_names_file_and_key(
     assert said.startswith("node.yaml: ")
     if expected is not None:
         assert said == expected
+
+
+SEVERAL = """
+node: {id: 70000, rolle: base}
+autopilot: {url: ttyAMA0, messages: {GLOBAL_POSITION_INT: 1, NOT_THIS: 1, NOR_THIS: 2}}
+links:
+  - {listen: 'x:99999', brodcast: '10.0.0.255:14600'}
+  - {type: rope}
+  - {type: udp, device: /dev/ttyUSB0, broadcast: '10.0.0.255', ttl: 300}
+policy: {alpha: ten, beta: .nan}
+risk: {low: 5, high: 1}
+sensor: {path: a.LOG, baud: 9600}
+store: {overflow: drop-oldest}
+"""
+
+
+def test_all_mistakes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And none that only follows from another: there is a peer to the first link, and a type to the second."""
+    monkeypatch.chdir(tmp_path)
+    Path("node.yaml").write_text(SEVERAL)
+    with pytest.raises(ConfigError) as caught:
+        load_config("node.yaml", ["risk.gain=2", "links.9.ttl=1", "node.step_s=["])
+    assert caught.value.lines() == [
+        "--set links.9.ttl: links has items 0 to 2, not 9",
+        "--set node.step_s: line 1: expected the node content, but found '<stream end>'",
+        "node.yaml: policy.beta: expected a finite number, got nan",
+        "node.yaml: node.id: expected a whole number >= 0 and <= 65534, got 70000",
+        "node.yaml: node.rolle: unknown key (did you mean 'role'?)",
+        "node.yaml: links[0].brodcast: unknown key (did you mean 'broadcast'?)",
+        "node.yaml: links[1].type: expected one of autopilot, serial, udp, got 'rope'",
+        "node.yaml: links[2].ttl: expected a whole number >= 0 and <= 255, got 300",
+        "node.yaml: policy.alpha: expected a number >= 0, got 'ten'",
+        "node.yaml: risk.gain: expected a number > 0 and <= 1, got 2",
+        "node.yaml: links[0].listen: expected a port 0..65535 behind the colon, got 'x:99999'",
+        "node.yaml: links[2].device: belongs to type serial, this link is udp",
+        "node.yaml: links[2].broadcast: expected host:port (IPv4 address or name), got '10.0.0.255'",
+        "node.yaml: autopilot.url: expected udpin:host:port, udpout:host:port, tcp:host:port or serial:device:baud "
+        "(for example udpin:0.0.0.0:14550 or serial:/dev/ttyAMA0:921600), got 'ttyAMA0'",
+        "node.yaml: autopilot.messages: NOT_THIS: no message of the common dialect",
+        "node.yaml: autopilot.messages: NOR_THIS: no message of the common dialect",
+        "node.yaml: sensor.baud: has no effect with sensor.type autopilot, got 9600",
+        "node.yaml: sensor.path: has no effect with sensor.type autopilot, got 'a.LOG'",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("node: {id: 1, role: king}", ["node.role: expected one of base, drone, got 'king'"]),
+        ("node: {id: x}\n" + LINKS, ["node.id: expected a whole number >= 0 and <= 65534, got 'x'"]),
+        ("node: {id: 1}\nlink: []", ["link: unknown key (did you mean 'links'?)"]),
+        (DRONE + "policy: {name: best}\ndata: {bytes: 500}",
+         ["policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'best'"]),
+        (DRONE + "policy: {name: rass, alpha: 0, beta: 0}\nstore: {overflow: drop-oldest}",
+         ["policy.alpha: alpha and beta must not both be 0",
+          "store.overflow: drop-oldest breaks custody, expected custody.mode none with it"]),
+        ("node: {id: 1}\nlinks: [{type: autopilot}, {type: autopilot}]",
+         ["links[0].type: autopilot needs autopilot.url",
+          "links[1].type: only one link can go through the autopilot"]),
+        ("node: {id: 1}\nlinks: [{type: autopilot}]\nautopilot: {ulr: 'udpin::14550'}\nmavlink: {autopilot_id: 1}",
+         ["autopilot.ulr: unknown key (did you mean 'url'?)"]),
+        (DRONE + "sensor: {type: geiger, port: a}",
+         ["sensor.type: expected one of autopilot, bgeigie, gmc, log, mightyohm, radpro, got 'geiger'"]),
+        (DRONE + "risk: {scale: logarithmic, high: -1}",
+         ["risk.low: expected a number > 0 with risk.scale logarithmic, got 0",
+          "risk.high: expected a number above risk.low (0), got -1"]),
+    ],
+)  # fmt: skip
+def test_what_only_follows_from_a_mistake_is_not_told(tmp_path: Path, text: str, expected: list[str]) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert caught.value.lines() == [f"{path}: {line}" for line in expected]
+
+
+def test_a_file_full_of_mistakes_fills_no_screen(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE + "".join(f"key{n}: 1\n" for n in range(MOST_LINES + 7)))
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert len(caught.value.lines()) == MOST_LINES + 1
+    assert caught.value.lines()[-1] == "and 7 more mistakes"
 
 
 def test_a_missing_file_and_a_directory(tmp_path: Path) -> None:
@@ -295,12 +380,12 @@ TREES = st.recursive(
 
 
 @given(st.dictionaries(NAMES, TREES, max_size=5))
-def test_any_tree_converts_or_is_refused_in_one_line(raw: dict[str, object]) -> None:
+def test_any_tree_converts_or_is_refused_a_line_for_each_mistake(raw: dict[str, object]) -> None:
     try:
         config = convert(raw, RunConfig, "node.yaml")
     except ConfigError as error:
-        assert str(error).startswith("node.yaml: ")  # noqa: PT017
-        assert "\n" not in str(error).replace("\\n", "")  # noqa: PT017
+        assert all(line.startswith("node.yaml: ") and "\n" not in line for line in error.mistakes)  # noqa: PT017
+        assert len(set(error.mistakes)) == len(error.mistakes)  # noqa: PT017
     else:
         assert convert(to_plain(config), RunConfig, "again") == config
 

@@ -215,12 +215,28 @@ def test_who_has_to_be_updated(
     [
         (nothing, "pass", "open"),
         (put("links.0.trouble", "No such device"), "fail", "no such device"),
-        (put("links.0.dropped_out", 50), "warn", "50 could not be sent"),
+        (put("links.0.trouble", "wlanA is down"), "fail", "wlanA is down"),
+        (put("links.0.dropped_out", 50), "warn", "50 could not be sent and 0 could"),
     ],
 )
 def test_a_link(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
     found = neighbours.link(scene[0], 0, evidence(scene, change))
     assert (found.level, said in found.text) == (level, True), found
+
+
+def test_a_link_that_dropped_much_long_ago_and_one_that_has_sent_much_before(
+    scene: tuple[RunConfig, Evidence],
+) -> None:
+    def counted(sent: int, dropped: int) -> dict[str, Any]:
+        sample = copy.deepcopy(dict(scene[1].last))
+        sample["links"][0].update(sent=sent, dropped_out=dropped)
+        return sample
+
+    recovered = Evidence(True, [counted(10, 9000), counted(20, 9000)], opened=[0])
+    assert neighbours.link(scene[0], 0, recovered).level == "pass"
+    lost_now = Evidence(True, [counted(9000, 0), counted(9001, 10)], opened=[0])
+    found = neighbours.link(scene[0], 0, lost_now)
+    assert (found.level, "10 could not be sent and 1 could" in found.text) == ("warn", True)
 
 
 @pytest.mark.parametrize(
