@@ -1,5 +1,6 @@
-"""Figures: lines with confidence bands or single runs, bars and points. All look alike, with the same colour for the same policy everywhere.
+"""Figures: lines with confidence bands or single runs, bars and points.
 
+All look alike, with the same colour for the same policy everywhere.
 matplotlib (the extra `sim`) is imported when a figure is drawn, never before, and without its global state.
 """
 
