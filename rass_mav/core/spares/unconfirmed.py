@@ -1,4 +1,4 @@
-"""Nothing rests indefinitely: data that were handed over and bring no receipt for long are sent again, by another route.
+"""Nothing rests indefinitely: data handed over that bring no receipt for long are sent again, by another route.
 
 A node that sent COMMITTED may be an attacker, may have died, or may only claim to be a base. Only a base's receipt
 shows that a datum has arrived. So when the wait for a receipt is over and a base can be reached, the spare comes back
