@@ -2,7 +2,7 @@
 #
 #   make demo     a mock swarm of 100 nodes, and what became of its data
 #   make test     the tests
-#   make soak     the same tests with many more examples, and those that take long: an hour or more
+#   make soak     the long forms of the tests, and many more examples of properties
 #   make lint     ruff and mypy (style, format and types by themselves)
 #   make bench    the benchmarks
 #   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)

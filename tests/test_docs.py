@@ -16,6 +16,7 @@ import yaml
 from rass_mav.app.config import load_config
 from rass_mav.cli import build_parser
 from rass_mav.core.custody.holdings import CHANGES, State
+from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
@@ -142,6 +143,7 @@ def test_the_readme_shows_what_the_demo_prints() -> None:
         capture_output=True,
         text=True,
         check=True,
+        env=unmeasured(),
         timeout=PATIENCE_S,
     )
     (shown,) = (code for language, code in FENCE.findall(README) if language == "text")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.replay.tlog import TlogReader
+from tests.environment import unmeasured
 
 from .logs import START, place, vehicle, write
 
@@ -158,7 +158,7 @@ def test_the_same_logs_give_the_same_summary_in_any_process(flight: list[str]) -
     def summary(hash_seed: str, *arguments: str) -> dict[str, Any]:
         done = subprocess.run(
             [sys.executable, "-m", "rass_mav", "replay", "--json", "--range", "12", *flight, *arguments],
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            env=unmeasured(PYTHONHASHSEED=hash_seed),
             capture_output=True,
             text=True,
             check=True,
