@@ -79,6 +79,11 @@ class ServiceError(RassError):
     """The system's service could not be installed, removed or asked."""
 
 
+def installing(extra: str) -> str:
+    """How to get the packages of an extra. The project is on no package index: it is installed from its checkout."""
+    return f"pip install '.[{extra}]' in the checkout"
+
+
 def why(error: Exception) -> str:
     """What the system says about an error, in small letters, to stand behind a colon."""
     return (getattr(error, "strerror", None) or str(error)).lower()
