@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_set, answer, clean, progress, recorder, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    clean,
+    keeping,
+    kept_files,
+    progress,
+    recorder,
+    start_logging,
+)
 from .summary import summary_lines
 
 if TYPE_CHECKING:
@@ -82,12 +93,13 @@ def _replay(options: argparse.Namespace) -> int:
         settings = settings.with_highest(recording.highest)
     with recorder(options.record, settings.node.step_s, recording.start_us / 1e6) as record:
         swarm = ReplaySwarm(recording, settings, base=options.base, record=record)
-        wall = _run(swarm, options)
+        reached, wall = _run(swarm, options)
     rows = arrivals(swarm)
     if options.output is not None:
         with os_errors_as(RassError, options.output), options.output.open("w", newline="", encoding="utf-8") as file:
             write_csv(rows, file)
     result = summary(swarm, rows)
+    result["reachable"] = reached
     result["wall_s"] = round(wall, 3)
     result["robot_steps_per_s"] = round(len(swarm.agents) * swarm.t / wall) if wall else 0
     answer(options, result, map(clean, chain(summary_lines(result), [""], _lines(result, rows))))
@@ -100,21 +112,29 @@ def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
         raise ConfigError(f"{option} {path}: this is one of the logs")
 
 
-def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> float:
-    """Play it; returns the seconds it took."""
+def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> tuple[int, float]:
+    """Play it; returns how many vehicles could reach the base in the first step, and the seconds it took."""
     from rass_mav.swarm.invariants import check
+    from rass_mav.swarm.reach import reachable
 
+    reached = 0
     begin = time.perf_counter()
-    with progress(swarm.span_steps, "steps", quiet=options.json) as advance:
+    with (
+        keeping(lambda: kept_files(options.record)),
+        progress(swarm.span_steps, "steps", quiet=options.json) as advance,
+    ):
 
         def after(swarm: ReplaySwarm) -> None:
+            nonlocal reached
+            if swarm.t == 1:
+                reached = reachable(swarm.neighbours, 1)
             if options.check:
                 check(swarm)
             advance(1)
 
         swarm.run(swarm.span_steps, after=after)
         swarm.drain(int(options.drain / swarm.step_s), after=after)
-    return time.perf_counter() - begin
+    return reached, time.perf_counter() - begin
 
 
 def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:
