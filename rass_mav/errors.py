@@ -1,6 +1,6 @@
 """The errors that `rass_mav` raises on purpose.
 
-Everything that comes from the wire, a file or a person raises a `RassError`; anything else that escapes is a bug.
+Wrong input from the wire, a file or a person raises a `RassError`. Any other exception that escapes is a bug.
 """
 
 from __future__ import annotations
@@ -8,32 +8,32 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
-#: Of a file with many mistakes so many are told.
+#: The most mistakes in one file that are reported.
 MOST_LINES = 50
 
 
 class RassError(Exception):
-    """Base of all errors caused by the outside world, never by our own mistakes."""
+    """Base of all errors that the outside world causes. Our own mistakes never raise it."""
 
     def lines(self) -> list[str]:
-        """What people are told, a line for each mistake."""
+        """The messages for people, one line for each mistake."""
         return [" ".join(str(self).split())]
 
 
 class MalformedError(RassError):
-    """Bytes from the wire or from a log that do not parse. Raised for malformed input, and nothing else is."""
+    """Bytes from the wire or from a log that do not parse. Malformed input raises this error and no other."""
 
 
 class StoreError(RassError):
-    """The durable store could not do what was asked (damaged database, disk error)."""
+    """The durable store could not complete a request (damaged database, disk error)."""
 
 
 class StoreFullError(StoreError):
-    """There is no room left, by items, by bytes or by quota; nothing was stored."""
+    """The store has no space left, in items, in bytes or in its quota. Nothing was stored."""
 
 
 class StoreDamagedError(StoreError):
-    """The database is damaged and cannot be trusted any more: abandon the store and open it anew, as suspect."""
+    """The database is damaged and can no longer be trusted: abandon the store and open it again, as suspect."""
 
 
 class DatumError(RassError):
@@ -41,8 +41,7 @@ class DatumError(RassError):
 
 
 class ConfigError(RassError):
-    """A configuration, scenario or command line that does not make sense: a line for each mistake, which names the file
-    and the key."""
+    """An invalid configuration, scenario or command line. Each of its lines names the file and the key."""
 
     def __init__(self, *mistakes: str) -> None:
         super().__init__(*mistakes)
@@ -53,22 +52,28 @@ class ConfigError(RassError):
         return "\n".join(self.mistakes)
 
     def lines(self) -> list[str]:
-        """The mistakes, at most `MOST_LINES`; then how many more there are."""
+        """The mistakes, at most `MOST_LINES`, then the number of the others."""
         told = [" ".join(mistake.split()) for mistake in self.mistakes[:MOST_LINES]]
         more = len(self.mistakes) - len(told)
         return [*told, f"and {more} more mistakes"] if more else told
 
 
 class LogError(RassError):
-    """A recorded log without one valid record."""
+    """A recorded log that contains no valid record."""
 
 
 class LinkError(RassError):
     """A port, socket or peer address that cannot be used."""
 
+    def __init__(self, text: str, remedy: str = "") -> None:
+        """`text`: what is wrong. `remedy`: what a person can do about it; it ends the message."""
+        super().__init__(f"{text}; {remedy}" if remedy else text)
+        self.text = text
+        self.remedy = remedy
+
 
 class SwarmError(RassError):
-    """A process of a mock swarm failed or fell silent."""
+    """A process of a mock swarm failed or stopped responding."""
 
 
 class ControlError(RassError):
@@ -76,7 +81,7 @@ class ControlError(RassError):
 
 
 class ServiceError(RassError):
-    """The system's service could not be installed, removed or asked."""
+    """The system service could not be installed, removed or queried."""
 
 
 def installing(extra: str) -> str:
@@ -85,13 +90,13 @@ def installing(extra: str) -> str:
 
 
 def why(error: Exception) -> str:
-    """What the system says about an error, in small letters, to stand behind a colon."""
+    """The system's description of an error, in lower case, to follow a colon."""
     return (getattr(error, "strerror", None) or str(error)).lower()
 
 
 @contextlib.contextmanager
 def os_errors_as(kind: type[RassError], where: object) -> Iterator[None]:
-    """Raise an `OSError` of the block as an error of this `kind`: where it happened, and why."""
+    """Turn an `OSError` in the block into an error of this `kind`, which states where it happened and why."""
     try:
         yield
     except OSError as error:

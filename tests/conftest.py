@@ -10,6 +10,8 @@ import pytest
 from hypothesis import settings
 
 from .extent import EXAMPLES, SOAK_EXAMPLES
+from .skips import pytest_make_collect_report as pytest_make_collect_report
+from .skips import pytest_runtest_makereport as pytest_runtest_makereport
 
 # How long an example takes says something about the machine and its load, not about the code.
 settings.register_profile("suite", deadline=None, max_examples=EXAMPLES)

@@ -18,6 +18,11 @@ def extents(short: T, long: T) -> list[pytest.ParameterSet]:
     return [pytest.param(short, id="short"), pytest.param(long, id="long", marks=pytest.mark.soak)]
 
 
+def seeds(short: int, long: int) -> list[pytest.ParameterSet]:
+    """Likewise, where each seed is a test of its own: the first `short`, and in a soak the others of `long` too."""
+    return [pytest.param(seed, marks=[] if seed < short else [pytest.mark.soak]) for seed in range(long)]
+
+
 def examples(number: int) -> int:
     """`max_examples` of a property that the suite tries `number` times; a soak tries it as many times more often."""
     return number * settings().max_examples // EXAMPLES

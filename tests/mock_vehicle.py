@@ -37,6 +37,8 @@ class MockVehicle:
         """Value and MAV_PARAM_TYPE."""
         self.refusing: dict[str, int | None] = {}
         """Names that cannot be set: the MAV_PARAM_ERROR that it says, None: it says the old value only."""
+        self.signing = False
+        """It signs what it sends, and passes over what is not signed."""
         self.armed = False
         self.beats = True
         self.position: tuple[float, float] | None = (48.8584, 2.2945)
@@ -83,6 +85,9 @@ class MockVehicle:
 
         def say(message: Any) -> None:
             self._mav.srcSystem = self.system_id
+            # With a key pymavlink takes nothing unsigned in.
+            self._mav.signing.secret_key = bytes(range(32)) if self.signing else None
+            self._mav.signing.sign_outgoing = self.signing
             try:
                 send(bytes(message.pack(self._mav)))
             except (ConnectionRefusedError, BlockingIOError):

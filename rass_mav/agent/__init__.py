@@ -1,1 +1,1 @@
-"""One whole node without input and output: autopilot bytes and neighbours' bytes in, frames out."""
+"""One complete node without input and output: bytes from the autopilot and the neighbours in, frames out."""

@@ -1,4 +1,4 @@
-"""One node, whole, without input and output: the same code on a drone, at a base and in the mock swarm."""
+"""One complete node, without input and output. A drone, a base and the mock swarm run the same code."""
 
 from __future__ import annotations
 
@@ -34,41 +34,41 @@ from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_mea
 
 log = logging.getLogger(__name__)
 
-#: A position older than this is not where the vehicle is, seconds.
+#: A position older than this is not used, seconds: the vehicle has moved on.
 POSITION_STALE_S = 10.0
-# For `data.due`: how often the node id is taken from the step before the interval must divide it.
+# For `data.due`: how many times the node id is subtracted from the step before the interval must divide it.
 _PHASES = {"step-id": 1, "step+id": -1, "together": 0}
-# Under this name the store keeps the system id of the autopilot.
+# The store keeps the autopilot's system id under this name.
 _SYSTEM_ID = "system_id"
 _CRITICAL = 2
 _WARNING = 4
 # Always the same bytes, so they are packed once.
 _HEARTBEAT = payload_of(companion_heartbeat())
-# The part that heartbeats have of what the autopilot is told, where its radio is slow.
+# Where the autopilot's radio is slow: the share of what we send to the autopilot that heartbeats may take.
 _HEARTBEAT_PART = 0.7
 
 
 class VehicleService(Protocol):
-    """Does something with the autopilot or the ground station, over the autopilot's port.
+    """Works with the autopilot or the ground station, over the autopilot's port.
 
-    What it has to say it says by the agent's `tell_vehicle`.
+    It sends its frames with the agent's `tell_vehicle`.
     """
 
     def hear(self, frame: Frame, now: float) -> None:
-        """A frame from the autopilot's port, before telemetry takes it."""
+        """A frame from the autopilot's port, before telemetry handles it."""
 
     def step(self, now: float) -> None:
         """Called once a step."""
 
 
 class Agent:
-    """Bytes in, frames out. The driver brings time, links and commits (docs/architecture.md).
+    """Bytes in, frames out. The driver provides time, links and commits (docs/architecture.md).
 
-    All that leaves is returned: by `step` and `tend`, by `peer_bytes` and `peer_frame` to what was heard, by `forward`
-    after a datum was put, and by `greet_vehicle`.
+    The methods return every frame that leaves: `step` and `tend` what is due, `peer_bytes` and `peer_frame` the
+    answers, `forward` what follows a new datum, and `greet_vehicle` a heartbeat.
     """
 
-    # A thousand of them share a processor's cache in the mock swarm.
+    # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
         "_immediate",
@@ -102,10 +102,11 @@ class Agent:
         newborn: bool = False,
         forgiving: bool = False,
     ) -> None:
-        """`now` in seconds on the timeline of all later calls; `rng` decides all that is left to chance.
+        """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
-        `newborn`: nobody can remember this node from an earlier life (as when a mock swarm begins). `forgiving`: a
-        frame that hits a fault in this program is dropped, and the node goes on (`agent.guard`); else it raises.
+        `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
+        a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
+        fault raises.
         """
         configured = settings
         unfit: list[str] = []
@@ -115,34 +116,34 @@ class Agent:
         self._rng = rng
         self.store = store
         self.guard = Guard(self) if forgiving else Unguarded()
-        """Takes every frame that comes in."""
+        """Handles every incoming frame."""
         self.node = self._make_node(now, observer, newborn)
         mavlink = settings.mavlink
         self.telemetry = Telemetry(mavlink.autopilot_id, reading_name=mavlink.reading_name)
         system_id = mavlink.system_id or mavlink.autopilot_id or (settings.node_id - 1) % 255 + 1
         if settings.ground is not None and mavlink.system_id is None and not mavlink.autopilot_id:
-            # Autopilots never forget a sender, so the right id from the first frame on, if it is known.
+            # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         self.peers = Peers(settings.node_id, FrameWriter(system_id, mavlink.component_id), mavlink.payload_type)
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
         self._said: list[Outgoing] = []
-        """For the autopilot and the ground, until the next `step` or `tend`."""
+        """Frames for the autopilot and the ground that wait for the next `step` or `tend`."""
         self.steps = 0
         """Steps done."""
         self.last_reading: Reading | None = None
-        """The last reading, of the autopilot or of the node's own sensor."""
+        """The last reading, from the autopilot or from the node's own sensor."""
         self._immediate = settings.forward == "immediate"
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._reports = Reports(now)
         self._turns = Turns(settings.step_s, now)
         self.services: list[VehicleService] = []
-        """Who else listens to the autopilot's port."""
+        """The other listeners on the autopilot's port."""
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
         """None: there is no ground station."""
         for error in unfit:
-            self.tell_ground(_WARNING, f"RASS: not taken over: {error}")
+            self.tell_ground(_WARNING, f"RASS: not restored: {error}")
 
     def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Participant:
         settings = self.settings
@@ -154,12 +155,12 @@ class Agent:
         )  # fmt: skip
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
-        """Go on with other settings, between two steps.
+        """Continue with other settings, between two steps.
 
-        :param settings: differ in weights, risk, data and bandwidth; with `rebirth` in the policy or the step too.
-        :param rebirth: the node begins anew over its store, as after a restart: what it holds stays, neighbours and
-            pending hand-overs are forgotten. It does so in any case if costs add up in another way now: the routing
-            table is made of them.
+        :param settings: may differ in weights, risk, data and bandwidth; with `rebirth` also in policy and step.
+        :param rebirth: start a new node over the store, as after a restart. It keeps its data and forgets neighbours
+            and pending hand-overs. A change in how costs add up does the same, because the routing table consists of
+            costs.
         """
         before, self.settings = self.settings, settings
         node = self.node
@@ -169,19 +170,19 @@ class Agent:
             return
         node.adopt(settings.node_settings(), policy)
         risk, old = settings.risk, before.risk
-        # What was averaged was on another scale.
+        # The average was on another scale.
         rescaled = (risk.low, risk.high) != (old.low, old.high)
         node.risk.adopt(risk.estimator(policy), forget=rescaled)
         if rescaled:
             self._observe_again()
 
     def begin_again(self, settings: AgentSettings, sender: str, now: float) -> None:
-        """A frame has hit a fault, and the store forgot what had not been committed: a new node takes over.
+        """Start a new node after a frame hit a fault and the store rolled back its uncommitted changes.
 
-        What the autopilot and the sensor said stays, and so does what the ground has set.
+        Telemetry, readings and the parameters set from the ground stay.
 
-        :param settings: in force before the frame came.
-        :param sender: of the frame, in words.
+        :param settings: those in use before the frame came.
+        :param sender: the sender of the frame, in words.
         """
         self.settings = settings
         self._renew(now)
@@ -200,7 +201,7 @@ class Agent:
             self._observe(self.last_reading)
 
     def share_port(self) -> None:
-        """The neighbours are reached through the autopilot's port: who listens there expects one sequence."""
+        """Neighbours are reached through the autopilot's port, where listeners expect one sequence of frames."""
         self.vehicle_writer = self.peers.writer
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].writer = self.peers.writer
@@ -208,12 +209,12 @@ class Agent:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def vehicle_bytes(self, data: bytes, now: float) -> None:
-        """A datagram from the autopilot's port: whole frames, one or several."""
+        """A datagram from the autopilot's port: one or more whole frames."""
         for frame in self.vehicle_reader.datagram(data):
             self.vehicle_frame(frame, now)
 
     def vehicle_frame(self, frame: Frame, now: float) -> None:
-        """A frame from the autopilot's port, whoever said it."""
+        """A frame from the autopilot's port, whoever sent it."""
         self.guard.take(frame, now, self._hear_vehicle)
 
     def _hear_vehicle(self, frame: Frame, now: float) -> None:
@@ -232,7 +233,7 @@ class Agent:
             self._observe(reading)
 
     def _keep_system_id(self) -> None:
-        """Speak under the autopilot's system id, if it is known, now and after the next start."""
+        """Send under the autopilot's system id, if it is known, now and after the next start."""
         system_id, mavlink = self.telemetry.system_id, self.settings.mavlink
         if not system_id or mavlink.system_id is not None or mavlink.autopilot_id:
             return
@@ -243,7 +244,7 @@ class Agent:
                 self.store.set_meta(_SYSTEM_ID, system_id)
 
     def reading(self, value: float, at: float) -> None:
-        """What the node's own sensor said (`AgentSettings.own_sensor`): in its unit, at `at` on the timeline."""
+        """A reading of the node's own sensor (`AgentSettings.own_sensor`), in its unit, at `at` on the timeline."""
         self._observe(Reading(value, at))
 
     def _observe(self, reading: Reading) -> None:
@@ -251,8 +252,8 @@ class Agent:
         self.node.risk.observe(self.settings.risk.normalised(reading.value), reading.at)
 
     def peer_bytes(self, data: bytes, now: float) -> Sequence[Outgoing]:
-        """A datagram from the neighbours' radio: whole frames, one or several. Returns the answers."""
-        # The short way of the mock swarm; the guard has whole frames.
+        """A datagram from the neighbours' radio: one or more whole frames. Returns the answers."""
+        # A short cut for the mock swarm. The guard needs whole frames.
         opened = None if self.guard.forgiving else open_datagram(data)
         if opened is not None:
             message = self.peers.message(opened, now)
@@ -261,7 +262,7 @@ class Agent:
         for frame in self.peers.tunnels(data):
             faults, answers = self.guard.faults, self.peer_frame(frame, now)
             if self.guard.faults != faults:
-                # What the frames before it were answered rests on what was dropped.
+                # The answers to earlier frames depend on the changes that were rolled back.
                 out.clear()
             out += answers
         return out
@@ -271,20 +272,18 @@ class Agent:
     ) -> Sequence[Outgoing]:
         """A frame with a TUNNEL message from the neighbours' radio. Returns the answers.
 
-        `may_be_neighbour`: asked with the node id of the sender of each beacon; if it may not, the beacon goes unheard.
+        `may_be_neighbour` is called with the node id of each beacon's sender. If it returns False, the beacon is
+        ignored.
         """
 
         def hear(frame: Frame, now: float) -> Sequence[Outgoing]:
             message = self.peers.understood(frame, now)
             if message is None or self.guard.shuts_out(message, now):
                 return ()
-            if (
-                may_be_neighbour is not None
-                and type(message) is Beacon
-                and message.sender != self.settings.node_id
-                and not may_be_neighbour(message.sender)
-            ):
-                return ()
+            if type(message) is Beacon and message.sender != self.settings.node_id:
+                if may_be_neighbour is not None and not may_be_neighbour(message.sender):
+                    return ()
+                self.peers.beacon_from(message.sender, frame.system_id)
             return self._answers(message, now)
 
         return self.guard.take(frame, now, hear) or ()
@@ -298,9 +297,9 @@ class Agent:
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def step(self, now: float) -> Sequence[Outgoing]:
-        """What is due every `step_s` seconds: a turn of Alg. 1, unless the link bears fewer; then a measurement.
+        """Do what is due every `step_s` seconds: a turn of Alg. 1 (rarer on a slow link), then a measurement.
 
-        Returns what leaves.
+        Returns the frames that leave.
         """
         if now >= self._beats.next_at:
             self._beat(now)
@@ -327,21 +326,21 @@ class Agent:
         return (self.steps - _PHASES[data.due] * self.settings.node_id) % data.interval_steps == 0
 
     def forward(self, now: float) -> Sequence[Outgoing]:
-        """With `node.forward: immediate`: what came in or was put since the last turn moves on; else nothing."""
+        """With `node.forward: immediate`, forward the data that have come in or been created since the last turn."""
         return self.peers.frames(self.node.forward(now), self.store, now) if self._immediate else ()
 
     def greet_vehicle(self) -> Outgoing:
-        """The heartbeat to the autopilot. On a port that has just been opened it must be the first frame: an autopilot
-        sends nothing to where it has heard nobody."""
+        """The heartbeat to the autopilot. It must be the first frame on a port that has just been opened: an autopilot
+        sends nothing to a port on which it has heard no heartbeat."""
         self._beats.greeted()
         return aside(self.vehicle_writer.frame(HEARTBEAT, _HEARTBEAT), Way.VEHICLE)
 
     def tell_vehicle(self, frame: bytes) -> None:
-        """Say a frame of `vehicle_writer` to the autopilot, with the next `step` or `tend`."""
+        """Send a frame of `vehicle_writer` to the autopilot, with the next `step` or `tend`."""
         self._said.append(aside(frame, Way.VEHICLE))
 
     def _beat(self, now: float) -> None:
-        """Say the heartbeats that are due. By the loop that does the work, so that they stop when the work stops."""
+        """Send the heartbeats that are due, from the loop that does the work: if the work stops, they stop."""
         if not self._beats.due(now):
             return
         if self._beats.due_to_vehicle():
@@ -354,19 +353,19 @@ class Agent:
         return said
 
     def beat_next(self, now: float) -> None:
-        """Let a heartbeat be the next frame that leaves."""
+        """Send a heartbeat as the next frame."""
         self._beats.soon(now)
 
     def pace_vehicle(self, rate: float) -> None:
-        """The autopilot passes on what it is told over a radio that others need too: no more than `rate`, bytes/s."""
+        """Limit what is sent to the autopilot to `rate` bytes/s: it forwards all of it over a shared radio."""
         self._beats.pace(_HEARTBEAT_PART * rate)
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].rate = (1.0 - _HEARTBEAT_PART) * rate
 
     def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
-        """Between steps: say to the autopilot and the ground what is due.
+        """Between steps: send what is due to the autopilot and the ground.
 
-        Returns what leaves, and when to come again.
+        Returns the frames that leave, and when to call again.
         """
         due = math.inf
         if self.ground is not None:
@@ -375,7 +374,7 @@ class Agent:
         return self._take_said(), due
 
     def measure(self, now: float) -> DatumId | None:
-        """Make a datum of where the vehicle is and what the sensor says. None: there was no room (overflow)."""
+        """Create a datum from the vehicle's position and the sensor's reading. None: the store is full (overflow)."""
         node = self.node
         telemetry = self.telemetry
         position = telemetry.position
@@ -403,7 +402,7 @@ class Agent:
             return None
 
     def tell_ground(self, severity: int, text: str) -> None:
-        """A STATUSTEXT for the people at the ground station; `severity` as MAV_SEVERITY."""
+        """Send a STATUSTEXT to the people at the ground station; `severity` as MAV_SEVERITY."""
         log.log(logging.ERROR if severity <= _CRITICAL else logging.WARNING, "%s", text)
         if self.ground is not None:
             self.ground.tell(severity, text)

@@ -1,7 +1,7 @@
-"""The commit gate: commit, THEN send. No input, output or time: whoever drives a node writes, and says how it went.
+"""The commit gate: commit, THEN send. No input, output or time: the driver writes, and reports the result.
 
-What is said while a commit is under way is covered by the next one. When a commit fails, all that it covered waits for
-the next one, whose batch holds the same changes again.
+A frame sent while a commit is in progress waits for the next commit. When a commit fails, everything it covered waits
+for the next one, whose batch contains the same changes again.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ MAX_WAITING = 2048
 
 
 class CommitGate:
-    """Holds back what rests on changes that are not on disk yet. At most one commit is under way."""
+    """Holds back frames that depend on changes not yet on disk. At most one commit is in progress."""
 
     def __init__(self, store: Store) -> None:
-        """`store`: of the node whose frames these are; one that is driven has no other gate."""
+        """`store`: the store of the node that sends the frames. A driven node has exactly one gate."""
         self._store = store
-        # What waits for the next commit, and for the one that is under way.
+        # Frames that wait for the next commit, and for the one in progress.
         self._held: list[Outgoing] = []
         self._covered: list[Outgoing] = []
         self._asked: list[Callable[[RassError | None], None]] = []
         self._told: list[Callable[[RassError | None], None]] = []
         self.committing = False
-        """Whether a batch is on its way to the disk."""
+        """Whether a batch is being written."""
         self.commits = 0
         """Commits done."""
         self.failures = 0
-        """Commits that failed; each was, or will be, tried again."""
+        """Failed commits. Each is tried again."""
         self.dropped = 0
-        """Frames dropped because too many waited for a commit that failed, or was slow."""
+        """Frames dropped because too many waited for a failed or slow commit."""
 
     @property
     def idle(self) -> bool:
@@ -47,7 +47,7 @@ class CommitGate:
         return len(self._held) + len(self._covered)
 
     def say(self, frames: Sequence[Outgoing]) -> Sequence[Outgoing]:
-        """What the node says. Returns what may leave now, in the same order; the rest waits for the next commit."""
+        """Take the node's frames. Returns those that may leave now, in order. The rest wait for the next commit."""
         if self.idle:
             return frames
         now = []
@@ -61,16 +61,17 @@ class CommitGate:
         return now
 
     def ask(self, tell: Callable[[RassError | None], None]) -> None:
-        """Be told when all that has changed up to now is on disk (None), or that a commit has failed before."""
+        """Call `tell` when all changes up to now are on disk (with None), or with the error if a commit fails first."""
         self._asked.append(tell)
 
     def begin(self, *, force: bool = False) -> object | None:
-        """Begin a commit. Returns the batch that is to be written; None: nothing is, and `written` may be called.
+        """Begin a commit. Returns the batch to write. None: there is nothing to write; call `written` at once.
 
-        `force`: also for changes that would wait for company. RuntimeError while the last commit is under way.
+        `force`: also write changes that would otherwise wait to share a commit. Raises RuntimeError while the last
+        commit is in progress.
         """
         if self.committing:
-            raise RuntimeError("the last commit has neither been written nor failed")
+            raise RuntimeError("the last commit is still in progress")
         batch = self._store.take(force=force)
         self.committing = batch is not None
         self._covered, self._held = self._covered + self._held, []
@@ -78,7 +79,7 @@ class CommitGate:
         return batch
 
     def written(self) -> Sequence[Outgoing]:
-        """All that has been begun is on disk. Returns what may leave now."""
+        """The commit is on disk. Returns the frames that may leave now."""
         self.commits += self.committing
         self.committing = False
         covered, self._covered = self._covered, []
@@ -88,15 +89,16 @@ class CommitGate:
         return covered
 
     def failed(self, error: RassError) -> None:
-        """The batch could not be written: what it covered waits for the next commit. All who asked are told."""
+        """The batch could not be written. Its frames wait for the next one; each `ask` gets the error."""
         self.failures += 1
         self.committing = False
         self.give_up(error)
 
     def roll_back(self, error: RassError) -> None:
-        """Drop what the store has changed since the last `begin`, and what waits for that; who asked since is told.
+        """Drop the store's changes since the last `begin`, and the frames that depend on them.
 
-        What has been begun goes on, with all that it covers, whether it is under way or has failed.
+        Every `ask` since then is answered with the error. The commit that was begun continues with its frames, whether
+        it is in progress or has failed.
         """
         self._store.roll_back()
         self._held = []
@@ -105,7 +107,7 @@ class CommitGate:
             tell(error)
 
     def give_up(self, error: RassError) -> None:
-        """Nobody who asked need wait any longer."""
+        """Answer every open `ask` with the error."""
         told, self._told, self._asked = self._told + self._asked, [], []
         for tell in told:
             tell(error)

@@ -1,32 +1,33 @@
-"""Frames that were heard before: copies that autopilots and routers pass on, and own frames that come back.
+"""Detects frames that were heard before: copies forwarded by autopilots and routers, and own frames that come back.
 
-Autopilots forward without counting hops and without looking for copies. Two of them joined by two links pass a frame
-round for ever. So a copy must be known before anything is answered: otherwise the answers would go round too.
+Autopilots forward without counting hops and without checking for copies. Two autopilots joined by two links pass a
+frame round endlessly. So a node must recognise a copy before it answers. Otherwise the answers would go round too.
 
-A frame is known by its content, the sequence number included: who forwards a frame leaves it as it is, and who says
-the same thing again counts on. Each copy makes it remembered anew: what goes round for ever stays known for ever.
+A frame is recognised by its content, including the sequence number: a forwarder leaves the frame unchanged, and a
+sender that repeats a message uses the next number. Each copy renews the memory, so a frame that keeps going round is
+never forgotten.
 """
 
 from __future__ import annotations
 
 from rass_mav.mavlink.frames import MAGIC_V2, Frame
 
-#: A frame is forgotten when no copy of it came for so long, seconds: longer than a frame waits in anybody's buffer.
+#: A frame is forgotten when no copy has come for this long, seconds: longer than a frame waits in any buffer.
 WINDOW_S = 5.0
-#: Frames remembered; beyond it the one whose last copy is oldest is forgotten. 5 s of 400 frames a second.
+#: Frames remembered: 5 s at 400 frames a second. When there are more, the one with the oldest last copy is forgotten.
 MAX_REMEMBERED = 2048
 
 
 class Duplicates:
-    """What was heard and said lately, on all links together."""
+    """The frames heard and sent recently, on all links together."""
 
     __slots__ = ("_known", "echoes", "heard_twice")
 
     def __init__(self) -> None:
-        # By digest, in the order of the last copy: when that was, and whether the frame is our own.
+        # By digest, in the order of the last copy: its time, and whether the frame is our own.
         self._known: dict[int, tuple[float, bool]] = {}
         self.heard_twice = 0
-        """Copies of others' frames."""
+        """Copies of other nodes' frames."""
         self.echoes = 0
         """Own frames that came back."""
 
@@ -34,7 +35,7 @@ class Duplicates:
         return len(self._known)
 
     def is_new(self, frame: Frame, now: float) -> bool:
-        """Whether a frame that was heard is no copy. It is one the next time."""
+        """Whether a frame is heard for the first time. From then on it counts as a copy."""
         digest = hash((frame.sequence, frame.system_id, frame.component_id, frame.payload))
         known = self._known.pop(digest, None)
         fresh = known is None or now - known[0] > WINDOW_S
@@ -47,7 +48,7 @@ class Duplicates:
         return fresh
 
     def said(self, frame: bytes, now: float) -> None:
-        """An own MAVLink 2 frame is about to leave."""
+        """Remember an own MAVLink 2 frame that is about to leave."""
         assert frame[0] == MAGIC_V2
         digest = hash((frame[4], frame[5], frame[6], frame[10 : 10 + frame[1]]))
         self._known.pop(digest, None)

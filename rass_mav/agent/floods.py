@@ -1,4 +1,4 @@
-"""Too many of a kind: what is asked for is let through at a bounded rate, what should be rare is doubted as a whole."""
+"""Protection against floods: requests pass at a bounded rate; if rare messages come too often, none is believed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 
 
 class Allowance:
-    """So many in so many seconds get through; the others do not, and do not count."""
+    """Lets `count` requests through in `seconds` seconds. The others are refused and do not count."""
 
     __slots__ = ("_seconds", "_taken")
 
@@ -15,29 +15,33 @@ class Allowance:
         self._seconds = seconds
         self._taken: deque[float] = deque(maxlen=count)
 
-    def take(self, now: float) -> bool:
-        """Whether one more gets through now."""
+    def would(self, now: float) -> bool:
+        """Whether one more would pass now."""
         taken = self._taken
-        if len(taken) == taken.maxlen and now - taken[0] < self._seconds:
+        return len(taken) != taken.maxlen or now - taken[0] >= self._seconds
+
+    def take(self, now: float) -> bool:
+        """Let one more pass, if possible. Returns whether it did."""
+        if not self.would(now):
             return False
-        taken.append(now)
+        self._taken.append(now)
         return True
 
 
 class Flood:
-    """Notices when more come than can be right. Then none can be told from a forged one, until it is quiet again."""
+    """Notices when more messages come than can be genuine. Until that stops, none can be told from a forged one."""
 
     __slots__ = ("_heard", "_seconds", "active")
 
     def __init__(self, count: int, seconds: float) -> None:
-        """More than `count` in so many seconds are a flood."""
+        """More than `count` in `seconds` seconds are a flood."""
         self._seconds = seconds
         self._heard: deque[float] = deque(maxlen=count + 1)
         self.active = False
-        """Whether the last one came in a flood."""
+        """Whether the last message was part of a flood."""
 
     def hear(self, now: float) -> bool:
-        """One has come. Returns whether a flood begins with it."""
+        """Count a message. Returns whether a flood starts with it."""
         heard, before = self._heard, self.active
         heard.append(now)
         self.active = len(heard) == heard.maxlen and now - heard[0] < self._seconds

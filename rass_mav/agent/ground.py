@@ -1,7 +1,8 @@
 """The conversation with ground stations: parameters, commands, texts, values (docs/ground-station.md).
 
-Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, and messages/common.html. What other
-components of the vehicle are asked is left alone; a command for all of them is answered only if it is known here.
+Sources: https://mavlink.io/en/services/parameter.html, command.html, ping.html, ftp.html, and messages/common.html.
+Requests to other components of the vehicle are ignored. A command to all components is answered only if it is known
+here.
 """
 
 from __future__ import annotations
@@ -41,47 +42,49 @@ from rass_mav.mavlink.messages import (
     statustext,
 )
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
 
 from . import parameters
 
 log = logging.getLogger(__name__)
 
-#: Names of the NAMED_VALUE_FLOATs that a node says. PX4 repeats them as its own: no reading may have one of them.
+#: Names of the NAMED_VALUE_FLOATs that a node sends. PX4 repeats them as its own, so a reading must not use them.
 VALUE_NAMES = ("RASS_PHI", "RASS_COST", "RASS_HOPS", "RASS_RISK", "RASS_FILL")
-#: Bounds of an interval that a ground station may ask for, seconds. The wire counts to 2147.
+#: Bounds of an interval that a ground station may request, seconds. The wire format allows up to 2147.
 LEAST_INTERVAL_S, MOST_INTERVAL_S = 0.5, 2000.0
-#: On each way so many PARAM_SETs are handled in a second, and so many listings of all parameters in ten.
+#: For each connection: PARAM_SETs handled in a second, and listings of all parameters in ten seconds.
 MOST_SETS_S, MOST_LISTS_10S = 10, 4
-#: A change with which the node begins anew costs it its routes: at most one in so many seconds.
+#: A change that restarts the node costs it its routes: at most one in this many seconds.
 REBIRTH_S = 5.0
 _WARNING = 4
 
 
 class _DeniedError(ConfigError):
-    """The value may be right: but not from there, or not now."""
+    """The value may be valid, but not from this sender, or not now."""
 
 
 class Host(Protocol):
-    """Whom the ground is told about, and who does what it asks for: the agent."""
+    """The agent, which the ground observes and controls."""
 
     settings: AgentSettings
     store: Store
     node: Participant
+    telemetry: Telemetry
     vehicle_writer: FrameWriter
     guard: Unguarded
 
     def beat_next(self, now: float) -> None:
-        """Let a heartbeat be the next frame that leaves."""
+        """Send a heartbeat as the next frame."""
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
-        """Go on with other settings."""
+        """Continue with other settings."""
 
 
 class Ground:
-    """What an agent says to the ground, and how it answers. It leaves with what `tend` says."""
+    """What an agent sends to the ground, and how it answers. `tend` returns the frames."""
 
     def __init__(self, agent: Host, about: GroundSettings, configured: AgentSettings, now: float) -> None:
-        """:param configured: the settings of the file, without what was set from the ground."""
+        """:param configured: the settings from the file, without the changes made from the ground."""
         self._agent = agent
         self._about = about
         self._configured = configured
@@ -89,7 +92,7 @@ class Ground:
         self._text_id = 0
         self.texts = Texts()
         self.writer = FrameWriter(agent.vehicle_writer.system_id, agent.vehicle_writer.component_id)
-        """Writes the frames that go directly to the ground: each way has its own sequence."""
+        """Writes the frames that go directly to the ground. Each connection has its own sequence."""
         self._reader = FrameReader()
         self._heard: set[Way] = set()
         self.outboxes = {
@@ -97,24 +100,24 @@ class Ground:
             for way, writer in ((Way.VEHICLE, agent.vehicle_writer), (Way.GROUND, self.writer))
         }
         self._set_here: dict[str, float] = {}
-        """What was set in this life, by the parameter's name."""
+        """The values set in this life, by parameter name."""
         self.refused = 0
         """PARAM_SETs refused."""
         self.dropped = 0
-        """PARAM_SETs and PARAM_REQUEST_LISTs that were not looked at: too many at once."""
+        """PARAM_SETs and PARAM_REQUEST_LISTs dropped because too many came at once."""
         self._sets = {way: Allowance(MOST_SETS_S, 1.0) for way in self.outboxes}
         self._lists = {way: Allowance(MOST_LISTS_10S, 10.0) for way in self.outboxes}
         self._rebirths = Allowance(1, REBIRTH_S)
         self.computer: Callable[[], mav.ComputerStatus] | None = None
-        """Asked how the computer does; None: nobody knows."""
+        """Returns the state of the computer; None: unknown."""
         self._intervals = {NAMED_VALUE_FLOAT: about.values_s, mav.ONBOARD_COMPUTER_STATUS: about.computer_s}
         self._next = dict.fromkeys(self._intervals, now)
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now: float, *, stream: bool = False) -> None:
-        """What came directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of
-        a frame. What it says of vehicles is not believed."""
+        """Bytes directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of a
+        frame. Vehicle telemetry in them is ignored."""
         for frame in self._reader.feed(data) if stream else self._reader.datagram(data):
             self._agent.guard.take(frame, now, self._hear)
 
@@ -124,7 +127,7 @@ class Ground:
     def handle(self, frame: Frame, way: Way, now: float) -> None:
         """Answer a frame, if it is for this component and asks for something."""
         if way not in self._heard:
-            # Who listens at last must not have to wait for a second: an autopilot passes nothing on before a heartbeat.
+            # A new listener must not wait a whole second: an autopilot forwards nothing before a heartbeat.
             self._heard.add(way)
             self._agent.beat_next(now)
         handler = _HANDLERS.get(frame.message_id)
@@ -165,19 +168,19 @@ class Ground:
             self._set(index, message.param_type, message.param_value, outbox.way, now)
         except ConfigError as error:
             self.refused += 1
-            log.warning("refused from the ground: %s", error)
+            log.warning("parameter from the ground refused: %s", error)
             for mistake in error.mistakes:
                 self.texts.add(_WARNING, mistake)
             self._param_error(message.param_id, -1, _reason(index, error), frame, outbox)
             outbox.answer(*self._listed(index))
             return
-        # Others may have changed with it: the policy brings its own weights.
+        # Other parameters may have changed too: a policy has its own weights.
         others = [i for i, value in enumerate(self._values()) if value != before[i] and i != index]
         for i in (index, *others):
             outbox.answer(*self._listed(i), promises=True)
 
     def _param_error(self, name: str, index: int, error: int, frame: Frame, outbox: Outbox) -> None:
-        if mav.PARAM_ERROR is not None:
+        if mav.PARAM_ERROR is not None and self._arrives(mav.PARAM_ERROR, outbox.way):
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PARAM_ERROR, mav.param_error(name, index, error, **target))
 
@@ -200,7 +203,7 @@ class Ground:
             log.warning("%s set from the ground: %g, was %g", parameter.name, value, parameter.read(old))
 
     def keep_again(self) -> None:
-        """The store has forgotten what was not committed: what is in force is to be kept all the same."""
+        """Store the parameters in use again, after the store rolled back its uncommitted changes."""
         for name, value in self._set_here.items():
             parameter = PARAMETERS[INDEX[name]]
             if mav.single(parameter.read(self._agent.settings)) == value:
@@ -220,15 +223,28 @@ class Ground:
         return mav.PARAM_VALUE, mav.param_value(parameter.name, value, len(PARAMETERS), index)
 
     def _on_ping(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
-        # With a target it is somebody's answer.
+        # A PING with a target is an answer.
         if message.target_system == BROADCAST and message.target_component == BROADCAST:
             target = {"target_system": frame.system_id, "target_component": frame.component_id}
             outbox.answer(mav.PING, mav.ping(message.time_usec, message.seq, **target))
+
+    def _on_file_transfer(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
+        # A ground station that hears nothing would ask again for seconds before it tries another way. What is for all
+        # components is for the autopilot, which has files.
+        own = self._agent.vehicle_writer
+        if (message.target_system, message.target_component) != (own.system_id, own.component_id):
+            return
+        target = {"target_system": frame.system_id, "target_component": frame.component_id}
+        refusal = mav.file_transfer_refusal(bytes(message.payload), **target)
+        if refusal is not None:
+            outbox.answer(mav.FILE_TRANSFER_PROTOCOL, refusal)
 
     def _on_command(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
         answers: list[tuple[int, bytes]] = []
         result = mav.UNSUPPORTED
         about = _whole(message.param1)
+        if not self._arrives(about, outbox.way):
+            about = -1
         if message.command == mav.CMD_REQUEST_MESSAGE:
             answers = self._requested(about, _whole(message.param2), now)
         elif message.command == mav.CMD_GET_MESSAGE_INTERVAL and 0 <= about <= 0xFFFF:
@@ -254,12 +270,12 @@ class Ground:
         return self._periodic(message_id, now)
 
     def _interval(self, message_id: int) -> float | None:
-        """Seconds between two; 0: never; None: not one of ours."""
+        """Seconds between two of these messages; 0: never; None: not one of ours."""
         return 1.0 if message_id == HEARTBEAT else self._intervals.get(message_id)
 
     def _set_interval(self, message_id: int, micros: float, now: float) -> int:
         if message_id not in self._intervals:
-            return mav.DENIED  # who listens for our heartbeat relies on one a second
+            return mav.DENIED  # receivers rely on one heartbeat a second
         if micros == 0:
             about = self._about
             interval = about.values_s if message_id == NAMED_VALUE_FLOAT else about.computer_s
@@ -276,11 +292,11 @@ class Ground:
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def tell(self, severity: int, text: str) -> None:
-        """A text for people; `severity` as MAV_SEVERITY."""
+        """Send a text for people; `severity` as MAV_SEVERITY."""
         self.texts.add(severity, text)
 
     def tend(self, now: float, out: list[Outgoing]) -> float:
-        """Say what is due. Returns when to come again."""
+        """Add the frames that are due to `out`. Returns when to call again."""
         due = math.inf
         for message_id, interval in self._intervals.items():
             if interval:
@@ -301,8 +317,14 @@ class Ground:
         return min(due, self.texts.due())
 
     def _say(self, message_id: int, payload: bytes) -> None:
-        for outbox in self.outboxes.values():
-            outbox.say(message_id, payload)
+        for way, outbox in self.outboxes.items():
+            if self._arrives(message_id, way):
+                outbox.say(message_id, payload)
+
+    def _arrives(self, message_id: int, way: Way) -> bool:
+        """Whether the ground hears a message that is said on this way: no autopilot on it would drop it."""
+        firmware = self._agent.telemetry.firmware if way is Way.VEHICLE else None
+        return firmware is None or firmware.passes_on(message_id)
 
     def _periodic(self, message_id: int, now: float) -> list[tuple[int, bytes]]:
         if message_id == NAMED_VALUE_FLOAT:
@@ -338,7 +360,7 @@ def _reason(index: int, error: ConfigError) -> int:
 
 
 def _whole(value: float) -> int:
-    """A message id as a command carries it; -1 for what is none."""
+    """The message id in a command's parameter; -1 if it is not one."""
     return int(value) if math.isfinite(value) and 0 <= value < 1 << 24 else -1
 
 
@@ -348,6 +370,7 @@ _HANDLERS: dict[int, _Handler] = {
     mav.PARAM_REQUEST_READ: Ground._on_param_read,
     mav.PARAM_SET: Ground._on_param_set,
     mav.PING: Ground._on_ping,
+    mav.FILE_TRANSFER_PROTOCOL: Ground._on_file_transfer,
     COMMAND_LONG: Ground._on_command,
     mav.COMMAND_INT: Ground._on_command,
 }

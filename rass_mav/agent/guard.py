@@ -1,7 +1,7 @@
-"""One frame is one frame: what it breaks is dropped with it, and the node goes on (docs/architecture.md).
+"""One frame is one frame: a frame that hits a fault is dropped with its effects, and the node continues.
 
-A fault of this program fails loudly, with this one exception: frames that come in, from neighbours, the autopilot or
-the ground, must not end the node, whatever they are. For who has said a frame can say it again after each restart.
+A bug in this program fails loudly, with one exception: no incoming frame may end the node, whether it comes from a
+neighbour, the autopilot or the ground. Its sender could send it again after each restart. See docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from rass_mav.mavlink.frames import Frame
 
 log = logging.getLogger(__name__)
 
-#: A sender is muted for so long after its first fault, and at most so long after many, seconds.
+#: How long a sender is muted after its first fault, and at most after many, seconds.
 FIRST_MUTE_S, MOST_MUTE_S = 2.0, 600.0
-#: Senders remembered; beyond it the one that would be forgotten first is.
+#: Senders remembered. When there are more, the one that would be forgotten next is forgotten.
 MAX_SENDERS = 64
-#: Frames that hit a fault, by digest; beyond it the oldest is forgotten.
+#: Frames that hit a fault, by digest. When there are more, the oldest is forgotten.
 MAX_DIGESTS = 256
 
 T = TypeVar("T")
@@ -30,17 +30,17 @@ RollBack = Callable[[StoreError], None]
 
 
 class Host(Protocol):
-    """Whose frames these are: the agent."""
+    """The agent, which receives the frames."""
 
     settings: AgentSettings
     store: Store
 
     def begin_again(self, settings: AgentSettings, sender: str, now: float) -> None:
-        """A frame has hit a fault, and the store forgot what had not been committed: go on with a new node."""
+        """Continue with a new node, after a frame hit a fault and the store rolled back its uncommitted changes."""
 
 
 class Fault(NamedTuple):
-    """A frame that raised."""
+    """A frame whose handling raised."""
 
     at: float
     """Seconds on the node's timeline."""
@@ -51,35 +51,35 @@ class Fault(NamedTuple):
 
 
 class Unguarded:
-    """Lets everything raise: for the mock swarm and the tests, which are there to find faults."""
+    """Lets every fault raise: for the mock swarm and the tests, whose purpose is to find faults."""
 
     __slots__ = ()
     forgiving = False
-    """Whether a frame that raises is dropped."""
+    """Whether a frame whose handling raises is dropped."""
     faults = 0
-    """Frames that raised, and were dropped."""
+    """Frames that hit a fault and were dropped."""
 
     def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T]) -> T | None:
-        """Have a frame handled. Returns what `handle` does; None: the frame was dropped.
+        """Handle a frame. Returns the result of `handle`; None: the frame was dropped.
 
-        If `faults` has risen then, what was answered to other frames and has not gone to the gate must not be said.
+        If `faults` has risen afterwards, drop answers to other frames that have not gone to the gate yet.
         """
         return handle(frame, now)
 
     def shuts_out(self, message: Any, now: float) -> bool:
-        """Whether the node that a message names as its sender is muted. To be asked before the node hears it."""
+        """Whether the node that a message names as its sender is muted. Call it before the node gets the message."""
         return False
 
     def use(self, roll_back: RollBack) -> None:
-        """Let `roll_back` drop what has not been committed, and what waits for it: a commit gate's."""
+        """Set the function that drops uncommitted changes and the frames that depend on them: a commit gate's."""
 
     def report(self, now: float) -> dict[str, Any] | None:
-        """For `status`; None: nothing is forgiven here."""
+        """For `status`; None: faults raise here."""
         return None
 
 
 class Guard(Unguarded):
-    """Takes frames for an agent, and lets none of them end it."""
+    """Handles frames for an agent, and lets none of them end it."""
 
     forgiving = True
 
@@ -89,23 +89,23 @@ class Guard(Unguarded):
         self._mutes = Mutes()
         self._digests: dict[str, None] = {}
         self._sender = ""
-        """Whom the frame at hand is from."""
+        """The sender of the current frame."""
         self.faults = 0
         self.dropped = 0
-        """Frames that were not taken: their sender was muted, or their bytes had raised before."""
+        """Frames dropped without handling: their sender was muted, or the same bytes had raised before."""
         self.last: Fault | None = None
 
     def use(self, roll_back: RollBack) -> None:
-        """From now on `roll_back` drops what has not been committed, and what waits for it."""
+        """From now on `roll_back` drops uncommitted changes and the frames that depend on them."""
         self._roll_back = roll_back
 
     def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T]) -> T | None:
-        """Have a frame handled. Returns what `handle` does; None: the frame was not taken, or it raised.
+        """Handle a frame. Returns the result of `handle`; None: the frame was dropped unhandled, or hit a fault.
 
-        Then all that was not on its way to the disk is dropped, and a new node has taken over. What goes wrong in that
-        is raised, and so is `StoreDamagedError`: the driver knows what to do about it.
+        After a fault all changes that were not being written are dropped, and a new node takes over. Errors in this
+        recovery are raised. So is `StoreDamagedError`, which the driver handles.
         """
-        # The autopilot must not fall silent as a whole for one kind of message, so the kind is a part of the name.
+        # One kind of message must not mute the whole autopilot, so the kind is part of the sender's name.
         self._sender = f"component {frame.system_id}/{frame.component_id} (message {frame.message_id})"
         if self._mutes.muted(self._sender, now) or (self._digests and _digest(frame) in self._digests):
             self.dropped += 1
@@ -116,7 +116,7 @@ class Guard(Unguarded):
         except StoreDamagedError:
             raise
         except Exception:
-            # The one place where that is right: whatever a frame breaks, it must not end the node.
+            # The only place that catches everything: no frame may end the node, whatever it breaks.
             log.exception(
                 "a frame from %s hit a fault in this program and was dropped; please report: message %d of %d/%d, "
                 "sequence %d, digest %s, payload %s",
@@ -127,7 +127,7 @@ class Guard(Unguarded):
         return None
 
     def shuts_out(self, message: Any, now: float) -> bool:
-        """Whether the node that a message names as its sender is muted; else that node answers for the frame."""
+        """Whether the node that a message names as its sender is muted. If not, that node is blamed for a fault."""
         node_id = getattr(message, "sender", None)
         if node_id is not None:
             self._sender = f"node {node_id}"
@@ -144,12 +144,12 @@ class Guard(Unguarded):
         if len(self._digests) > MAX_DIGESTS:
             del self._digests[next(iter(self._digests))]
         self._mutes.raised(sender, now)
-        self._roll_back(StoreError("not stored: a frame that came in at that moment hit a fault; try again"))
+        self._roll_back(StoreError("not stored: a frame received at the same time hit a fault; try again"))
         self._host.begin_again(settings, sender, now)
         self._host.store.count("faults")
 
     def report(self, now: float) -> dict[str, Any]:
-        """For `status`: how many frames raised, what the last one was, who is muted and for how much longer."""
+        """For `status`: how many frames hit a fault, the last one, and which senders are muted for how much longer."""
         last = self.last
         return {
             "count": self.faults,
@@ -162,20 +162,20 @@ class Guard(Unguarded):
 
 
 class Mutes:
-    """Who is not listened to, and until when. A sender that raises nothing for as long as it was muted is forgotten."""
+    """The muted senders. A sender is forgotten after as long without a fault as it was muted."""
 
     __slots__ = ("_senders",)
 
     def __init__(self) -> None:
-        # By sender: until when it is muted, and for how long that is, seconds.
+        # By sender: until when it is muted, and for how long, seconds.
         self._senders: dict[str, tuple[float, float]] = {}
 
     def muted(self, sender: str, now: float) -> bool:
-        """Whether its frames are not to be taken."""
+        """Whether the sender's frames must be dropped."""
         return bool(self._senders) and now < self._senders.get(sender, (now, 0.0))[0]
 
     def raised(self, sender: str, now: float) -> None:
-        """A frame of it has hit a fault: it is muted, for twice as long as last time."""
+        """Mute a sender whose frame has hit a fault, for twice as long as last time."""
         senders = self._senders
         for other in [other for other, (until, length) in senders.items() if now >= until + length]:
             del senders[other]
@@ -188,11 +188,11 @@ class Mutes:
         senders[sender] = (now + length, length)
 
     def left(self, now: float) -> dict[str, float]:
-        """Who is muted, and for how many seconds more."""
+        """The muted senders, each with the seconds that remain."""
         return {sender: until - now for sender, (until, _) in self._senders.items() if now < until}
 
 
 def _digest(frame: Frame) -> str:
-    """The same for frames that say the same thing, whatever their sequence number and signature."""
+    """Equal for frames with the same contents, whatever their sequence number and signature."""
     said = frame.message_id.to_bytes(3, "little") + frame.payload.rstrip(b"\0")
     return hashlib.blake2b(said, digest_size=8).hexdigest()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-#: A heartbeat every so many seconds.
+#: Seconds between two heartbeats.
 HEARTBEAT_S = 1.0
-#: A heartbeat on the air, bytes.
+#: Size of a heartbeat on the air, bytes.
 HEARTBEAT_BYTES = 21
 
 
 class Heartbeats:
-    """Once a second; rarer to an autopilot that passes them on over a slow radio. Time is an argument."""
+    """Once a second; less often to an autopilot that forwards them over a slow radio. Time is an argument."""
 
     __slots__ = ("_left", "every", "next_at")
 
@@ -19,20 +19,20 @@ class Heartbeats:
         self.next_at = now
         """When the next second begins."""
         self.every = 1
-        """The autopilot gets one in so many seconds."""
+        """Seconds between two heartbeats to the autopilot."""
         self._left = 0
 
     def pace(self, rate: float) -> None:
-        """Those to the autopilot may take `rate` bytes/s."""
+        """Let heartbeats to the autopilot take at most `rate` bytes/s."""
         self.every = max(1, math.ceil(HEARTBEAT_BYTES / (rate * HEARTBEAT_S)))
 
     def soon(self, now: float) -> None:
-        """Let one be due now, both ways."""
+        """Make a heartbeat due now, to the autopilot and to the ground."""
         self.next_at = now
         self._left = 0
 
     def due(self, now: float) -> bool:
-        """Whether a second has passed; then the next one begins."""
+        """Whether a second has passed. If so, the next one begins."""
         if now < self.next_at:
             return False
         self.next_at = max(self.next_at + HEARTBEAT_S, now)
@@ -40,9 +40,9 @@ class Heartbeats:
         return True
 
     def due_to_vehicle(self) -> bool:
-        """In such a second: whether the autopilot gets one."""
+        """Whether the autopilot gets a heartbeat in the second that has just begun."""
         return self._left <= 0
 
     def greeted(self) -> None:
-        """The autopilot got one."""
+        """A heartbeat was sent to the autopilot."""
         self._left = self.every

@@ -1,4 +1,4 @@
-"""One link as the node sees it: bytes to frames, copies left out, what leaves is paced. No input and output."""
+"""One link as the node sees it: turns bytes into frames, removes copies, and paces sending. No input and output."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
 
-#: A radio says RADIO_STATUS about once a second. When more come in so many seconds, somebody forges them.
+#: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
 MOST_RADIO_STATUS, WATCH_S = 30, 10.0
 _WARNING = 4
-# How `status` calls them, in the order of `Urgency`.
+# Their names in `status`, in the order of `Urgency`.
 _KINDS = ("vehicle", "beacons", "answers", "data")
 
 
 class Lane:
-    """The node's side of one link to the neighbours. The driver brings bytes, takes frames, and keeps the time."""
+    """The node's side of one link to the neighbours. The driver provides bytes and the time, and sends the frames."""
 
     def __init__(
         self,
@@ -36,8 +36,8 @@ class Lane:
         rng: random.Random,
         now: float,
     ) -> None:
-        """`budget`: None: what is sent leaves at once. `stream`: bytes come in pieces that end anywhere; otherwise in
-        datagrams of whole frames. `only`: node ids that are taken for neighbours on this link; None: all."""
+        """`budget`: None: frames leave at once. `stream`: bytes come in pieces that end anywhere; otherwise in
+        datagrams of whole frames. `only`: node ids accepted as neighbours on this link; None: all."""
         self.agent = agent
         self.duplicates = duplicates
         self.reader = FrameReader()
@@ -45,9 +45,9 @@ class Lane:
         self.not_neighbours = 0
         """Beacons of nodes that are not on the list `only`."""
         self.copies = 0
-        """Frames that had been heard or said before."""
+        """Frames that had been heard or sent before."""
         self.not_the_radio = 0
-        """RADIO_STATUS that were not believed."""
+        """RADIO_STATUS that were ignored as not genuine."""
         self._radio_flood = Flood(MOST_RADIO_STATUS, WATCH_S)
         self._stream = stream
         self._only = only
@@ -56,23 +56,23 @@ class Lane:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def take(self, data: bytes, now: float, on_beacon: Callable[[int], None]) -> Iterator[Sequence[Outgoing]]:
-        """Bytes from the link. Yields the answers to each frame, which go to the gate before the next one is taken: if
-        that hits a fault, they are dropped. `on_beacon` is called with the node id of each neighbour heard."""
+        """Bytes from the link. Yields the answers to each frame. They go to the gate before the next frame is handled,
+        so that a fault can still drop them. `on_beacon` is called with the node id of each neighbour heard."""
         for frame in self.reader.feed(data) if self._stream else self.reader.datagram(data):
             if frame.message_id == RADIO_STATUS and not self._stream:
-                # Datagrams are from neighbours: there is no radio whose serial port this could be.
+                # Datagrams come from neighbours. No radio is attached to this link.
                 self.not_the_radio += 1
             else:
                 yield self.frame(frame, now, on_beacon)
 
     def opened(self, generation: int) -> None:
-        """The port has been opened so often. Half a frame from before it was lost has no end any more."""
+        """The port has been opened this many times. Drop half a frame from before it was lost: its end cannot come."""
         if generation != self._generation:
             self._generation = generation
             self.reader.flush()
 
     def frame(self, frame: Frame, now: float, on_beacon: Callable[[int], None]) -> Sequence[Outgoing]:
-        """A frame from the link, of whatever kind."""
+        """Any frame from the link."""
         pacer = self.pacer
         if frame.message_id == RADIO_STATUS:
             self._hear_radio(frame, now)
@@ -95,7 +95,7 @@ class Lane:
         return self.agent.peer_frame(frame, now, may_be_neighbour)
 
     def _hear_radio(self, frame: Frame, now: float) -> None:
-        """A RADIO_STATUS: the radio's own, another radio's that was passed on, or a forged one."""
+        """A RADIO_STATUS: from our radio, forwarded from another radio, or forged."""
         mavlink = self.agent.settings.mavlink
         txbuf = radio_txbuf(frame, (mavlink.radio_system_id, mavlink.radio_component_id))
         flood = self._radio_flood
@@ -109,7 +109,7 @@ class Lane:
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def push(self, outgoing: Outgoing, now: float, *, first: bool = False) -> None:
-        """A frame wants to leave; `first`: before all that are as urgent. Only for a lane with a budget."""
+        """Queue a frame; `first`: before all others of the same urgency. Only for a lane with a budget."""
         assert self.pacer is not None
         self.pacer.push(outgoing.frame, outgoing.target, outgoing.urgency, now, first=first)
 
@@ -135,10 +135,10 @@ class Lane:
 
 
 def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> tuple[float, int]:
-    """Turn (seconds) and data a turn for a node with these links: those of the fastest.
+    """Turn (seconds) and data per turn for a node with these links: those of the fastest link.
 
-    A slower one sends fewer beacons by itself, and drops what it cannot carry. The turn that the neighbours are told is
-    another matter: `slowest_turn`.
+    A slower link sends fewer beacons, and drops the frames that it cannot carry. Beacons announce a different turn:
+    `slowest_turn`.
     """
     paces = [lane.pacer.pace() for lane in lanes if lane.pacer is not None]
     if len(paces) < len(lanes) or not paces:
@@ -148,5 +148,5 @@ def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> t
 
 
 def slowest_turn(lanes: Sequence[Lane], step_s: float) -> float:
-    """How far apart the beacons are on the slowest link, seconds: they are told to wait that long."""
+    """Seconds between two beacons on the slowest link, as announced to the neighbours, which wait that long."""
     return max([step_s, *(lane.pacer.pace().turn_s for lane in lanes if lane.pacer is not None)])

@@ -1,8 +1,9 @@
-"""One way to the ground: what is to be said, paced.
+"""One connection to the ground, with a queue of messages that leave one at a time.
 
-An autopilot that passes frames on has room for two messages (PX4) or 1024 bytes (ArduPilot), so nothing leaves in a
-burst. Answers, what is said unasked, and a listing of all parameters take turns: none of them can silence the others.
-Everything is bounded; a question that finds no room is asked again, as questions are that get lost.
+An autopilot that forwards frames has buffers for two messages (PX4) or 1024 bytes (ArduPilot), so nothing leaves in a
+burst. Answers, unsolicited messages and a listing of all parameters take turns, so none of them can block the others.
+Every queue is bounded. If an answer is dropped because its queue is full, the ground station asks again, as it does
+when a question is lost.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from typing import TypeAlias
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.mavlink.frames import FrameWriter
 
-#: Seconds between two frames: 25 a second, which a telemetry radio at 57,600 bit/s takes beside the flight's telemetry.
+#: Seconds between two frames. A telemetry radio at 57,600 bit/s carries 25 a second beside the vehicle's telemetry.
 GAP_S = 0.04
 #: Answers that may wait.
 MAX_ANSWERS = 32
 #: Texts and values that may wait.
 MAX_SAID = 32
 
-# Message id, payload, and whether it rests on what is not on disk yet.
+# Message id, payload, and whether it depends on changes that are not on disk yet.
 _Waiting: TypeAlias = tuple[int, bytes, bool]
 
 
 class Outbox:
-    """Frames for one way. Time comes in as an argument."""
+    """Frames for one connection. Time is an argument."""
 
     __slots__ = (
         "_answers",
@@ -45,9 +46,9 @@ class Outbox:
     )
 
     def __init__(self, way: Way, writer: FrameWriter, listing: Callable[[int], tuple[int, bytes]], size: int) -> None:
-        """:param listing: message id and payload of an entry of the list, 0..size - 1."""
+        """:param listing: returns the message id and payload of an entry of the list, 0..size - 1."""
         self.way = way
-        """Where its frames go, and the questions come from."""
+        """Where the frames go, and where the questions come from."""
         self.writer = writer
         self._answers: deque[_Waiting] = deque()
         self._said: deque[_Waiting] = deque()
@@ -58,19 +59,19 @@ class Outbox:
         self._free_at = -math.inf
         self._turn = 0
         self.rate = math.inf
-        """What may leave, bytes/s, beside `GAP_S`."""
+        """Limit in bytes/s, in addition to `GAP_S`."""
         self.dropped = 0
-        """Messages for which there was no room."""
+        """Messages dropped because their queue was full."""
 
     def answer(self, message_id: int, payload: bytes, *, promises: bool = False) -> None:
-        """Answer a question. What waits already is not said twice: a forwarded question may come more than once.
+        """Answer a question. An answer that already waits is not queued again: a forwarded question may come twice.
 
-        `promises`: the answer rests on what is not on disk yet.
+        `promises`: the answer depends on changes that are not on disk yet.
         """
         self._put(self._answers, MAX_ANSWERS, (message_id, payload, promises))
 
     def say(self, message_id: int, payload: bytes) -> None:
-        """Say something unasked."""
+        """Send an unsolicited message."""
         self._put(self._said, MAX_SAID, (message_id, payload, False))
 
     def _put(self, queue: deque[_Waiting], most: int, message: _Waiting) -> None:
@@ -82,15 +83,15 @@ class Outbox:
             queue.append(message)
 
     def list_all(self) -> None:
-        """Say every entry of the list. While that goes on, it goes on until each has been said once more."""
+        """Send every entry of the list. A call during a listing extends it until each has been sent once more."""
         self._to_list = self._size
 
     def due(self) -> float:
-        """When the next frame may leave; infinity: there is none."""
+        """When the next frame may leave; infinity: none waits."""
         return self._free_at if self._answers or self._said or self._to_list else math.inf
 
     def take(self, now: float) -> Outgoing | None:
-        """The frame that leaves now, if any; at most one in `GAP_S` seconds, and no more than `rate`."""
+        """The frame that leaves now, if any: at most one in `GAP_S` seconds, and at most `rate` bytes/s."""
         if now < self._free_at:
             return None
         for _ in range(3):

@@ -1,4 +1,4 @@
-"""What leaves a node: frames, and of each where it goes, how urgent it is, and whether it rests on the disk."""
+"""The frames that leave a node: where each goes, how urgent it is, and whether it must wait for the disk."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Outgoing(NamedTuple):
 
     frame: bytes
     target: int
-    """Node id of the neighbour it is for, or BROADCAST. Everybody in range may hear it all the same."""
+    """Node id of the neighbour it is for, or BROADCAST. Every node in range may hear it in either case."""
     promises: bool
-    """True: it rests on what is not on disk yet, and must not leave before the store has committed."""
+    """True: it depends on changes that are not on disk yet, and must not leave before the store has committed."""
     urgency: Urgency = Urgency.DATA
-    """What goes first where airtime is short."""
+    """Which frames leave first where airtime is short."""
     way: Way = Way.NEIGHBOURS
 
 
@@ -43,7 +43,7 @@ def aside(frame: bytes, way: Way, *, promises: bool = False) -> Outgoing:
 def frames_of(
     messages: Sequence[Message], writer: FrameWriter, payload_type: int, store: Store, now: float
 ) -> list[Outgoing]:
-    """Messages in frames of `writer`, in the same order. `now`: seconds on the node's timeline, for ages."""
+    """The messages as frames of `writer`, in the same order. `now`: seconds on the node's timeline, for ages."""
     tunnel, unwritten = writer.tunnel, store.unwritten
     out = []
     for message in messages:
@@ -52,7 +52,7 @@ def frames_of(
         promises = False
         if unwritten:
             data = rests(message)
-            # Data that are on disk leave at once: so a node whose disk is full can still hand on what it has.
+            # Data that are on disk leave at once, so a node whose disk is full can still hand over its data.
             promises = data is None or not all(map(store.durable, data))
         for payload in encode(message, now):
             out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))

@@ -1,8 +1,8 @@
 """The settings that a ground station may read and set, as MAVLink parameters (docs/ground-station.md).
 
-A parameter is a 32-bit float on the wire. The same rules that check the configuration file check what is set. A value
-that was set is kept beside the value that the file had then: if the file has another one at a later start, somebody has
-changed it since, and the file wins.
+A parameter is a 32-bit float on the wire. A value from the ground must satisfy the same rules as one in the
+configuration file. The store keeps it together with the file's value at that time. If the file has a different value
+at a later start, it was changed since then, and the file wins.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class Parameter:
     name: str
     """1 to 16 ASCII characters."""
     read: Callable[[AgentSettings], float]
-    """The value in force."""
+    """The value in use."""
     key: str = ""
-    """`section.key` of the settings, or the key of one that is in no section; empty: it cannot be set."""
+    """`section.key` of the settings, or the key of a setting outside all sections; empty: it cannot be set."""
     least: float = -math.inf
-    """Lowest value that can be set from the ground, beside what the file's rules say."""
+    """Lowest value that can be set from the ground, in addition to the file's rules."""
     most: float = math.inf
-    """Highest value likewise."""
+    """Highest value that can be set from the ground."""
     whole: bool = False
     """Whole numbers only."""
     rebirth: bool = False
-    """The node has to begin anew over its store."""
+    """A change starts a new node over the store."""
 
 
 def _of(section: str, key: str) -> Callable[[AgentSettings], float]:
@@ -50,11 +50,11 @@ def _of(section: str, key: str) -> Callable[[AgentSettings], float]:
 
 
 def _weight(name: str) -> Callable[[AgentSettings], float]:
-    # The policy's own weight where the settings leave it open; 0 for one that has no such weight.
+    # The policy's own weight where the settings have none; 0 for a policy without such a weight.
     return lambda settings: float(getattr(settings.policy.make(), name, 0.0))
 
 
-#: All parameters, in the order of their index. New ones go to the end.
+#: All parameters, in the order of their index. Add new ones at the end.
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("RASS_NODE_ID", lambda settings: settings.node_id),
     Parameter(
@@ -63,7 +63,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("RASS_ALPHA", _weight("alpha"), "policy.alpha"),
     Parameter("RASS_BETA", _weight("beta"), "policy.beta"),
     Parameter("RASS_T", _weight("threshold"), "policy.threshold"),
-    # Shorter steps would leave no time for anything else, with longer ones the node would seem dead.
+    # Shorter steps leave no time for anything else. With longer ones the node seems dead.
     Parameter("RASS_STEP_S", lambda settings: settings.step_s, "step_s", 0.05, 60.0, rebirth=True),
     Parameter("RASS_RISK_LOW", _of("risk", "low"), "risk.low"),
     Parameter("RASS_RISK_HIGH", _of("risk", "high"), "risk.high"),
@@ -72,16 +72,16 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("RASS_RISK_WORST", _of("risk", "worst"), "risk.worst"),
     Parameter("RASS_DATA_STEPS", _of("data", "interval_steps"), "data.interval_steps", 0, 65535, whole=True),
     Parameter("RASS_BANDWIDTH", _of("store", "bandwidth_items"), "store.bandwidth_items", 1, 65535, whole=True),
-    # Costs along a way add up: a routing table that was made with others has to begin anew.
+    # Costs along a route add up, so a routing table built with other costs is useless.
     Parameter("RASS_HOP_COST", _weight("hop_cost"), "policy.hop_cost", rebirth=True),
 )
 INDEX: dict[str, int] = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
 def shortest(value: float) -> float:
-    """The number with the fewest digits that is `value` in 32 bits: 0.1, not 0.10000000149011612.
+    """The number with the fewest digits that equals `value` in 32 bits: 0.1, not 0.10000000149011612.
 
-    So a weight set from the ground is the very number that another node has in its file, and their policies agree.
+    So a weight set from the ground equals the number in another node's file exactly, and their policies agree.
     """
     for digits in range(1, 9):
         candidate = float(f"{value:.{digits}g}")
@@ -95,9 +95,9 @@ def changed(
 ) -> AgentSettings:
     """The settings with one parameter set.
 
-    :param value: as it came, 32 bits.
+    :param value: as received, 32 bits.
     :param unused: what to do with a weight that the policy does not have.
-    :raises ConfigError: not a value for it; begins with the parameter's name.
+    :raises ConfigError: the value is not valid. The message begins with the parameter's name.
     """
     if not parameter.key:
         raise ConfigError(f"{parameter.name}: cannot be set")
@@ -110,7 +110,7 @@ def changed(
         new.node_settings()
         replicating = [each.policy.name for each in (settings, new) if each.policy.make().replicates]
         if len(replicating) == 1:
-            raise ConfigError(f"to and from {replicating[0]} by the file only")
+            raise ConfigError(f"changes to and from {replicating[0]} only in the file")
     if unused == "refuse" and single(parameter.read(new)) != value:
         raise ConfigError(f"{parameter.name}: policy {new.policy.name} has no such weight")
     return new
@@ -143,18 +143,18 @@ def _replaced(settings: AgentSettings, parameter: Parameter, value: float) -> Ag
 
 
 def remember(store: Store, configured: AgentSettings, parameter: Parameter, value: float) -> None:
-    """Keep a value for later starts; durable with the store's next commit.
+    """Store a value for later starts. It is durable with the store's next commit.
 
-    :param configured: the settings of the file alone.
+    :param configured: the settings from the file alone.
     """
     pair = _PAIR.pack(single(parameter.read(configured)), value)
     store.set_meta(_META + parameter.name, int.from_bytes(pair, "little", signed=True))
 
 
 def recall(store: Store, configured: AgentSettings) -> tuple[AgentSettings, list[str]]:
-    """The file's settings with what was set from the ground in earlier lives.
+    """The file's settings, with the values set from the ground in earlier lives.
 
-    :returns: the settings, and a text for each value that no longer fits them and was left out.
+    :returns: the settings, and a text for each value that is no longer valid and was left out.
     """
     waiting: list[tuple[Parameter, float]] = []
     for parameter in PARAMETERS:
@@ -164,7 +164,7 @@ def recall(store: Store, configured: AgentSettings) -> tuple[AgentSettings, list
             if before == single(parameter.read(configured)):
                 waiting.append((parameter, value))
     settings = configured
-    # One may fit only after another: a new low is above the file's high. So they get several turns.
+    # A value may be valid only after another: a new low can be above the file's high. So try several times.
     while True:
         errors: list[str] = []
         left: list[tuple[Parameter, float]] = []

@@ -1,4 +1,4 @@
-"""The neighbours' radio as the agent sees it: TUNNEL frames to messages, messages to TUNNEL frames."""
+"""The agent's view of the neighbours' radio: turns TUNNEL frames into messages, and messages into TUNNEL frames."""
 
 from __future__ import annotations
 
@@ -21,35 +21,38 @@ from rass_mav.wire.codec import VERSION, ForeignError
 
 log = logging.getLogger(__name__)
 
-#: So many nodes that speak another version are remembered.
+#: How many nodes with another version are remembered.
 MAX_OTHERS = 16
+#: How many nodes' system ids are remembered.
+MAX_SPEAKERS = 256
 
-#: Of a TUNNEL message: target system and component, payload type, payload; and the node id that the payload names.
+#: A TUNNEL message: target system and component, payload type, payload, and the target node id in the payload.
 Opened: TypeAlias = tuple[int, int, int, bytes, int]
 
 
-# In a mock swarm all who hear a frame come one behind the other.
+# In a mock swarm all receivers of a frame open it one after another.
 @lru_cache(maxsize=16)
 def open_datagram(data: bytes) -> Opened | None:
-    """A datagram that is exactly one frame with a TUNNEL message. None: it is something else, or several."""
+    """Open a datagram that is exactly one frame with a TUNNEL message. None: it is anything else."""
     fields = tunnel_from_datagram(data)
     return None if fields is None else (*fields[2:], target_of(fields[5]))
 
 
 class OtherVersion(NamedTuple):
-    """A node that speaks another version of the wire format. Anybody can say so in its name."""
+    """A node that uses another version of the wire format. Any sender can claim this in its name."""
 
     version: int
     """Major version, 0..15."""
     heard: float
-    """When last, seconds."""
+    """When it was last heard, seconds."""
 
 
 class Peers:
-    """What is heard from the neighbours is counted here."""
+    """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "writer"
+        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "system_ids",
+        "writer",
     )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int) -> None:
@@ -59,20 +62,22 @@ class Peers:
         self.writer = writer
         self.reader = FrameReader()
         self.received = 0
-        """TUNNEL frames of ours heard from the radio, whoever they were for."""
+        """TUNNEL frames of our payload type heard from the radio, whatever their target."""
         self.malformed = 0
         """TUNNEL payloads that do not parse."""
         self.foreign = 0
         """TUNNEL payloads of another version, type or purpose."""
         self.other_versions: dict[int, OtherVersion] = {}
-        """By node id, the longest silent first. Nothing but words to people may come of it."""
+        """By node id, the longest silent first. Use it only to inform people: any sender can forge it."""
+        self.system_ids: dict[int, int] = {}
+        """System id of each node's last beacon, by node id, the longest silent first. Use it only to inform people."""
 
     def tunnels(self, data: bytes) -> list[Frame]:
-        """The frames with TUNNEL messages in a datagram of whole frames, whatever they are."""
+        """The frames with TUNNEL messages in a datagram of whole frames."""
         return [frame for frame in self.reader.datagram(data) if frame.message_id == TUNNEL]
 
     def understood(self, frame: Frame, now: float) -> Message | None:
-        """The message in a frame with a TUNNEL message; None: it is not for this node, or cannot be understood."""
+        """The message in a frame with a TUNNEL message; None: it is not for this node, or does not parse."""
         try:
             tunnel = decode_tunnel(frame.payload)
         except MalformedError as error:
@@ -81,7 +86,7 @@ class Peers:
         return self.message((*tunnel, target_of(tunnel.payload)), now)
 
     def message(self, opened: Opened, now: float) -> Message | None:
-        """The same with a frame that is opened."""
+        """The same for a frame that is already open."""
         system, component, payload_type, payload, target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
@@ -99,6 +104,14 @@ class Peers:
             self._count(error, now)
             return None
 
+    def beacon_from(self, node_id: int, system_id: int) -> None:
+        """A neighbour sent a beacon under this system id."""
+        known = self.system_ids
+        known.pop(node_id, None)
+        known[node_id] = system_id
+        if len(known) > MAX_SPEAKERS:
+            del known[next(iter(known))]
+
     def _count(self, error: MalformedError, now: float) -> None:
         if isinstance(error, ForeignError):
             self.foreign += 1
@@ -113,5 +126,5 @@ class Peers:
         log.debug("frame not understood: %s", error)
 
     def frames(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
-        """Messages for the neighbours in frames."""
+        """The frames with these messages for the neighbours."""
         return frames_of(messages, self.writer, self._payload_type, store, now)

@@ -1,8 +1,8 @@
-"""Asks the autopilot for the messages that the node needs, as often as it needs them.
+"""Asks the autopilot for the messages that the node needs, at the rates it needs.
 
-With MAV_CMD_SET_MESSAGE_INTERVAL (https://mavlink.io/en/messages/common.html#MAV_CMD_SET_MESSAGE_INTERVAL) at every
-start, and again when the autopilot has restarted: it does not keep what was asked for. A restart shows by time_boot_ms,
-by heartbeats that stop and begin again, or only by messages that come no more; each of these is reason to ask.
+It uses MAV_CMD_SET_MESSAGE_INTERVAL (https://mavlink.io/en/messages/common.html#MAV_CMD_SET_MESSAGE_INTERVAL) at every
+start, and again after the autopilot restarts, because the autopilot does not store the rates. The signs of a restart
+are a smaller time_boot_ms, heartbeats that stop and start again, or messages that no longer come.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from rass_mav.mavlink.messages import COMMAND_ACK, parse, set_message_interval
 
 log = logging.getLogger(__name__)
 
-#: Without an answer a request is repeated after so many seconds, then after twice as many, up to the second number.
+#: Without an answer a request is repeated after the first time, then after twice as long, up to the second. Seconds.
 FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 30.0
-#: An autopilot whose heartbeats were missing for so long may have restarted, seconds.
+#: An autopilot without heartbeats for this long may have restarted, seconds.
 SILENT_S = 5.0
-#: A message that is missing for so many of its intervals, and at least `SILENT_S`, is asked for again.
+#: A message is requested again when it has been missing for this many of its intervals, and at least `SILENT_S`.
 MISSING_INTERVALS = 5
 _COMMAND: int = common.MAV_CMD_SET_MESSAGE_INTERVAL
 _ACCEPTED: int = common.MAV_RESULT_ACCEPTED
@@ -31,7 +31,7 @@ _BUSY = (common.MAV_RESULT_TEMPORARILY_REJECTED, common.MAV_RESULT_IN_PROGRESS)
 
 
 def message_ids(messages: Mapping[str, float]) -> dict[int, float]:
-    """Seconds between two messages by message id, from such by name. Raises `ConfigError` for unknown names."""
+    """Replace message names by ids; the values are intervals in seconds. Raises `ConfigError` for unknown names."""
     found = {}
     unknown = []
     for name, interval_s in messages.items():
@@ -39,21 +39,21 @@ def message_ids(messages: Mapping[str, float]) -> dict[int, float]:
         if isinstance(id, int):
             found[id] = interval_s
         else:
-            unknown.append(f"{name}: no message of the common dialect")
+            unknown.append(f"{name}: not a message of the common dialect")
     if unknown:
         raise ConfigError(*unknown)
     return found
 
 
 class MessageRates:
-    """A service of the agent. One request at a time, for an answer does not say which message it is about."""
+    """A service of the agent. It makes one request at a time, because an answer does not name the message."""
 
     def __init__(self, agent: Agent, intervals: Mapping[int, float]) -> None:
         """`intervals`: seconds between two messages, by message id."""
         self._agent = agent
         self._intervals = dict(intervals)
         self.refused: set[int] = set()
-        """Messages that the autopilot will not send."""
+        """Messages that the autopilot refuses to send."""
         self._open: list[int] = []
         self._retry_s = FIRST_RETRY_S
         self._due: float | None = None
@@ -64,7 +64,7 @@ class MessageRates:
         self._pause_s = dict.fromkeys(intervals, 0.0)
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Answers of the autopilot, and the messages that were asked for."""
+        """Take the autopilot's answers, and note which requested messages come."""
         telemetry = self._agent.telemetry
         if frame.system_id != telemetry.system_id or frame.component_id != telemetry.component_id:
             return
@@ -79,7 +79,7 @@ class MessageRates:
             self._answered(self._open.pop(0), answer.result, now)
 
     def _answered(self, message_id: int, result: int, now: float) -> None:
-        # From now on it has to come.
+        # From now on the message is expected.
         self._heard_at[message_id] = now
         self._due = None
         self._retry_s = FIRST_RETRY_S
@@ -91,7 +91,7 @@ class MessageRates:
         self._ask(now)
 
     def step(self, now: float) -> None:
-        """Once a step: begin, repeat, and see what is missing."""
+        """Once a step: start requests, repeat them, and check which messages are missing."""
         telemetry = self._agent.telemetry
         heartbeat = telemetry.heartbeat_at
         if heartbeat is None or not telemetry.system_id:
@@ -109,7 +109,7 @@ class MessageRates:
                 continue
             missing = now - self._heard_at.get(message_id, now)
             if missing > max(SILENT_S, MISSING_INTERVALS * interval_s) + self._pause_s[message_id]:
-                # Perhaps it has nothing to say, as a local position before there is an origin: ask ever more seldom.
+                # Ask less and less often: there may be nothing to send, such as a local position without an origin.
                 self._pause_s[message_id] = min(2 * self._pause_s[message_id] + SILENT_S, LONGEST_RETRY_S)
                 self._open.append(message_id)
         self._ask(now)

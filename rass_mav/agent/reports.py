@@ -1,4 +1,4 @@
-"""What the people at the ground are told of trouble, and how often."""
+"""Reports of trouble to the people at the ground station, and how often they are sent."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from rass_mav.core.alarms import Alarm
 from rass_mav.core.participant import Participant
 from rass_mav.wire.codec import VERSION
 
-#: The same trouble is told at most this often, seconds.
+#: Seconds between two reports of the same trouble, at least.
 REPORT_S = 30.0
-#: Of nodes that speak another version one text in so many seconds, of whatever nodes: anybody can make them up.
+#: Seconds between two texts about nodes with another version, whichever nodes: any sender can invent them.
 VERSION_TEXT_S = 5.0
-#: So many of them are remembered as told, more than there can be texts in `REPORT_S`.
+#: How many such nodes are remembered as reported: more than there can be texts in `REPORT_S`.
 MAX_TOLD = 64
 _CRITICAL = 2
 _WARNING = 4
 
-#: Tells the ground; MAV_SEVERITY and a text.
+#: Sends a text to the ground; MAV_SEVERITY and the text.
 Tell = Callable[[int, str], None]
 
 
 class Reports:
-    """What was told, and when it may be told again."""
+    """What was reported, and when it may be reported again."""
 
     __slots__ = ("_alarms_at", "_fault_at", "_full_at", "_refused", "_rivals_at", "_told", "_versions", "_versions_at")
 
@@ -32,10 +32,10 @@ class Reports:
         self._told: dict[Alarm, int] = {}
         self._refused = 0
         self._versions: dict[int, tuple[float, frozenset[int]]] = {}
-        """Node id -> when a text on it was told last, and the versions told. In the order of the texts."""
+        """Node id -> time of the last text about it, and the versions reported. In the order of the texts."""
 
     def look(self, node: Participant, now: float, tell: Tell) -> None:
-        """Once a step: is there anything that people should know?"""
+        """Once a step: report whatever people should know."""
         alarms = node.alarms
         if alarms.rivals and now >= self._rivals_at:
             self._rivals_at = now + REPORT_S
@@ -53,7 +53,7 @@ class Reports:
                     tell(_CRITICAL, f"RASS: {alarm.value} ({alarms.about[alarm]})")
 
     def versions(self, own_id: int, others: Mapping[int, OtherVersion], now: float, tell: Tell) -> None:
-        """Once a step, if nodes that speak another version were heard: each is told of once a version."""
+        """Once a step, if nodes with another version were heard. Each is reported once per version."""
         if now < self._versions_at:
             return
         for node_id, (version, heard) in others.items():
@@ -66,11 +66,11 @@ class Reports:
                 del self._versions[next(iter(self._versions))]
             self._versions_at = now + VERSION_TEXT_S
             behind = node_id if version < VERSION else own_id
-            tell(_WARNING, f"RASS: node {node_id} speaks version {version}, this one {VERSION}: update node {behind}")
+            tell(_WARNING, f"RASS: node {node_id} uses version {version}, this one {VERSION}: update node {behind}")
             return
 
     def full(self, now: float, tell: Tell) -> None:
-        """A measurement was refused for want of room."""
+        """A measurement was refused because the store is full."""
         self._refused += 1
         if now >= self._full_at:
             self._full_at = now + REPORT_S

@@ -1,4 +1,4 @@
-"""All of one node's settings: the sections of the rooms put together, and the agent's own."""
+"""All settings of one node: the sections of the packages together, and the agent's own."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from rass_mav.wire.measurement import MEASUREMENT_BYTES
 
 
 class DataSettings(Section):
-    """What a node creates by itself."""
+    """The measurements that a node creates."""
 
     interval_steps: Annotated[int, Meta(ge=0)] = 10
-    """A measurement every so many steps; 0: none. `due` says in which."""
+    """Steps between two measurements; 0: none. `due` determines in which steps."""
     due: Literal["step-id", "step+id", "together"] = "step-id"
-    """Which number must be a multiple: (step - node id), (step + node id), or the step alone (all nodes at once)."""
+    """Which number must be a multiple of the interval: (step - node id), (step + node id), or step (all at once)."""
     until_step: Annotated[int, Meta(ge=0)] | None = None
     """No more measurements from this step on."""
     bytes: Annotated[int, Meta(ge=MEASUREMENT_BYTES, le=1 << 20)] = MEASUREMENT_BYTES
-    """Size of a measurement; what exceeds the measurement proper is filled with random bytes."""
+    """Size of a measurement. Random bytes fill the space after the measurement itself."""
     lifetime_s: Positive | None = None
     """Data older than this expire; null: never."""
 
 
 class GroundSettings(Section):
-    """What a ground station is told, and may set."""
+    """What a ground station receives, and what it may set."""
 
     may_set: bool = True
-    """Whether a ground station that is connected directly can set parameters; they can be read in any case."""
+    """Whether a directly connected ground station can set parameters. It can always read them."""
     may_set_by_radio: bool = False
-    """The same for what comes by the autopilot's port: anybody in range of its radio can say it."""
+    """The same for senders behind the autopilot's port: anybody in range of its radio can send there."""
     values_s: NonNegative = 10.0
-    """Seconds between two NAMED_VALUE_FLOATs of a kind: fitness, hops, risk, fill; 0: never."""
+    """Seconds between two NAMED_VALUE_FLOATs of the same name (fitness, hops, risk, fill); 0: never."""
     computer_s: NonNegative = 30.0
     """Seconds between two ONBOARD_COMPUTER_STATUS; 0: never."""
 
 
 class Sections(Protocol):
-    """What a `run` configuration, a scenario and a replay have in common."""
+    """The sections that a `run` configuration, a scenario and a replay have in common."""
 
     @property
     def policy(self) -> PolicySettings: ...
@@ -62,7 +62,7 @@ class Sections(Protocol):
 
 
 class AgentSettings(Section):
-    """All of one node."""
+    """All settings of one node."""
 
     node_id: int
     base: bool
@@ -78,7 +78,7 @@ class AgentSettings(Section):
     ground: GroundSettings | None = None
     """None: no ground station is answered (the mock swarm has none)."""
     own_sensor: bool = False
-    """Readings come by `Agent.reading`; those of the autopilot are not believed."""
+    """Readings come through `Agent.reading`; those of the autopilot are ignored."""
 
     @classmethod
     def of(
@@ -94,7 +94,7 @@ class AgentSettings(Section):
         ground: GroundSettings | None = None,
         own_sensor: bool = False,
     ) -> AgentSettings:
-        """One node's share of a configuration; `data` and `mavlink` instead of its own sections, if given."""
+        """One node's part of a configuration. `data` and `mavlink`, if given, replace its own sections."""
         return cls(
             node_id=node_id,
             base=base,
@@ -112,7 +112,7 @@ class AgentSettings(Section):
         )
 
     def node_settings(self) -> NodeSettings:
-        """What core needs of it. Raises `ConfigError`."""
+        """The settings that the core needs. Raises `ConfigError`."""
         mistakes = Mistakes()
         policy = None
         with mistakes.gathering():

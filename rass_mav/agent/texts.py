@@ -1,4 +1,4 @@
-"""Texts for people at the ground: few enough to be read."""
+"""Texts for people at the ground station, few enough to read."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import NamedTuple
 
 log = logging.getLogger(__name__)
 
-#: So many texts may follow each other at once.
+#: How many texts may leave at once.
 BURST = 5
-#: After that one in so many seconds.
+#: Seconds between two texts after such a burst.
 EVERY_S = 5.0
-#: The same text is not said again for so long, seconds.
+#: Seconds before the same text may be sent again.
 REPEAT_S = 30.0
-#: Texts that may wait; beyond it the least important one is dropped.
+#: Texts that may wait. When there are more, the least important one is dropped.
 MAX_WAITING = 16
 
 
 class Text(NamedTuple):
-    """A text with its importance."""
+    """A text and its importance."""
 
     severity: int
     """MAV_SEVERITY: 0 (emergency) .. 7 (debug)."""
@@ -28,7 +28,7 @@ class Text(NamedTuple):
 
 
 class Texts:
-    """Takes texts at any time and gives them out at a rate that a person can follow, the most important first."""
+    """Takes texts at any time, and returns them at a rate that a person can follow, the most important first."""
 
     __slots__ = ("_rested_at", "_said", "_waiting", "dropped")
 
@@ -36,27 +36,27 @@ class Texts:
         self._waiting: deque[Text] = deque()
         self._said: dict[Text, float] = {}
         self._rested_at = -math.inf
-        """When a whole burst may be said again. A time, not an allowance that grows: what is due at a time must be
-        there at that time, however sums are rounded."""
+        """When a whole burst may be sent again. A time, not a growing allowance: a text must be ready at the time that
+        `due` returned, however sums are rounded."""
         self.dropped = 0
-        """Texts that were not said: too many, or said just before."""
+        """Texts that were not sent: too many, or a repeat."""
 
     def add(self, severity: int, text: str) -> None:
-        """Say a text when its turn comes; `severity` as MAV_SEVERITY."""
+        """Queue a text; `severity` as MAV_SEVERITY."""
         new = Text(severity, text)
         if new in self._waiting:
             self.dropped += 1
             return
         self._waiting.append(new)
         if len(self._waiting) > MAX_WAITING:
-            # Of the least important ones the newest goes: the first words about a failure say most.
+            # Drop the newest of the least important ones: the first text about a failure says most.
             worst = max(text.severity for text in self._waiting)
             newest = max(index for index, text in enumerate(self._waiting) if text.severity == worst)
             del self._waiting[newest]
             self.dropped += 1
 
     def take(self, now: float) -> Text | None:
-        """The text whose turn it is now, if any."""
+        """The text to send now, if any."""
         self._said = {text: at for text, at in self._said.items() if now - at < REPEAT_S}
         while now >= self.due():
             text = min(self._waiting, key=lambda waiting: waiting.severity)
@@ -70,5 +70,5 @@ class Texts:
         return None
 
     def due(self) -> float:
-        """When the next text may be said; infinity: there is none."""
+        """When the next text may be sent; infinity: none waits."""
         return self._rested_at - (BURST - 1) * EVERY_S if self._waiting else math.inf

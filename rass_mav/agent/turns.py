@@ -1,4 +1,4 @@
-"""In which steps a node has its turn, where its links do not bear a beacon in each."""
+"""In which steps a node has its turn, where its links cannot carry a beacon in each step."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class Turns:
         self._next_at = now
 
     def due(self, turn_s: float, step_s: float, now: float, rng: random.Random) -> bool:
-        """Whether this step has a turn, if there is one every `turn_s` seconds; then the next one begins.
+        """Whether this step has a turn, with a turn every `turn_s` seconds. If so, the wait for the next one begins.
 
-        A new length begins at a random place: nodes that were switched on together, or have met, must not all speak in
-        the same second.
+        After a change of `turn_s` the first wait is random: nodes that were switched on together, or have met, must not
+        all send in the same second.
         """
         if turn_s > step_s and now < self._next_at - 0.5 * step_s:
             return False

@@ -193,6 +193,11 @@ class RunConfig(Section):
         if len(through) > 1:
             mistakes.add(types[through[1]], "only one link can go through the autopilot")
 
+    def warnings(self) -> list[str]:
+        """What does not fit this computer as it is now, though it may fit it later. Asks the system."""
+        found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
+        return [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
+
 
 def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
     """Read and check a configuration. `assignments`: `key.path=value`, they override the file.

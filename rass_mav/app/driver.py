@@ -31,7 +31,6 @@ from rass_mav.sensor.base import Sensor
 from .channel import Channel
 from .clock import LivedClock
 from .notify import Notifier
-from .sensor_watch import SensorWatch
 from .writer import Writer
 
 log = logging.getLogger(__name__)
@@ -100,7 +99,6 @@ class Driver:
         self._bug: BaseException | None = None
         self._tend_at = math.inf
         self._next_alarm = now()
-        self._watch = None if sensor is None else SensorWatch(sensor, agent, now())
 
     # -- from outside --------------------------------------------------------------------------------------------------
 
@@ -186,8 +184,6 @@ class Driver:
         if self.sensor is not None:
             for value, at in self.sensor.receive():
                 self.agent.reading(value, at)
-        if self._watch is not None:
-            self._watch.look(now)
         for channel in self.channels:
             # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
             # disk that has failed this would not end, and beacons must be heard: then answers are dropped instead.

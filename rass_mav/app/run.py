@@ -8,18 +8,21 @@ import os
 import random
 import secrets
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
+from rass_mav.agent.shortages import Shortages
+from rass_mav.agent.version import VersionQuestion
 from rass_mav.errors import ControlError, StoreDamagedError
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.sensor.base import Sensor
 from rass_mav.store.sqlite import SqliteStore
 
 from .clock import LivedClock, TimeSources
@@ -27,6 +30,7 @@ from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
 from .machine import Machine
+from .narration import Narration
 from .notify import Notifier
 
 log = logging.getLogger(__name__)
@@ -40,10 +44,19 @@ _CRITICAL = 2
 class Runtime:
     """Runs a node until SIGTERM or SIGINT; a second signal ends the process at once."""
 
-    def __init__(self, config: RunConfig, ready: Callable[[dict[str, Any]], None] | None = None) -> None:
-        """`ready`: called whenever the node has been started, with its id, role, epoch and control socket."""
+    def __init__(
+        self,
+        config: RunConfig,
+        ready: Callable[[dict[str, Any]], None] | None = None,
+        narrate: Callable[[str], None] | None = None,
+    ) -> None:
+        """
+        :param ready: called whenever the node has been started, with its id, role, epoch and control socket.
+        :param narrate: takes a line on what the node is, and on what it sees whenever that changes.
+        """
         self._config = config
         self._ready = ready
+        self._narrate = narrate
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
@@ -103,6 +116,8 @@ class Runtime:
             for section in config.links:
                 links.append(section.open(vehicle))
                 stack.callback(links[-1].close)
+            for warning in config.warnings():
+                log.warning("%s", warning)
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
@@ -111,6 +126,8 @@ class Runtime:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
                 agent.tell_ground(_CRITICAL, f"RASS: {remark}")
+            if vehicle is not None:
+                agent.services.append(VersionQuestion(agent))
             if vehicle is not None and config.autopilot.messages:
                 agent.services.append(MessageRates(agent, message_ids(config.autopilot.messages)))
             sensor = config.sensor.open(clock.now)
@@ -118,6 +135,7 @@ class Runtime:
                 stack.callback(sensor.close)
             if agent.ground is not None:
                 agent.ground.computer = Machine(config.store_path).status
+            self._watch(agent, vehicle, sensor, clock.now())
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
             control = ControlServer(driver, config.socket_path)
@@ -131,16 +149,7 @@ class Runtime:
             self._driver = driver
             if self._stopped:
                 driver.stop()
-            log.info("node %d (%s) runs, store %s", settings.node_id, config.node.role, config.store_path)
-            self._notifier.ready(f"node {settings.node_id} ({config.node.role})")
-            if self._ready is not None:
-                about = {
-                    "node_id": settings.node_id,
-                    "role": config.node.role,
-                    "life": f"{store.life:08x}",
-                    "epoch": f"{store.epoch:08x}",
-                }
-                self._ready({**about, "socket": str(config.socket_path)})
+            self._announce(store, vehicle, links)
             try:
                 try:
                     await driver.run()
@@ -154,6 +163,38 @@ class Runtime:
                 store.close()
                 raise
             store.close()
+
+    def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
+        config = self._config
+        node_id, role = config.agent_settings().node_id, config.node.role
+        log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)
+        self._notifier.ready(f"node {node_id} ({role})")
+        if self._narrate is not None:
+            self._narrate(_introduction(config, vehicle, links))
+        if self._ready is not None:
+            about = {"node_id": node_id, "role": role, "life": f"{store.life:08x}", "epoch": f"{store.epoch:08x}"}
+            self._ready({**about, "socket": str(config.socket_path)})
+
+    def _watch(self, agent: Agent, vehicle: VehiclePort | None, sensor: Sensor | None, now: float) -> None:
+        """Let people hear what changes: at the ground, and on the terminal."""
+        flies = vehicle is not None and not agent.node.base
+        reads = flies or sensor is not None
+        agent.services.append(
+            Shortages(
+                agent, now, position=flies, reading=reads,
+                trouble=lambda: "" if sensor is None else sensor.state().trouble,
+            )
+        )  # fmt: skip
+        if self._narrate is not None:
+            agent.services.append(Narration(agent, self._narrate, now, autopilot=vehicle is not None, reading=reads))
+
+
+def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequence[Link]) -> str:
+    """What runs here, in a line."""
+    parts = [] if vehicle is None else [f"autopilot {vehicle.name}"]
+    parts.append(f"{'links' if len(links) > 1 else 'link'} {', '.join(link.name for link in links) or 'none'}")
+    parts.append(f"store {config.store_path}")
+    return f"node {config.node_id} ({config.node.role}): {', '.join(parts)}; Ctrl-C stops it"
 
 
 def _sources(config: RunConfig) -> TimeSources:

@@ -218,7 +218,8 @@ def run(*command: str, timeout_s: float = COMMAND_S) -> str:
     """Run one of systemd's programs; returns what it says. Raises `ServiceError` if it fails or is not there."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=timeout_s, check=False)
-    except FileNotFoundError:
+    except (FileNotFoundError, PermissionError):
+        # The second where a folder of PATH is closed to us.
         raise ServiceError(f"{command[0]}: not found; the service needs a system with systemd") from None
     except subprocess.TimeoutExpired:
         raise ServiceError(f"{' '.join(command)}: no answer in {timeout_s:g} s") from None

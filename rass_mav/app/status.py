@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from typing import Any
 
 from rass_mav import __version__
@@ -31,6 +32,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
     return {
         "node_id": node.id,
         "role": "base" if node.base else "drone",
+        "system_id": agent.peers.writer.system_id,
         "version": __version__,
         "pid": os.getpid(),
         "life": f"{node.store.life:08x}",
@@ -63,12 +65,18 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         else {
             "system_id": telemetry.system_id,
             "type": telemetry.autopilot,
+            "version": None if telemetry.version is None else list(telemetry.version.version),
+            "signed": telemetry.signed,
             "heartbeat_age_s": round(now - heartbeat, 3),
             "armed": telemetry.armed,
             "reboots": telemetry.reboots,
             "no_fix_age_s": None if telemetry.no_fix_at is None else round(now - telemetry.no_fix_at, 3),
         },
-        "neighbours": [_neighbour(n, now, node.policy) for n in sorted(routing.neighbours.values(), key=_id)],
+        "neighbours": [
+            {**_neighbour(n, now, node.policy), "system_id": agent.peers.system_ids.get(n.id)}
+            for n in sorted(routing.neighbours.values(), key=_id)
+        ],
+        "shared_system_ids": _shared_system_ids(driver),
         "store": _store(driver),
         "ledger": {**node.store.counters(), **node.figures()},
         "commits": {
@@ -82,6 +90,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
                 "name": channel.link.name,
                 "trouble": channel.link.trouble or None,
                 "one_hop": channel.link.one_hop,
+                "interfaces": [way._asdict() for way in channel.link.carriers()],
                 **channel.link.counters()._asdict(),
                 **channel.lane.report(),
             }
@@ -137,6 +146,23 @@ def _neighbour(neighbour: Neighbour, now: float, policy: Policy) -> dict[str, An
         "same_policy": beacon.policy == policy.tag,
         "age_s": round(now - neighbour.heard, 3),
     }
+
+
+def _shared_system_ids(driver: Driver) -> list[dict[str, Any]]:
+    """System ids that several nodes use: among the neighbours, and this one."""
+    agent = driver.agent
+    users: dict[int, list[int]] = defaultdict(list)
+    for node_id in agent.node.routing.neighbours:
+        if (system_id := agent.peers.system_ids.get(node_id)) is not None:
+            users[system_id].append(node_id)
+    # Its own is not the last word as long as its autopilot has not been heard.
+    if driver.vehicle is None or agent.telemetry.system_id or agent.settings.mavlink.system_id is not None:
+        users[agent.peers.writer.system_id].append(agent.node.id)
+    return [
+        {"system_id": system_id, "node_ids": sorted(node_ids)}
+        for system_id, node_ids in sorted(users.items())
+        if len(node_ids) > 1
+    ]
 
 
 def _port(port: VehiclePort) -> dict[str, Any]:

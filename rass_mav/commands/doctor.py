@@ -7,7 +7,7 @@ import sys
 
 from .common import Subparsers, add_command, answer, clean, painted, start_logging
 
-_COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
+_COLOURS = {"skip": "cyan", "pass": "green", "warn": "yellow", "fail": "red"}
 
 
 def register(subparsers: Subparsers) -> None:
@@ -30,6 +30,7 @@ def _doctor(options: argparse.Namespace) -> int:
         painted(finding.level, _COLOURS[finding.level], sys.stdout) + clean(finding.line()).removeprefix(finding.level)
         for finding in report.findings
     ]
-    lines.append(f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed")
+    counts = f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed"
+    lines.append(f"{counts}, {skipped} not checked" if (skipped := report.count("skip")) else counts)
     answer(options, report.plain(), lines)
     return 1 if report.count("fail") else 0

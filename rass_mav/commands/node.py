@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import base64
+import contextlib
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +32,9 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav check drone.yaml --print",
     )  # fmt: skip
     check.add_argument("--print", action="store_true", dest="show", help="show it with all defaults filled in")
+    run.add_argument(
+        "-q", "--quiet", action="store_true", help="do not say on a terminal (stderr) what the node sees"
+    )  # fmt: skip
     for parser in (run, check):
         parser.add_argument("config", metavar="CONFIG.yaml", help="the configuration")
         add_set(parser)
@@ -89,8 +95,20 @@ def _run(options: argparse.Namespace) -> int:
             sys.stdout.flush()
         told = True
 
-    Runtime(config, ready).run()
+    Runtime(config, ready, narrator(quiet=options.quiet)).run()
     return 0
+
+
+def narrator(*, quiet: bool) -> Callable[[str], None] | None:
+    """Takes what a node says of what it sees: for whoever watches. A journal or a file gets the log only."""
+    return None if quiet or not sys.stderr.isatty() else _narrate
+
+
+def _narrate(line: str) -> None:
+    """A line on the terminal, with the time of day."""
+    # A terminal that is gone is no reason to end.
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"{time.strftime('%H:%M:%S')} {line}\n")
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -98,8 +116,11 @@ def _check(options: argparse.Namespace) -> int:
     from rass_mav.config.loading import dump_yaml, to_plain
 
     config = _config(options)
+    warnings = config.warnings()
+    for warning in warnings:
+        sys.stderr.write(f"{options.config}: warning: {warning}\n")
     if options.json:
-        print_json({"ok": True, "config": to_plain(filled_in(config))})
+        print_json({"ok": True, "config": to_plain(filled_in(config)), "warnings": warnings})
     elif options.show:
         sys.stdout.write(dump_yaml(filled_in(config)))
     else:

@@ -41,7 +41,16 @@ def register(subparsers: Subparsers) -> None:
         parser.add_argument(
             "--live", metavar="CONFIG.yaml", required=parser is write, help="the node's configuration: its autopilot"
         )
+        parser.add_argument(
+            "--sysid", type=_system_id, metavar="N", help="the system id that the vehicle is to have; else it is left"
+        )
     write.add_argument("--yes", action="store_true", help="do not ask")
+
+
+def _system_id(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and 1 <= int(text) <= 255):
+        raise argparse.ArgumentTypeError(f"expected a system id, 1 to 255, got {text!r}")
+    return int(text)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -49,6 +58,8 @@ def _check(options: argparse.Namespace) -> int:
 
     start_logging(options.verbose)
     file = read_file(options.file)
+    if options.live is None and options.sysid is not None:
+        raise ConfigError("--sysid: only with --live")
     if options.live is None:
         plain = {"file": options.file, "format": file.format, "parameters": len(file.entries)}
         answer(options, plain, [f"{options.file}: ok, {len(file.entries)} parameters"])
@@ -101,7 +112,9 @@ def _compared(options: argparse.Namespace) -> Comparison:
 
     file = read_file(options.file)
     config = _config(options.live)
-    return _held(options.live, config, lambda session: compare(session, config.mavlink.autopilot_id, file))
+    return _held(
+        options.live, config, lambda session: compare(session, config.mavlink.autopilot_id, file, options.sysid)
+    )
 
 
 def _applied(options: argparse.Namespace, found: Comparison) -> list[Row]:
@@ -162,12 +175,13 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
             ControlClient(config.socket_path, timeout_s=1.0).close()
         except ControlError:
             raise error from None
-        raise type(error)(f"{error}; the node of {path} runs and has the autopilot's port: stop it first") from None
+        said = error.text if isinstance(error, LinkError) else error
+        raise type(error)(f"{said}; the node of {path} runs and has the autopilot's port: stop it first") from None
 
 
 def _lines(found: Comparison) -> list[str]:
     lines = [found.vehicle()]
-    lines += [_line(row) for row in found.rows if row.state != "same"]
+    lines += [_line(row) for row in found.rows if row.state != "same" or row.note]
     if found.misfit:
         lines.append(f"WARNING: {found.misfit}")
     return [*lines, _counts(found.rows)]
@@ -180,6 +194,8 @@ def _line(row: Row) -> str:
         text = f"missing: {row.note}"
     elif row.state == "differs":
         text = f"{live.value:.9g} -> {entry.value:.9g}{reboot}"
+    elif row.state == "same":
+        text = f"{live.value:.9g}, {row.note}"
     elif row.state == "written":
         text = f"written: {live.value:.9g}{reboot}"
     else:
@@ -194,14 +210,14 @@ def _counts(rows: Sequence[Row]) -> str:
 
 
 def _plain(path: str, found: Comparison, rows: Sequence[Row]) -> dict[str, Any]:
-    from rass_mav.params.names import firmware_name
+    from rass_mav.mavlink.firmware import firmware_name
 
     autopilot = found.autopilot
     return {
         "file": path,
         "vehicle": {
             "system_id": autopilot.system_id,
-            "firmware": firmware_name(autopilot.firmware),
+            "firmware": firmware_name(autopilot.type),
             "version": found.version,
             "armed": autopilot.armed,
         },

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 
@@ -38,7 +38,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     for link in [*s["links"], *(way for way in (s["vehicle"], straight) if way)]:
         yield (
             f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
-            f"dropped {link['dropped_in']} in, {link['dropped_out']} out"
+            f"dropped {link['dropped_in']} in, {link['dropped_out']} out" + _ways(link.get("interfaces", ()))
         )
         if link["trouble"]:
             yield f"WARNING: link {link['name']}: {link['trouble']}"
@@ -54,11 +54,21 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         )
     for other in s["other_versions"]:
         yield (
-            f"WARNING: node {other['node_id']} speaks version {other['version']} of the wire format, "
+            f"WARNING: node {other['node_id']} uses version {other['version']} of the wire format, "
             f"heard {other['age_s']:.0f} s ago"
         )
+    for shared in s["shared_system_ids"]:
+        nodes = ", ".join(map(str, shared["node_ids"]))
+        yield f"WARNING: nodes {nodes} share system id {shared['system_id']}, a ground station sees one vehicle"
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _ways(interfaces: Sequence[dict[str, Any]]) -> str:
+    if not interfaces:
+        return ""
+    states = ((i["name"], "down" if not i["up"] else "up" if i["carrier"] else "no carrier") for i in interfaces)
+    return "; " + ", ".join(f"{name} {state}" for name, state in states)
 
 
 def _standing(s: dict[str, Any]) -> str:

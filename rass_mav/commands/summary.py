@@ -48,7 +48,10 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         )
     yield f"altered data: {s['altered']}; routing loops: {s['routing']['loops']}"
     if "wall_s" in s:
-        yield f"{s['wall_s']:.1f} s, {s['robot_steps_per_s']:,} robot-steps a second"
+        yield (
+            f"{s['wall_s']:.1f} s, {s['cpu_s']:.1f} s of processor time; "
+            f"{s['robot_steps_per_s']:,} robot-steps a second of processor time"
+        )
 
 
 def _count(count: int, what: str, whole: int | None = None) -> str:
@@ -61,12 +64,21 @@ def flight_lines(flight: dict[str, Any]) -> Iterator[str]:
     f = flight
     yield ""
     yield f"firmware {f['firmware']}, {f['wiring'].replace('-', ' ')}, readings {f['readings']}"
+    missions = f["missions"]
     for v in f["vehicles"]:
         state = "mission finished" if v["finished"] else f"at mission item {v['item']} of {v['items'] - 1}"
+        if v["node_id"] in missions["not_flown"]:
+            state = "mission not flown"
+        if v["killed_s"] is not None:
+            state += f", autopilot killed after {v['killed_s']:.1f} s"
         yield (
             f"  vehicle {v['node_id']}: {state}; flew {v['flew_m']:.0f} m, at most {v['farthest_m']:.0f} m away and "
             f"{v['highest_m']:.0f} m high"
         )
+    yield (
+        f"missions finished: {len(missions['finished'])}, not finished: {len(missions['unfinished'])}, "
+        f"not flown: {len(missions['not_flown'])}"
+    )
     m = f["measurements"]
     yield (
         f"measurements at the base: {m['delivered']:,}, with position {m['with_position']:,}, "

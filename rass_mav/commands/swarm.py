@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -128,6 +127,7 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
     from rass_mav.swarm.invariants import check
+    from rass_mav.swarm.stopwatch import Stopwatch
     from rass_mav.swarm.world import World
 
     with recorder(options.record, scenario.node.step_s) as record:
@@ -136,7 +136,7 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
         # The swarm lives to the end: the garbage collector need not look through it again and again.
         gc.collect()
         gc.freeze()
-        begin = time.perf_counter()
+        watch = Stopwatch()
         with (
             keeping(lambda: kept_files(options.record)),
             progress(scenario.steps, "steps", quiet=options.json) as advance,
@@ -146,9 +146,5 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
                 if options.check:
                     check(world)
                 advance(1)
-        wall = time.perf_counter() - begin
-    summary = world.statistics.summary()
-    summary["reachable"] = reached
-    summary["wall_s"] = round(wall, 3)
-    summary["robot_steps_per_s"] = round(scenario.nodes * scenario.steps / wall) if wall else 0
-    return summary
+        took = watch.figures(scenario.nodes * scenario.steps)
+    return {**world.statistics.summary(), "reachable": reached, **took}

@@ -1,4 +1,5 @@
-"""What people at the ground should know of: the node has heard or found what cannot be among honest, sound nodes."""
+"""What people at the ground station should know: the node has heard or found something that honest, sound nodes cannot
+cause."""
 
 from __future__ import annotations
 
@@ -9,21 +10,21 @@ MAX_RIVALS = 16
 
 
 class Alarm(enum.Enum):
-    """A kind of trouble; its value is what the ground is told."""
+    """A kind of trouble; its value is the text for the ground station."""
 
-    DENIED = "a base claims data that this node never made"
-    """A receipt names numbers that this origin has not given."""
-    FORGED = "receipts in this base's name of data that it does not have"
-    """Somebody speaks in its name, or its store has lost data."""
-    SQUATTED = "somebody made data under this node's numbers"
-    """Data on offer bear own numbers that have not been given."""
+    DENIED = "a base claims data that this node never created"
+    """A receipt names numbers that this origin has not assigned."""
+    FORGED = "receipts in this base's name for data that it does not have"
+    """Another node sends in its name, or its store has lost data."""
+    SQUATTED = "another node created data under this node's numbers"
+    """Data on offer have numbers of this node that it has not assigned yet."""
     TWO_CONTENTS = "two contents under one datum id, both kept"
     UNCONFIRMED = "data of this node that no base confirms"
-    """They were handed on long ago, a base is in reach, and none says that it has them."""
-    UNKNOWN = "data may have been made that nobody knows of"
-    """A node that lost count of its numbers says from which one on."""
+    """They were handed over long ago, a base is in reach, and no base states that it has them."""
+    UNKNOWN = "data may have been created that no node knows of"
+    """A node that lost count of its numbers reports from which one on."""
     DAMAGED = "the store of a node was damaged"
-    """A node says so, and how many data may be lost."""
+    """A node reports it, and how many data may be lost."""
 
 
 class Alarms:
@@ -34,9 +35,9 @@ class Alarms:
     def __init__(self) -> None:
         self.counts: dict[Alarm, int] = {}
         self.about: dict[Alarm, str] = {}
-        """A few words on the last one: an id, a base."""
+        """A few words about the last one: an id, a base."""
         self.rivals: dict[int, float] = {}
-        """Lives of other nodes heard under this node's id, and when last, seconds."""
+        """Lives of other nodes heard under this node's id, and when they were last heard, seconds."""
         self.echoes = 0
         """Own beacons that came back."""
 
@@ -46,7 +47,7 @@ class Alarms:
         self.about[alarm] = about
 
     def rival(self, life: int, now: float) -> None:
-        """A beacon of another node bears this node's id."""
+        """A beacon of another node has this node's id."""
         if len(self.rivals) >= MAX_RIVALS and life not in self.rivals:
             self.rivals.clear()
         self.rivals[life] = now

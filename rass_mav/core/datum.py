@@ -14,14 +14,15 @@ MAX_PAYLOAD = 1 << 20
 
 
 class DatumId(NamedTuple):
-    """What names a datum everywhere, for ever."""
+    """The permanent, global name of a datum."""
 
     origin: int
     """Node id of the node that created it, 0..65534."""
     epoch: int
-    """Epoch of the origin's store (32 bits): drawn anew when a store is created, so ids are never used twice."""
+    """Epoch of the origin's store (32 bits): a new one is drawn when a store is created, so ids are never used
+    twice."""
     sequence: int
-    """Number within the epoch, from 0 without holes (32 bits)."""
+    """Number within the epoch, from 0 without gaps (32 bits)."""
 
     def __str__(self) -> str:
         return f"{self.origin}-{self.epoch:08x}-{self.sequence}"
@@ -31,7 +32,7 @@ class Kind(enum.IntEnum):
     """What the payload of a datum holds."""
 
     BYTES = 0
-    """Opaque bytes, for example a line that an operator handed in."""
+    """Opaque bytes, for example a line that an operator entered."""
     MEASUREMENT = 1
     """A position and a reading, see `rass_mav.wire.measurement`."""
     FILE = 2
@@ -42,13 +43,13 @@ class Fate(enum.Enum):
     """Why a datum, or a copy of it, is no longer held."""
 
     DELIVERED = "delivered"
-    """A base has it (seen at that base), or says so in a receipt."""
+    """A base has it (seen at that base), or a receipt says so."""
     PASSED_ON = "passed_on"
-    """Custody went to a neighbour, which said COMMITTED."""
+    """Custody went to a neighbour, which sent COMMITTED."""
     CORRUPTED = "corrupted"
     """Its checksum failed."""
     OVERFLOW = "overflow"
-    """There was no room."""
+    """There was no space."""
     EXPIRED = "expired"
     """Its lifetime ran out."""
     DIED = "died"
@@ -56,23 +57,23 @@ class Fate(enum.Enum):
     VANISHED = "vanished"
     """Sent without custody and never received."""
     UNFOUNDED = "unfounded"
-    """In custody, and deleted on a word that no base and no other node can confirm."""
+    """In custody, and deleted because of a message that no base and no other node can confirm."""
     UNKNOWN = "unknown"
-    """Of a closed epoch: numbers from one on may have been given, and nobody knows. About no single datum."""
+    """About a closed epoch: numbers from one on may have been assigned, but no node knows. About no single datum."""
     DAMAGED = "damaged"
     """A node's store was damaged, and data in it may be lost. About no single datum."""
 
 
-#: What is told like a loss, and is about no single datum.
+#: Reported like a loss, but about no single datum.
 WOUNDS = (Fate.UNKNOWN, Fate.DAMAGED)
 
 
 class Datum(NamedTuple):
-    """A datum with its bytes. Immutable; a hop makes a new one with `hops` raised."""
+    """A datum with its bytes. Immutable; a hop creates a new one with `hops` raised."""
 
     id: DatumId
     kind: int
-    """A `Kind`; unknown values are carried along untouched."""
+    """A `Kind`; data of unknown kinds are carried unchanged."""
     created: float
     """When it was created, in seconds on the holder's timeline. On the wire it travels as an age."""
     hops: int
@@ -81,16 +82,16 @@ class Datum(NamedTuple):
     """CRC-32 of id, kind and payload, computed once at the origin and carried to the base."""
     payload: bytes
     at_least: bool = False
-    """It is at least as old as `created` says: some holder was switched off for it does not know how long."""
+    """It is at least as old as `created` says: some holder was switched off for an unknown time."""
 
     @property
     def intact(self) -> bool:
-        """Whether the checksum made at the origin still fits."""
+        """Whether the checksum from the origin still matches."""
         (origin, epoch, sequence), kind, _, _, crc, payload, _ = self
         return crc32(payload, crc32(_pack_head(origin, epoch, sequence, kind))) == crc
 
     def arrived(self) -> Datum:
-        """The same datum one hand-over further."""
+        """The same datum, one hand-over further."""
         hops = self.hops
         return Datum(
             self.id, self.kind, self.created, hops + 1 if hops < 255 else 255, self.crc, self.payload, self.at_least

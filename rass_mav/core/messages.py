@@ -1,8 +1,8 @@
-"""What nodes say to each other. `rass_mav.wire` turns these into TUNNEL payloads and back.
+"""The messages that nodes send to each other. `rass_mav.wire` turns these into TUNNEL payloads and back.
 
-Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a message always fits the wire. Above
-each kind of message stands what everybody else has to know of it: to whom it goes, how urgent it is, and what it rests
-on. Nothing leaves before the disk knows what it rests on; the agent sees to that.
+Node ids are 16 bits. Fields that leave a node are bounded as stated, so that a message always fits the wire. The
+decorator of each kind of message states what other code needs to know: which nodes receive it, how urgent it is, and
+what it depends on. No message leaves before what it depends on is on disk; the agent ensures that.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ UNBOUNDED_FREE = 0xFFFF
 
 
 class Target(enum.Enum):
-    """To whom a kind of message goes."""
+    """Which nodes receive a kind of message."""
 
     EVERYBODY = enum.auto()
     """Every neighbour; the message has no target."""
     NAMED = enum.auto()
-    """The `target` that the message names, on the wire too, behind the sender; BROADCAST: every neighbour."""
+    """The `target` that the message names, on the wire after the sender; BROADCAST: every neighbour."""
     HANDLE = enum.auto()
-    """Whoever knows its handle: its `target` tells the link, and is not on the wire."""
+    """The node that knows its handle. `target` is for the link, and is not on the wire."""
 
 
 class Urgency(enum.IntEnum):
     """What goes first where airtime is short."""
 
     VEHICLE = 0
-    """To the autopilot and the ground behind it, on the way through the autopilot. Little, and paced by who says it
+    """To the autopilot, and to the ground station behind it. There is little of it, and the sender paces it
     (`Pacer.vehicle_rate`): a heartbeat has to be the first frame on a port."""
     BEACON = 1
     ANSWER = 2
-    """What a neighbour waits for: it keeps its datum, and sends it again, until the answer is there."""
+    """A neighbour waits for it: until it arrives, the neighbour keeps its datum and sends it again."""
     DATA = 3
 
 
-#: What a message rests on: these data are on disk (none: it rests on nothing), or None: all that changed before it.
+#: What a message depends on: these data are on disk (none: it depends on nothing), or None: on all earlier changes.
 Rests: TypeAlias = Callable[[Any], Iterable[DatumId] | None]
 
 
 class MessageKind(NamedTuple):
-    """What is the same for all messages of a kind."""
+    """The common properties of all messages of a kind."""
 
     target: Target
     urgency: Urgency
     rests: Rests
-    """Asked for each message."""
+    """Called for each message."""
 
 
 #: All kinds of messages.
@@ -79,25 +79,25 @@ def _on_all_changes(message: Any) -> None:
 
 
 class Route(NamedTuple):
-    """A base's announcement as a node passes it on (Alg. 2, with the sequence numbers of Babel, RFC 8966)."""
+    """A base's announcement as a node relays it (Alg. 2, with the sequence numbers of Babel, RFC 8966)."""
 
     base: int
     """Node id of the base."""
     base_life: int
-    """The base's (32 bits): a wiped base is another base."""
+    """The base's life (32 bits): a wiped base is another base."""
     number: int
     """The base's announcement number, 16 bits, compared by RFC 1982."""
     hops: int
-    """Hops from the node that says this to the base, 0 (the base itself) .. 254."""
+    """Hops from the sending node to the base, 0 (the base itself) .. 254."""
 
 
 @_kind(Target.EVERYBODY, Urgency.BEACON, _on_nothing)
 class Beacon(NamedTuple):
-    """The one-hop broadcast, one a step."""
+    """The one-hop broadcast, sent once a turn."""
 
     sender: int
     life: int
-    """The sender's: tells two nodes with the same id apart, and a wiped node from its former self."""
+    """The sender's life: it distinguishes two nodes with the same id, and a wiped node from its former self."""
     number: int
     """Beacon number, 16 bits, RFC 1982: an older or equal one is a duplicate."""
     flags: int
@@ -119,10 +119,11 @@ class Beacon(NamedTuple):
     potential: int
     """The policy's potential (fitness phi) in fixed point, 32 bits; see `rass_mav.policy`."""
     digest: int
-    """Digest of what the sender knows from receipts, 32 bits; equal digests: nothing to tell. 0: not to be compared."""
+    """Digest of what the sender knows from receipts, 32 bits; if two are equal, there is nothing to send. 0: do not
+    compare."""
     turn: int = 0
-    """The sender says a beacon every so many tenths of a second, 16 bits, because its link bears no more; 0: every
-    step, as usual."""
+    """The time between the sender's beacons in tenths of a second, 16 bits, if its link cannot carry one a step; 0: one
+    a step, as usual."""
 
 
 BEACON_BASE = 1
@@ -130,7 +131,7 @@ BEACON_WANTED = 2
 
 
 class Handover(NamedTuple):
-    """One datum on its way to one neighbour."""
+    """One datum that is being handed over to one neighbour."""
 
     number: int
     """Drawn by the sender (32 bits, not 0); 0: no custody is offered and no answer wanted."""
@@ -145,7 +146,7 @@ class Data(NamedTuple):
     target: int
     handovers: tuple[Handover, ...]
     spare: bool = False
-    """True: custody stays with the sender; the receiver is to keep spare copies, and answers as to a hand-over."""
+    """True: custody stays with the sender. The receiver should keep spare copies, and answers as to a hand-over."""
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, lambda answer: None if answer.committed else ())
@@ -157,7 +158,7 @@ class Committed(NamedTuple):
     committed: tuple[tuple[int, int], ...]
     """(hand-over number, CRC-32 of the datum that is on disk)."""
     refused: tuple[int, ...]
-    """Hand-over numbers that were not accepted (no room): the giver keeps custody."""
+    """Hand-over numbers that were not accepted (no space): the giver keeps custody."""
 
 
 @_kind(Target.NAMED, Urgency.DATA, lambda offer: (offer.id,))
@@ -177,7 +178,7 @@ class Offer(NamedTuple):
     chunk_size: int
     """Bytes of payload in each chunk but the last, 1..123."""
     at_least: bool = False
-    """As of a datum: it is at least as old as `created` says."""
+    """As for a datum: it is at least as old as `created` says."""
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)
@@ -222,28 +223,29 @@ class Sack(NamedTuple):
 
 
 class ReceiptEntry(NamedTuple):
-    """Numbers of one origin and epoch that have arrived at a base, or that it was told are lost."""
+    """Numbers of one origin and epoch that have arrived at a base, or that were reported lost to it."""
 
     origin: int
     epoch: int
     """Of the data."""
     first: int
-    """This number and all up to, but not including, `first + run` are meant."""
+    """The entry covers this number and all up to, but not including, `first + run`."""
     run: int
     """At least 1."""
     bitmap: int
-    """Bit i: number `first + run + i` is meant too. 128 bits; bit 0 is never set, for the run would be longer."""
+    """Bit i: the entry also covers number `first + run + i`. 128 bits; bit 0 is never set, because the run would be
+    longer."""
     lost: bool
-    """The base was told that these are lost; False: it has got them. It may have got some of them since."""
+    """True: these were reported lost to the base, though some may have arrived since. False: the base has them."""
 
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
 class Receipt(NamedTuple):
-    """One statement of one base about what it has itself, told on word by word by all who hear it."""
+    """One statement by one base about the data it has. Every node that hears it relays it unchanged."""
 
     base: int
     base_life: int
-    """The base's (32 bits): a wiped base is another base."""
+    """The base's life (32 bits): a wiped base is another base."""
     serial: int
     """Raised by the base with each statement, 32 bits."""
     crc: int
@@ -253,12 +255,12 @@ class Receipt(NamedTuple):
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
 class Given(NamedTuple):
-    """An origin's answer to receipts that name numbers of its present epoch which it has not given."""
+    """An origin's answer to receipts that name numbers of its present epoch which it has not assigned."""
 
     origin: int
     epoch: int
     given: int
-    """How many numbers it has given of this epoch: all below this one."""
+    """How many numbers of this epoch it has assigned: all below this one."""
     crc: int
     """CRC-32 of the rest (`given_crc`)."""
 
@@ -271,15 +273,15 @@ class LossNoteEntry(NamedTuple):
     id: DatumId
     reason: int
     """1 corrupted, 2 expired, 3 overflow, 4 died, 5 or any other: vanished. 6: numbers of the id's origin and epoch
-    from its sequence on may have been given, nobody knows. 7: the store of the id's origin, whose life is the id's
-    epoch, was damaged; as many data as the id's sequence says may be lost."""
+    from its sequence on may have been assigned, but no node knows. 7: the store of the id's origin, whose life is the
+    id's epoch, was damaged; up to as many data as the id's sequence says may be lost."""
     crc: int
-    """CRC-32 over id and reason (`note_crc`), made by whoever made the note."""
+    """CRC-32 over id and reason (`note_crc`), computed by the node that created the note."""
 
 
 @_kind(Target.NAMED, Urgency.DATA, _on_all_changes)
 class LossNote(NamedTuple):
-    """Word that data are lost; it percolates to the base like a datum."""
+    """A report that data are lost. It percolates to the base like a datum."""
 
     sender: int
     target: int
@@ -288,7 +290,7 @@ class LossNote(NamedTuple):
 
 @_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
 class Put(NamedTuple):
-    """A virtual-stigmergy entry (Buzz): broadcast to all neighbours, kept by everybody with room, never answered."""
+    """A virtual-stigmergy entry (Buzz): broadcast to all neighbours, kept by every node with space, never answered."""
 
     sender: int
     lamport: int
@@ -301,7 +303,7 @@ class Put(NamedTuple):
 
 @_kind(Target.NAMED, Urgency.DATA, _on_nothing)
 class Query(NamedTuple):
-    """Under virtual stigmergy: the sender knows of these entries but has lost their values; it asks for them."""
+    """Under virtual stigmergy: the sender knows these entries but has lost their values, and asks for them."""
 
     sender: int
     target: int
@@ -311,7 +313,7 @@ class Query(NamedTuple):
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_all_changes)
 class PassedOn(NamedTuple):
-    """A custodian's word to its backer: these data have been passed on, or have arrived."""
+    """From a custodian to its backer: these data have been passed on, or have arrived."""
 
     sender: int
     target: int
@@ -319,25 +321,26 @@ class PassedOn(NamedTuple):
 
 
 class Word(enum.IntEnum):
-    """What custodians and backers say to each other about a datum."""
+    """What custodians and backers report to each other about a datum."""
 
     AGAIN = 0
-    """The sender has no good copy: the receiver is to take its spare into custody. Answered by TAKEN or NONE."""
+    """The sender has no good copy: the receiver should take custody of its spare. Answered by TAKEN or NONE."""
     NONE = 1
     """The sender has no copy that can be counted on."""
     TAKEN = 2
-    """Answer to AGAIN: custody is here, or was passed on from here."""
+    """Answer to AGAIN: this node has custody, or had it and passed the datum on."""
     STILL = 3
-    """A backer asks whether the receiver still has custody. Answered, if not, by `PassedOn` or AGAIN."""
+    """A backer asks whether the receiver still has custody. If not, the answer is `PassedOn` or AGAIN."""
     WANTED = 4
-    """To all neighbours: the sender lost a datum in its custody, and no backer answers for it. Who has a good copy says
-    HERE, who knows that custody is elsewhere, or that the datum has arrived, says TAKEN; others are silent."""
+    """To all neighbours: the sender lost a datum in its custody, and no backer has it. A node with a good copy answers
+    HERE. A node that knows that custody is elsewhere, or that the datum has arrived, answers TAKEN. Others are
+    silent."""
     HERE = 5
-    """Answer to WANTED: a spare is here. The first one is asked AGAIN."""
+    """Answer to WANTED: a spare is here. The node that answers first is sent AGAIN."""
 
 
 class WordEntry(NamedTuple):
-    """What is said of one datum."""
+    """One report about one datum."""
 
     id: DatumId
     word: int
@@ -345,13 +348,15 @@ class WordEntry(NamedTuple):
 
 
 def _on_what_is_taken(corrupt: Words) -> Iterable[DatumId] | None:
-    # Who is told TAKEN has no copy, and forgets the loss note: ours must be on disk, or what else makes it true.
+    # A node that receives TAKEN has no copy, and forgets its loss note. So our copy, or whatever else makes TAKEN true,
+    # must be on disk.
     return None if any(entry.word == Word.TAKEN for entry in corrupt.entries) else ()
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_what_is_taken)
 class Words(NamedTuple):
-    """Custodian and backer about copies that are gone: "mine is corrupt, send yours again", and the like."""
+    """From custodian to backer or back, about copies that are gone: "mine is corrupt, send yours again", and the
+    like."""
 
     sender: int
     target: int

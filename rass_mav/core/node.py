@@ -40,7 +40,7 @@ class Node(Participant):
         self.keeper = keeper = self._make_keeper()
         told = keeper.notes.told and self.archive is None
         self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if told else None
-        """What becomes of own data; None: nobody tells."""
+        """What becomes of own data; None: receipts do not exist."""
         self.transfers = Transfers(keeper, self.routing, self.pace, self.rng)
         self.percolation = Percolation(
             keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
@@ -54,7 +54,7 @@ class Node(Participant):
     def _make_receipts(self) -> NoReceipts:
         if not self.settings.receipts:
             return NoReceipts()
-        # Neighbours' turns should not come together, so ids are scattered (by Knuth's multiplicative hashing).
+        # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
         phase = self.id * 2654435761 % (1 << 32) >> 16
         period = self.settings.receipt_steps
         if self.archive is None:
@@ -96,7 +96,7 @@ class Node(Participant):
         return out
 
     def _begin_turn(self, now: float) -> None:
-        """What has gone bad since the last turn, or has had its time, goes; there is bandwidth again."""
+        """Drop what has been corrupted or has expired since the last turn, and renew the bandwidth."""
         self._steps += 1
         self.keeper.scrub()
         self.keeper.stirred = False
@@ -131,7 +131,7 @@ class Node(Participant):
         self.keeper.keep(datum)
 
     def figures(self) -> dict[str, int]:
-        """What was counted in this life, by name, for `status`."""
+        """Counters of this life, by name, for `status`."""
         keeper = self.keeper
         return {
             "sent_data": self.pace.sent,
@@ -144,22 +144,22 @@ class Node(Participant):
         }
 
     def adopt(self, settings: NodeSettings, policy: Policy) -> None:
-        """Go on with other weights and another bandwidth. The policy's costs add up as before."""
+        """Continue with other weights and another bandwidth. The policy's costs add up as before."""
         super().adopt(settings, policy)
         self.percolation.policy = policy
 
     def keep_pace(self, turn_s: float, items: int, now: float, told_s: float | None = None) -> None:
-        """As every participant; transfers live as long as neighbours do."""
+        """As for every participant; transfers live as long as neighbours do."""
         super().keep_pace(turn_s, items, now, told_s)
         routing = self.routing
         self.transfers.lifetime_s = routing.lifetime_s * (routing.turn_s / routing.step_s)
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         if type(message) is messages.Beacon:
-            # Most of what is heard are beacons, and they change no copies that anything would be said of.
+            # Most messages are beacons, and they change no copies, so there is nothing to flush.
             return self._on_beacon(message, now)
         answers = HANDLERS[type(message)](self, message, now)
         self.keeper.spares.flush(answers)
@@ -223,16 +223,16 @@ class Node(Participant):
         return []
 
     def _contradict(self, receipt: messages.Receipt) -> None:
-        """A receipt is about own data: does it name numbers that were never given?"""
+        """A receipt is about own data: does it name numbers that were never assigned?"""
         store = self.store
         if store.given <= 0xFFFFFFFF and self.receipts.deny(make_given(self.id, store.epoch, store.given), own=True):
             self.alarms.ring(Alarm.DENIED, f"base {receipt.base}")
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:
         if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
-            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has given {given.given}")
+            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has assigned {given.given}")
         if (given.origin, given.epoch) != (self.id, self.store.epoch):
-            # What it has given itself, it knows better.
+            # The origin itself knows better what it has assigned.
             self.receipts.deny(given)
         return []
 
@@ -252,7 +252,7 @@ class Node(Participant):
 
 
 def _told(archive: Archive) -> dict[str, int]:
-    """What a base was told, for `status`."""
+    """What was reported to a base, for `status`."""
     wounds = Counter(archive.wounds.values())
     return {
         "told_lost": archive.told_lost,
@@ -261,7 +261,7 @@ def _told(archive: Archive) -> dict[str, int]:
     }
 
 
-#: How each message is taken in. Entries of a stigmergy are for `Replica`.
+#: The handler of each message. Entries of a stigmergy are for `Replica`.
 HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.Beacon: Node._on_beacon,
     messages.Data: Node._on_data,

@@ -1,4 +1,4 @@
-"""What a node tells whoever keeps books about it (the mock swarm's global ledger, a log)."""
+"""What a node reports to an observer (the mock swarm's global ledger, a log)."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 
 
 class Observer:
-    """Does nothing; override what is of interest. Called while the change is made, before it is durable."""
+    """Does nothing; override the methods of interest. They are called while the change is made, before it is
+    durable."""
 
     def created(self, datum: Datum) -> None:
         """A datum was created here."""
 
     def overflow(self) -> None:
-        """A new measurement was refused for want of room; it never got an id."""
+        """A new measurement was refused for lack of space; it never got an id."""
 
     def gained(self, datum: Datum) -> None:
         """A copy is held here now (its own new datum too)."""
@@ -21,7 +22,7 @@ class Observer:
         """A copy is not held here any more."""
 
     def declined(self, id: DatumId) -> None:
-        """A datum sent without custody found no room here."""
+        """A datum sent without custody found no space here."""
 
     def delivered(self, datum: Datum) -> None:
         """A datum arrived here, at a base, for the first time; or again, after its bytes here had been damaged."""

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-#: Where data move on at once, one item in so many is kept for spares of new data, which nobody else has yet.
+#: Where data move on at once, one item in this many is reserved for spares of new data, which no other node has yet.
 KEPT_FOR_SPARES = 10
 
 
 class Pace:
-    """The bandwidth of the paper: so many data a step, retransmissions included."""
+    """The bandwidth of the paper: a number of data a step, retransmissions included."""
 
     __slots__ = ("_keeps", "items", "kept", "left", "sent", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool) -> None:
-        """`keeps`: a part is kept for spares of new data."""
+        """`keeps`: reserve a part for spares of new data."""
         self.turn_s = turn_s
         """Seconds between two turns, and so between two beacons: the step length, or more."""
         self.items = items
@@ -21,7 +21,7 @@ class Pace:
         self.left = 0
         """Data that may still be sent in this turn."""
         self.kept = 0
-        """How many of them hand-overs leave for spares."""
+        """How many of them are reserved for spares."""
         self.sent = 0
         """Data, copies and chunks sent in this life, retransmissions included."""
 

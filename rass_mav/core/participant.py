@@ -24,7 +24,7 @@ from rass_mav.errors import DatumError, StoreFullError
 
 
 class Participant(ABC):
-    """One RASS participant. `Node` hands custody on, `Replica` copies everything to everybody."""
+    """One RASS participant. `Node` hands over custody, `Replica` copies everything to everybody."""
 
     __slots__ = (
         "_announcements",
@@ -54,7 +54,7 @@ class Participant(ABC):
     ) -> None:  # fmt: skip
         """`now` in seconds, on the timeline of all later calls.
 
-        `newborn`: nobody can remember this node from an earlier life, so it need not wait before it takes a route.
+        `newborn`: no node can remember this one from an earlier life, so it need not wait before it uses a route.
         """
         self.id = settings.node_id
         self.base = settings.base
@@ -79,24 +79,25 @@ class Participant(ABC):
         """Own potential as last announced, wire units."""
         self.alarms = Alarms()
         self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
-        # Random starts: nothing that was said in an earlier life is taken for a word of this one.
+        # Random starts: no message of an earlier life is mistaken for one of this life.
         self._beacon_number, self._first_number = divmod(rng.getrandbits(48), 1 << 32)
         self._steps = 0
         self.receipts = NoReceipts()
-        """What bases say has arrived."""
+        """What bases report as arrived."""
         self.holdings = self._take_up(now)
         """What is held here."""
 
     @abstractmethod
     def _take_up(self, now: float) -> Holdings:
-        """Take up what the store holds, and make what this kind of participant does with it."""
+        """Load what the store holds, and create what this kind of participant does with it."""
 
     @property
     def sink(self) -> bool:
-        """Whether what comes here has arrived for good. Under a replicating policy a base is an ordinary peer."""
+        """Whether data that reach this node have arrived for good. Under a replicating policy a base is an ordinary
+        peer."""
         return self.base and not self.policy.replicates
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     @abstractmethod
     def receive(self, message: Message, now: float) -> list[Message]:
@@ -104,18 +105,18 @@ class Participant(ABC):
 
     @abstractmethod
     def step(self, now: float) -> list[Message]:
-        """One turn of Alg. 1 but for `store_measurements`, which is `put`. Returns what to send, the beacon first."""
+        """One turn of Alg. 1 except `store_measurements`, which is `put`. Returns what to send, the beacon first."""
 
     @abstractmethod
     def forward(self, now: float) -> list[Message]:
-        """What came in since the last turn moves on at once, within the bandwidth of this step.
+        """Move on at once what came in since the last turn, within the bandwidth of this step.
 
         For `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
         """
 
     @abstractmethod
     def figures(self) -> dict[str, int]:
-        """What was counted in this life, by name, for `status`."""
+        """Counters of this life, by name, for `status`."""
 
     def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
         """Create a datum here. Raises `StoreFullError` (counted as overflow) or `DatumError` (too large or empty)."""
@@ -124,7 +125,7 @@ class Participant(ABC):
         if not self._has_room_for_own(len(payload)):
             self.store.count("overflow")
             self.observer.overflow()
-            raise StoreFullError("no room for a new datum")
+            raise StoreFullError("no space for a new datum")
         id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
         datum = make_datum(id, kind, now, payload)
         self.observer.created(datum)
@@ -138,7 +139,7 @@ class Participant(ABC):
 
     @abstractmethod
     def _has_room_for_own(self, size: int) -> bool:
-        """Whether there is room for a new datum, or can be made."""
+        """Whether there is space for a new datum, or space can be made."""
 
     @abstractmethod
     def _keep_own(self, datum: Datum) -> None:
@@ -154,13 +155,13 @@ class Participant(ABC):
         return []
 
     def _ignore(self, message: Message, now: float) -> list[Message]:
-        """It is not for participants of this kind."""
+        """This message is not for participants of this kind."""
         return []
 
-    # -- the beginning of Alg. 1 ---------------------------------------------------------------------------------------
+    # -- first part of Alg. 1 ------------------------------------------------------------------------------------------
 
     def update_routing_table(self, now: float) -> None:
-        """Alg. 2, from what the neighbours' beacons said."""
+        """Alg. 2, from the neighbours' beacons."""
         routing = self.routing
         if self._announcements is not None and (number := self._announcements.turn(routing.requested)) is not None:
             routing.announce(number)
@@ -169,7 +170,7 @@ class Participant(ABC):
         routing.update(now)
 
     def update_fitness(self, now: float) -> Beacon:
-        """Eq. 3, or what the policy has in its place. Returns the beacon that says it, and the route."""
+        """Eq. 3, or the policy's replacement for it. Returns the beacon that announces it, and the route."""
         routing, holdings, settings = self.routing, self.holdings, self.settings
         risk = self.risk.risk(now)
         free = holdings.free()
@@ -194,26 +195,27 @@ class Participant(ABC):
             self._turn,
         )  # fmt: skip
 
-    # -- other settings, while it runs ---------------------------------------------------------------------------------
+    # -- changing settings ---------------------------------------------------------------------------------------------
 
     def adopt(self, settings: NodeSettings, policy: Policy) -> None:
-        """Go on with other weights and another bandwidth. The policy's costs add up as before."""
+        """Continue with other weights and another bandwidth. The policy's costs add up as before."""
         self.settings = settings
         self.policy = policy
-        # Until the link's pace is looked at again, in the next step.
+        # Until the link's pace is checked again, in the next step.
         self.pace.items = settings.bandwidth_items
 
     def keep_pace(self, turn_s: float, items: int, now: float, told_s: float | None = None) -> None:
-        """From now on `step` is called every `turn_s` seconds, for the link bears no more; in each at most `items` data
-        (and no more than the settings say) are sent. Neighbours hear of it in the beacon, and wait accordingly.
+        """From now on `step` is called every `turn_s` seconds, because the link carries no more; each sends at most
+        `items` data (and no more than the settings allow). Neighbours learn this from the beacon, and wait accordingly.
 
-        `told_s`: what they hear, where not every beacon leaves on every link; None: `turn_s`.
+        `told_s`: the turn that they are told, where not every beacon leaves on every link; None: `turn_s`.
         """
         step_s, routing = self.settings.step_s, self.routing
         self.pace.turn_s = max(step_s, turn_s)
         self.pace.items = min(self.settings.bandwidth_items, items)
         routing.turn_s = max(step_s, turn_s if told_s is None else told_s)
-        # After a restart this node has to wait until nobody counts on its old routes; so how long they may is kept.
+        # After a restart this node has to wait until no node counts on its old routes. So the time that takes is
+        # stored.
         kept = self.store.get_meta("turn") or 0
         turn = self._turn
         if turn >= kept:
@@ -223,6 +225,6 @@ class Participant(ABC):
 
     @property
     def _turn(self) -> int:
-        """The turn as the beacon says it."""
+        """The turn as sent in the beacon."""
         turn_s = self.routing.turn_s
         return min(0xFFFF, int(turn_s * 10 + 0.5)) if turn_s > self.settings.step_s else 0

@@ -1,4 +1,5 @@
-"""What the node asks of a policy: who is fit, and what goes to whom. The policies live in `rass_mav.policy`."""
+"""What the node expects of a policy: which node is fit, and which data go where. The policies are in
+`rass_mav.policy`."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ POTENTIAL_BASE = 0xFFFFFFFF
 
 
 class Dispatch(NamedTuple):
-    """One item of a policy's plan: custody of a datum is to be handed over."""
+    """One item of a policy's plan: custody of a datum should be handed over."""
 
     id: DatumId
     neighbour: int
@@ -30,7 +31,7 @@ class View:
     """What a policy may look at when it plans a step."""
 
     neighbours: Collection[Neighbour]
-    """Neighbours heard lately."""
+    """Neighbours heard recently."""
     way: Neighbour | None
     """The routing table's next hop."""
     hops: int
@@ -42,36 +43,38 @@ class View:
     budget: int
     """How many items may still be sent this step."""
     data: Callable[[int], Iterator[DatumId]]
-    """Data that can be handed to a neighbour (node id) now, least recently used first."""
+    """Data that can be handed over to a neighbour (node id) now, least recently used first."""
     rng: random.Random
-    """For choosing among equals."""
+    """For choosing between equals."""
 
 
 class Policy(Protocol):
-    """One way of deciding. Stateless: all it needs is in the view, so one instance can serve many nodes."""
+    """One way to decide. Stateless: all it needs is in the view, so one instance can serve many nodes."""
 
     name: str
     """Its name in configurations."""
     tag: int
     """16 bits for name and weights: potentials can be compared only between equal tags."""
     replicates: bool
-    """Whether data are broadcast and kept by all, as `rass_mav.core.replica` does; then nothing is planned."""
+    """Whether data are broadcast and kept by all nodes, as `rass_mav.core.replica` does; then nothing is planned."""
 
     @property
     def costs(self) -> CostRules | None:
-        """If the potential is a cost that adds up along the way, so that lower is better: how. Else None."""
+        """How costs add up, if the potential is a cost that adds up along the route, so that lower is better. Otherwise
+        None."""
 
     risk_gain: float
     """Gain of the moving average over readings unless one is set, in (0, 1]."""
     seq_period: int
-    """A base raises its announcement number every so many steps unless `routing.seq_period` is set."""
+    """Steps after which a base raises its announcement number unless `routing.seq_period` is set."""
     own_share: float
-    """Part of a drone's store that is kept for its own measurements unless one is set, 0..1."""
+    """Part of a drone's store that is reserved for its own measurements unless one is set, 0..1."""
 
     def potential(self, hops: int, risk: float, free: int) -> int:
         """A drone's potential in wire units, 0..POTENTIAL_BASE - 1. `hops` may be NO_ROUTE; `risk` 0..1.
 
-        With `costs`: what a hop from this node adds to the cost of its way."""
+        With `costs`: what a hop from this node adds to the cost of its route.
+        """
 
     def plan(self, view: View) -> list[Dispatch]:
         """What to send this step, at most `view.budget` items."""

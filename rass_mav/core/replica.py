@@ -1,10 +1,11 @@
 """Virtual stigmergy (Buzz; Pinciroli and Beltrame, 2016): a participant that copies instead of handing over.
 
-What is new is broadcast once by whoever learned it, and kept by everybody with room. A base is a peer like the others.
+A node that learns something new broadcasts it once, and every node with space keeps it. A base is a peer like the
+others.
 
-An entry whose value was found corrupt keeps its place in the store: the node knows the key, asks a neighbour at random
-for the value (as Buzz does when it reads an entry), and takes it back. So what is in the store stays in all stores, and
-new entries find no room: this is why the paper sees the stigmergy fill up once and for all.
+An entry whose value was found corrupt keeps its place in the store: the node knows the key, asks a random neighbour for
+the value (as Buzz does when it reads an entry), and stores it again. So entries stay in all stores, and new entries
+find no space. This is why the stigmergy in the paper fills up permanently.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import Committed, Message
 from rass_mav.core.participant import Participant
 
-#: Keys in one query (what fits a frame).
+#: Keys in one query (as many as fit a frame).
 QUERY_IDS = 12
-#: A lost value is asked for so many times; then its place is given up.
+#: How often a lost value is asked for before its place is released.
 MAX_QUERIES = 50
 
 
 def wins(lamport: int, writer: int, over_lamport: int, over_writer: int) -> bool:
-    """Whether a write beats another: the later Lamport timestamp, between equals the higher robot id."""
+    """Whether a write beats another: the later Lamport timestamp wins; if they are equal, the higher robot id."""
     return (lamport, writer) > (over_lamport, over_writer)
 
 
@@ -41,11 +42,11 @@ class Replica(Participant):
         self.missing: dict[DatumId, int] = {}
         """Keys whose values were lost to corruption, and how often they were asked for. Bounded by the capacity."""
         self.refused = 0
-        """Entries refused for want of room."""
+        """Entries refused for lack of space."""
         self._fresh: dict[DatumId, None] = {}
         """Entries that came in since they were last broadcast."""
         self._stirred = False
-        """Whether something came in that `forward` has not looked at."""
+        """Whether an entry came in that `forward` has not looked at."""
         return Holdings(self.store, self.settings)
 
     # -- Alg. 1, with copies -------------------------------------------------------------------------------------------
@@ -67,7 +68,7 @@ class Replica(Participant):
         return out
 
     def forward(self, now: float) -> list[Message]:
-        """What is new is broadcast at once."""
+        """Broadcast new entries at once."""
         out: list[Message] = []
         if self._stirred:
             self._stirred = False
@@ -75,7 +76,7 @@ class Replica(Participant):
         return out
 
     def _broadcast(self, out: list[Message]) -> None:
-        """What is new, first in first out, within the bandwidth."""
+        """Broadcast new entries, first in first out, within the bandwidth."""
         if not self.routing.neighbours:
             return
         for id in list(islice(self._fresh, max(self.pace.left, 0))):
@@ -100,11 +101,11 @@ class Replica(Participant):
         for id in ids:
             tries = self.missing.pop(id) + 1
             if tries < MAX_QUERIES:
-                # To the end, so that the others have their turn.
+                # Move it to the end, so that the others have their turn.
                 self.missing[id] = tries
         self.holdings.reserved = len(self.missing)
 
-    # -- what is held --------------------------------------------------------------------------------------------------
+    # -- stored entries ------------------------------------------------------------------------------------------------
 
     @property
     def most_bytes(self) -> int:
@@ -136,7 +137,7 @@ class Replica(Participant):
         return None
 
     def _drop(self, holding: Holding, fate: Fate) -> None:
-        """The entry is not held any more. If it was corrupt its place is kept."""
+        """The entry is no longer held. If it was corrupt its place is kept."""
         id = holding.id
         self.store.count(fate.value)
         self.versions.pop(id, None)
@@ -148,17 +149,17 @@ class Replica(Participant):
         self.observer.dropped(id, fate)
 
     def figures(self) -> dict[str, int]:
-        """What was counted in this life, by name, for `status`."""
+        """Counters of this life, by name, for `status`."""
         return {"sent_data": self.pace.sent, "refused": self.refused, "corrupt_received": 0, "handovers_pending": 0}
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         return HANDLERS[type(message)](self, message, now)
 
     def _on_put(self, put: messages.Put, now: float) -> list[Message]:
-        """A neighbour broadcast an entry: keep it if it wins and there is room, and tell it on."""
+        """A neighbour broadcast an entry: keep it if it wins and there is space, and relay it."""
         id, size = put.datum.id, len(put.datum.payload)
         if not put.datum.intact:
             return []
@@ -187,7 +188,7 @@ class Replica(Participant):
         return []
 
     def _on_query(self, query: messages.Query, now: float) -> list[Message]:
-        """The values asked for, as far as they are here and bandwidth is left in this step."""
+        """The requested values, if they are here and bandwidth is left in this step."""
         out: list[Message] = []
         for id in query.ids:
             if self.pace.left <= 0:
@@ -196,7 +197,7 @@ class Replica(Participant):
         return out
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
-        """Custody is refused: nobody here would move the data on."""
+        """Custody is refused: this node would not move the data on."""
         numbers = tuple(number for number, _ in data.handovers if number)
         return [Committed(self.id, data.sender, (), numbers)] if numbers else []
 
@@ -204,7 +205,7 @@ class Replica(Participant):
         return [Committed(self.id, offer.sender, (), (offer.number,))]
 
 
-#: How each message is taken in. What is said of custody, arrivals and losses is for `Node`.
+#: The handler of each message. Messages about custody, arrivals and losses are for `Node`.
 HANDLERS: dict[type, Callable[[Replica, Any, float], list[Message]]] = {
     messages.Beacon: Replica._on_beacon,
     messages.Data: Replica._on_data,

@@ -15,7 +15,7 @@ class RiskEstimator:
     __slots__ = ("_at", "_mean", "gain", "stale_s", "worst")
 
     def __init__(self, *, gain: float = 1.0, stale_s: float = 10.0, worst: float = 1.0) -> None:
-        """`gain` in (0, 1], 1 = no memory (the paper's policies); `stale_s` seconds; `worst` in [0, 1]."""
+        """`gain` in (0, 1], 1 = no averaging (the paper's policies); `stale_s` seconds; `worst` in [0, 1]."""
         if not 0.0 < gain <= 1.0 or not 0.0 <= worst <= 1.0 or stale_s <= 0.0:
             raise ValueError("gain must be in (0, 1], worst in [0, 1], stale_s > 0")
         self.gain = gain
@@ -25,9 +25,9 @@ class RiskEstimator:
         self._at: float | None = None
 
     def observe(self, reading: float, now: float) -> None:
-        """Take in a normalised reading (0 = `risk.low`, 1 = `risk.high`; not clipped) measured at `now`.
+        """Process a normalised reading (0 = `risk.low`, 1 = `risk.high`; not clipped) measured at `now`.
 
-        What is not finite is no reading: a sensor that says nothing else grows stale.
+        A value that is not finite is not a reading: a sensor that sends nothing else grows stale.
         """
         if not math.isfinite(reading):
             return
@@ -39,13 +39,13 @@ class RiskEstimator:
         self._at = now
 
     def adopt(self, other: RiskEstimator, *, forget: bool) -> None:
-        """Go on with the settings of another estimator. `forget`: without what was averaged."""
+        """Continue with the settings of another estimator. `forget`: without the average so far."""
         self.gain, self.stale_s, self.worst = other.gain, other.stale_s, other.worst
         if forget:
             self._at = None
 
     def known(self, now: float) -> bool:
-        """Whether there is a reading young enough to be believed."""
+        """Whether there is a recent enough reading."""
         return self._at is not None and now - self._at <= self.stale_s
 
     def risk(self, now: float) -> float:

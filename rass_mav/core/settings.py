@@ -1,4 +1,4 @@
-"""How a node behaves: what can be set of it, and what configurations come down to."""
+"""How a node behaves: its settings, and the `NodeSettings` that a configuration results in."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class RiskSettings(Section):
     """From readings to risk (docs/sensors.md)."""
 
     gain: Annotated[float, Meta(gt=0, le=1)] | None = None
-    """Gain of the moving average over readings, 1: no memory; null: the policy's own."""
+    """Gain of the moving average over readings; 1: no averaging; null: the policy's own."""
     scale: Literal["linear", "logarithmic"] = "linear"
     """logarithmic: each time the reading doubles, the risk grows by the same amount."""
     background: float = 0.0
-    """What the sensor says where there is no danger, in its unit; subtracted from every reading."""
+    """The reading where there is no danger, in the sensor's unit; subtracted from every reading."""
     low: float = 0.0
     """Reading above background that means risk 0, in the sensor's unit."""
     high: float = 1.0
@@ -43,8 +43,8 @@ class RiskSettings(Section):
     def normalised(self, reading: float) -> float:
         """A reading on the scale where `low` above background is 0 and `high` above background is 1; unclipped.
 
-        Below `low` the logarithmic scale goes on as a straight line with the slope it has there: a reading at or below
-        background has no logarithm, but noise must average out.
+        Below `low` the logarithmic scale continues as a straight line with the slope it has there: a reading at or
+        below background has no logarithm, but noise must average out.
         """
         reading -= self.background
         low, high = self.low, self.high
@@ -64,39 +64,41 @@ class RoutingSettings(Section):
     """The routing table."""
 
     seq_period: Annotated[int, Meta(ge=0)] | None = None
-    """A base raises its announcement number every so many steps (0: on request only); null: the policy's own."""
+    """Steps after which a base raises its announcement number (0: on request only); null: the policy's own."""
     neighbour_steps: Annotated[int, Meta(ge=0)] = 3
-    """A neighbour not heard for so many steps is gone. 0 is for mock swarms with `radio.latency_steps`: only who is
-    heard at the beginning of a step is a neighbour in it."""
+    """Steps of silence after which a neighbour is gone. 0 is for mock swarms with `radio.latency_steps`: only a node
+    that is heard at the beginning of a step is a neighbour in it."""
     max_neighbours: Count = 128
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
 
 
 class CustodySettings(Section):
-    """The duty to keep data."""
+    """The responsibility for data."""
 
     mode: Literal["acknowledged", "none"] = "acknowledged"
-    """acknowledged: a datum is kept until the receiver has it on disk; none: what is sent is deleted at once."""
+    """acknowledged: a node keeps a datum until the receiver has it on disk; none: it deletes a datum as soon as it is
+    sent."""
     receipts: bool = True
-    """Bases say what has arrived; others tell it on, and drop their spares of it. What is lost is told to the bases."""
+    """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
+    bases."""
     receipt_steps: Count = 6
-    """A node sends one receipt frame in so many steps at most."""
+    """A node sends at most one receipt frame in this many steps."""
     retry_steps: Count = 1
-    """A hand-over without an answer is sent again after so many steps."""
+    """Steps after which an unanswered hand-over is sent again."""
     max_tries: Count = 8
-    """After so many sendings without an answer another neighbour may be chosen."""
+    """Unanswered transmissions after which another neighbour may be chosen."""
     mirror: bool | None = None
     """Spare copies: the giver of a datum keeps its copy for a while, and data that rest get one. Only with mode
-    acknowledged, there null means true; no effect under a policy that replicates."""
+    acknowledged, where null means true; no effect under a policy that replicates."""
     mirror_until: Literal["passed-on", "receipt"] = "receipt"
-    """How long the giver keeps its copy: until the receiver has passed the datum on in its turn, or, while there is
-    room, until a base says that it has arrived. Without `receipts` no base does: then it is the former."""
+    """How long the giver keeps its copy: passed-on: until the receiver has passed the datum on; receipt: while there is
+    space, until a base reports that it has arrived. Without `receipts`, receipt means the same as passed-on."""
     copies: Literal[1, "auto"] = "auto"
-    """How many spare copies a datum gets beside that of the giver. 1: one, if it rests; auto: as many as its risk asks
-    for, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
+    """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
+    requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
 
     def mistakes(self) -> Iterator[str]:
-        """What no single key can say, and what this version cannot do yet."""
+        """Checks across several keys, as lines."""
         if self.mirror and self.mode != "acknowledged":
             yield f"custody.mirror: expected false with custody.mode {self.mode}, got true"
 
@@ -112,46 +114,47 @@ class NodeSettings:
     step_s: float = 1.0
     """Length of a step, seconds."""
     capacity_items: int | None = 50
-    """Items a drone can hold; None: no bound. A base has no bound of items (but under a replicating policy)."""
+    """Items a drone can hold; None: no bound. A base has no bound of items (except under a replicating policy)."""
     capacity_bytes: int | None = None
     """Bytes of payload a drone can hold; None: no bound."""
     own_share: float = 0.0
-    """0..1: others' data leave this part of the capacity free, for the node's own measurements."""
+    """0..1: others' data leave this part of the capacity free for the node's own measurements."""
     drop_oldest: bool = False
     """A full node drops its least recently used datum for a new one; False: it refuses the new one."""
     bandwidth_items: int = 10
     """Items sent in a step at most, retransmissions included."""
     acknowledged: bool = True
-    """Custody (`custody.mode: acknowledged`); False: what is sent is deleted at once."""
+    """Custody (`custody.mode: acknowledged`); False: a datum is deleted as soon as it is sent."""
     mirror: bool = False
     """Spare copies are kept (`core.spares`); only with `acknowledged`, and neither at a base nor under a policy that
     replicates."""
     mirror_until_receipt: bool = True
-    """A spare is kept, while there is room, until a base says that the datum has arrived; False: only until it has been
-    passed on once more."""
+    """A spare is kept, while there is space, until a base reports that the datum has arrived; False: only until the
+    receiver has passed it on."""
     copies_auto: bool = False
-    """As many spare copies as the risk asks for (`core.spares`); only with `mirror`."""
+    """As many spare copies as the risk requires (`core.spares`); only with `mirror`."""
     immediate: bool = False
     """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True
-    """A base says what has arrived; others tell it on, and drop their spares of it. Lost data are told to the base."""
+    """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
+    bases."""
     receipt_steps: int = 6
-    """A node sends one receipt frame in so many steps at most."""
+    """A node sends at most one receipt frame in this many steps."""
     retry_steps: int = 1
-    """A hand-over without an answer is sent again after so many steps."""
+    """Steps after which an unanswered hand-over is sent again."""
     max_tries: int = 8
-    """After so many sendings without an answer another neighbour may be chosen."""
+    """Unanswered transmissions after which another neighbour may be chosen."""
     neighbour_steps: int = 3
-    """A neighbour not heard for so many steps is gone (the k of the design)."""
+    """Steps of silence after which a neighbour is gone (the k of the design)."""
     max_neighbours: int = 128
     max_hops: int = 250
     """1..254."""
     seq_period: int = 30
-    """A base raises its announcement number every so many steps, and on request."""
+    """Steps after which a base raises its announcement number; it also does so on request."""
     lifetime_s: float | None = None
     """Data older than this expire; None: never."""
     scrub_items: int | None = None
-    """Checksums verified in a step, going round; None: all."""
+    """Checksums verified in a step, in rotation; None: all."""
     inline_bytes: int = 97
     """Payload that fits one frame whole; larger data go in chunks."""
     chunk_bytes: int = 123

@@ -1,4 +1,4 @@
-"""What the algorithm asks of a store. `rass_mav.store` implements it in memory and in SQLite."""
+"""What the algorithm expects of a store. `rass_mav.store` implements it in memory and in SQLite."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_APART_OF_ONE = 256
 
 
 class StoredInfo(NamedTuple):
-    """What the node keeps in memory about a datum whose bytes lie in the store."""
+    """What the node keeps in memory about a datum whose bytes are in the store."""
 
     id: DatumId
     kind: int
@@ -27,68 +27,69 @@ class StoredInfo(NamedTuple):
 
 
 def info_of(datum: Datum) -> StoredInfo:
-    """Of a datum whose bytes are at hand."""
+    """The info of a datum whose bytes are at hand."""
     id, kind, created, hops, crc, payload, at_least = datum
     return StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
 
 
 class Store(Protocol):
-    """Durable storage of one node. Not thread-safe, but for `write`.
+    """Durable storage of one node. Not thread-safe, except for `write`.
 
-    Changes are buffered: they are visible to `get` at once, and durable after a commit. The driver commits, THEN
-    sends: `take` hands out what has changed since the last `take`, and `write` makes it durable in one transaction
-    (one fsync for a whole turn: group commit). `write` may run on another thread while this one goes on buffering; at
-    most one `write` is in flight.
+    Changes are buffered: they are visible to `get` at once, and durable after a commit. The driver commits, THEN sends:
+    `take` returns what has changed since the last `take`, and `write` makes it durable in one transaction (one fsync
+    for a whole turn: group commit). `write` may run on another thread while this one continues to buffer; at most one
+    `write` is in flight.
     """
 
     @property
     def life(self) -> int:
-        """32 bits, drawn when the store was created: another life has nothing of what this one held."""
+        """32 bits, drawn when the store was created: another life has none of the data of this one."""
 
     @property
     def epoch(self) -> int:
-        """Of the ids that are given now, 32 bits: drawn anew whenever numbers may have been lost."""
+        """The epoch of ids assigned now, 32 bits: a new one is drawn whenever numbers may have been lost."""
 
     @property
     def given(self) -> int:
-        """How many numbers of this epoch have been given: the one that `next_sequence` gives next."""
+        """How many numbers of this epoch have been assigned: the one that `next_sequence` returns next."""
 
     @property
     def accepting(self) -> bool:
-        """False while the disk fails: custody is refused then, own new data are still buffered."""
+        """False while the disk fails: custody is then refused, but own new data are still buffered."""
 
     @property
     def unwritten(self) -> bool:
-        """Whether a datum, a loss or a meta number is not on disk yet: what is said of it has to wait. Cheap."""
+        """Whether a datum, a loss or a meta number is not on disk yet: messages about it have to wait. Cheap."""
 
     @property
     def used_bytes(self) -> int:
         """What the quota bounds: bytes of payload and an overhead for each datum."""
 
     def next_sequence(self) -> int:
-        """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
+        """Claim the next sequence number of this epoch; durable with the next commit. From 0, without gaps."""
 
     def room_for(self, size: int) -> bool:
         """Whether a datum of `size` bytes of payload fits the quota. Cheap."""
 
     def put(self, datum: Datum) -> None:
-        """Store a datum, or replace the one with its id. Raises `StoreFullError` over quota; nothing changes then."""
+        """Store a datum, or replace the one with its id. Raises `StoreFullError` over quota, and then changes
+        nothing."""
 
     def keep_apart(self, datum: Datum) -> bool:
-        """Store a second content under the id of a stored datum, beside it. True also if this content is kept already.
-        False: there is no room; `MAX_APART_OF_ONE` an id are kept, and `MAX_APART` in all."""
+        """Store a second content under the id of a stored datum, beside it. Also true if this content is kept already.
+        False: there is no space; at most `MAX_APART_OF_ONE` an id and `MAX_APART` in all are kept."""
 
     def apart(self) -> Iterable[StoredInfo]:
-        """What is kept apart; told from what is stored by its CRC."""
+        """The second contents; their CRC distinguishes them from the stored ones."""
 
     def get_apart(self, id: DatumId, crc: int) -> Datum | None:
-        """One content that is kept apart, or None."""
+        """One second content, or None."""
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
-        """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
+        """The ids, among some stored data, whose bytes no longer match their checksum, in the same order."""
 
     def durable(self, id: DatumId) -> bool:
         """Whether a stored datum is on disk, so that it would be there after a crash."""
@@ -97,10 +98,10 @@ class Store(Protocol):
         """Forget a datum. `CORRUPTED` and `EXPIRED` are written to the table of losses. Unknown ids are ignored."""
 
     def lose(self, id: DatumId, fate: Fate) -> None:
-        """Note a loss elsewhere (a loss note that came here) in the table of losses."""
+        """Record in the table of losses a loss elsewhere (a loss note that came here)."""
 
     def found(self, id: DatumId) -> None:
-        """Take an entry out of the table of losses: the datum turned up, or the loss has been told on. Need not be
+        """Remove an entry from the table of losses: the datum turned up, or the loss has been handed over. Need not be
         durable soon. Unknown ids are ignored."""
 
     def count(self, name: str, amount: int = 1) -> None:
@@ -125,14 +126,15 @@ class Store(Protocol):
         """Set such a number; durable with the next commit."""
 
     def meta_durable(self, key: str) -> bool:
-        """Whether such a number is on disk as it was set last."""
+        """Whether such a number is on disk with its latest value."""
 
     def take(self, *, force: bool = False) -> object | None:
-        """What has to be written now, or None. Removals alone wait for company (they need no sync), unless `force`."""
+        """What has to be written now, or None. Removals alone wait for other changes (they need no sync), unless
+        `force`."""
 
     def roll_back(self) -> None:
-        """Forget what has changed since the last `take`, numbers given included: all is as a restart would find it if
-        what that handed out came to the disk. Whether it is on its way, or its write has failed: it stays."""
+        """Forget what has changed since the last `take`, assigned numbers included: the state is as after a restart, if
+        the result of that `take` reached the disk. It stays, whether its write is under way or has failed."""
 
     def write(self, batch: object) -> None:
         """Make a batch durable. Blocking; may be called on another thread, one call at a time."""

@@ -45,6 +45,7 @@ class Report(NamedTuple):
             "passed": self.count("pass"),
             "warned": self.count("warn"),
             "failed": self.count("fail"),
+            "skipped": self.count("skip"),
         }
 
 
@@ -72,18 +73,17 @@ def check_up(path: str) -> Report:
         service.service(name),
         computer.clock(time.time(), config.store_path),
         storage.store(config.store_path),
-        *map(ports.serial_port, ports.serial_ports(config)),
     ]
-    interfaces = network.interfaces()
-    findings += [
-        network.link_address(index, link, interfaces) for index, link in enumerate(config.links) if not link.kind.shared
-    ]
+    serial = {port.key: ports.serial_port(port) for port in ports.serial_ports(config)}
+    findings += serial.values()
+    findings += [network.link_address(index, link) for index, link in enumerate(config.links) if not link.kind.shared]
     found, evidence, free = node.look(config)
     findings.append(found)
     if evidence is None and free:
         evidence = asyncio.run(try_out(config))
     findings += (neighbours.hops(config, index) for index in range(len(config.links)))
     if evidence is not None:
+        evidence.blocked = frozenset(key for key, finding in serial.items() if finding.level == "fail")
         findings += _seen(config, evidence, path)
     return Report(path, config.node_id, evidence is not None and evidence.running, tuple(findings))
 
@@ -93,12 +93,14 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
         vehicle.autopilot(config, evidence),
         vehicle.position(config, evidence),
         vehicle.reading(config, evidence),
+        vehicle.forwarding(config, evidence),
         vehicle.parameters(config, evidence, path),
         *(neighbours.link(config, index, evidence) for index in range(len(config.links))),
         neighbours.neighbours(config, evidence),
         neighbours.versions(config, evidence),
         neighbours.loops(evidence),
         neighbours.identity(config, evidence),
+        neighbours.system_ids(evidence),
     ]
     return [finding for finding in found if finding is not None]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-Level = Literal["pass", "warn", "fail"]
+Level = Literal["pass", "warn", "fail", "skip"]
 
 
 class Finding(NamedTuple):
@@ -13,11 +13,12 @@ class Finding(NamedTuple):
     name: str
     """What was checked."""
     level: Level
-    """warn: the node works, but not as well as it could; fail: something that it needs is not there."""
+    """warn: the node works, but not as well as it could; fail: something that it needs is not there; skip: it could not
+    be checked, because of what another check found."""
     text: str
     """What was found, one line."""
     remedy: str = ""
-    """What a person can do about it; empty only with pass."""
+    """What a person can do about it; empty only with pass and skip."""
 
     def line(self) -> str:
         """For people."""
@@ -27,6 +28,11 @@ class Finding(NamedTuple):
 def passed(name: str, text: str) -> Finding:
     """All is well."""
     return Finding(name, "pass", text)
+
+
+def skipped(name: str, why: str) -> Finding:
+    """It was not checked. `why`: what stands in the way, which another finding tells with its remedy."""
+    return Finding(name, "skip", f"not checked: {why}")
 
 
 def warned(name: str, text: str, remedy: str) -> Finding:

@@ -6,7 +6,8 @@ from rass_mav.app.config import RunConfig
 from rass_mav.link.airtime import MAX_TURN_S
 from rass_mav.wire.codec import VERSION
 
-from .finding import Finding, failed, passed, warned
+from . import remedies, vehicle
+from .finding import Finding, failed, passed, skipped, warned
 from .watch import Evidence
 
 #: So many own frames back in the few seconds of a look are a loop, not an accident.
@@ -17,20 +18,32 @@ def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
     """Is it open?"""
     section = config.links[index]
     name = f"links[{index}]"
+    if f"{name}.device" in evidence.blocked or (
+        section.kind.through and ({"autopilot.url"} & (evidence.blocked | evidence.troubles.keys()))
+    ):
+        return skipped(name, "its port cannot be opened")
     if why := evidence.troubles.get(name):
-        in_use = "in use" in why
-        remedy = "another program has it (ss -ulnp), or a second node: give one of them another port"
-        return failed(name, why, remedy if in_use else f"correct {name}")
+        return failed(name, why, evidence.remedies.get(name, f"correct {name}"))
     state = evidence.link(index)
     if state is None:
         return failed(name, "the running node does not have it", "restart the node")
     if trouble := state["trouble"]:
-        return failed(name, f"{state['name']}: {trouble.lower()}", "see the port above")
+        if section.kind.through:
+            return skipped(name, "the autopilot's port is not open")
+        remedy = (
+            "is it still there, and does no other program use it?"
+            if section.kind.shared
+            else f"see {name} address above"
+        )
+        return failed(name, f"{state['name']}: {trouble[0].lower()}{trouble[1:]}", remedy)
     text = f"{section.type} {state['name']}: open, {state['received']} frames or pieces received"
     if evidence.running:
         text += f", {state['sent']} sent"
-        if state["dropped_out"] > state["sent"]:
-            return warned(name, f"{text}, {state['dropped_out']} could not be sent", "is the network there?")
+        sent, dropped = evidence.grown(index, "sent"), evidence.grown(index, "dropped_out")
+        if dropped > sent:
+            return warned(
+                name, f"{text}; while we looked {dropped} could not be sent and {sent} could", "is the network there?"
+            )
     return passed(name, text)
 
 
@@ -53,6 +66,8 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
     if not config.links:
         return None
     known = evidence.last["neighbours"]
+    if not known and (why := no_way(config, evidence)):
+        return skipped("neighbours", why)
     if not known:
         return warned(
             "neighbours", "nobody heard while we looked",
@@ -68,6 +83,32 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
     if not config.base and not any(n["base"] or n["hops"] is not None for n in known):
         return warned("neighbours", f"{names}, but nobody knows a way to a base", "start the base")
     return passed("neighbours", names)
+
+
+def no_way(config: RunConfig, evidence: Evidence) -> str:
+    """Why nobody can be heard, if another check has told it; empty: somebody should be heard."""
+    if not all(link.kind.through for link in config.links):
+        return ""
+    if not vehicle.is_heard(evidence):
+        return "no autopilot"
+    if vehicle.refuses(evidence):
+        return "the autopilot ignores this node"
+    forwarding = vehicle.forwarding(config, evidence)
+    return "the autopilot passes nothing on" if forwarding is not None and forwarding.level == "fail" else ""
+
+
+def system_ids(evidence: Evidence) -> Finding:
+    """Has every vehicle that is heard a system id of its own?"""
+    shared = evidence.last["shared_system_ids"]
+    if not shared:
+        return passed("system ids", f"{evidence.last['system_id']}, no two nodes that are heard share one")
+    said = "; ".join(
+        f"nodes {', '.join(map(str, one['node_ids']))} all use system id {one['system_id']}" for one in shared
+    )
+    return warned(
+        "system ids", f"{said}, so a ground station takes them for one vehicle",
+        remedies.for_system_id(evidence.firmware),
+    )  # fmt: skip
 
 
 def identity(config: RunConfig, evidence: Evidence) -> Finding:
@@ -88,7 +129,7 @@ def versions(config: RunConfig, evidence: Evidence) -> Finding:
     if not others:
         return passed("versions", f"no other than {VERSION} of the wire format is heard")
     behind = {other["node_id"] if other["version"] < VERSION else config.node_id for other in others}
-    said = ", ".join(f"node {other['node_id']} speaks version {other['version']}" for other in others)
+    said = ", ".join(f"node {other['node_id']} uses version {other['version']}" for other in others)
     return warned(
         "versions", f"{said}, this one {VERSION}; they take no data from each other",
         f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/protocol.md)",

@@ -7,7 +7,6 @@ the node says: its heartbeat, without which an autopilot sends nothing, and its 
 from __future__ import annotations
 
 import asyncio
-import math
 import random
 import secrets
 from concurrent.futures import ThreadPoolExecutor
@@ -17,83 +16,92 @@ from dataclasses import replace
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.version import VersionQuestion
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import RunConfig
 from rass_mav.app.driver import Driver
 from rass_mav.app.status import status
-from rass_mav.errors import ConfigError, LinkError, LogError, MalformedError, StoreError
+from rass_mav.errors import ConfigError, LinkError, LogError, StoreError
 from rass_mav.link.address import parse_address, parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
-from rass_mav.mavlink.component import AUTOPILOT_VERSION
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
-from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, parse
-from rass_mav.mavlink.vehicle_parameters import read_version, request_message
+from rass_mav.mavlink.messages import HEARTBEAT, parse
+from rass_mav.params.exchange import Autopilot, Exchange, Patience, reading
+from rass_mav.params.ports import telling_names
 from rass_mav.sensor.base import Sensor
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 
 from .network import is_known
-from .watch import LOOK_S, MOST_S, Ear, Evidence, Status, seen_enough
+from .watch import LOOK_S, MOST_S, Ear, Evidence, seen_enough
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
-#: The version is asked for again after so long, seconds.
-_ASK_S = 1.0
+#: What an autopilot does not have it may pass over in silence, and there is not much time.
+_PATIENCE = Patience(answer_s=0.7, tries=2, window=10)
 
 
 class Listener:
-    """A service of the agent: notes which autopilots are heard, and asks the own one for its version."""
+    """A service of the agent: notes which autopilots are heard, and reads the parameters that the checks are about."""
 
     def __init__(self, agent: Agent) -> None:
         self.ear = Ear()
         self._agent = agent
-        self._ask_at = -math.inf
+        self._talk: Exchange | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether answers of an autopilot that is heard are still to come."""
+        heard = self._agent.telemetry.heartbeat_at is not None
+        return heard and (self._talk is None or not self._talk.done)
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Heartbeats and the version."""
+        """Heartbeats and parameters."""
         self.ear.frames += 1
-        if frame.component_id != AUTOPILOT_COMPONENT:
-            return
-        if frame.message_id == HEARTBEAT:
+        if frame.component_id == AUTOPILOT_COMPONENT and frame.message_id == HEARTBEAT:
             autopilot = parse(frame).autopilot
             if autopilot != _NO_AUTOPILOT:
                 self.ear.autopilots[frame.system_id] = autopilot
-        elif frame.message_id == AUTOPILOT_VERSION and frame.system_id == self._agent.telemetry.system_id:
-            try:
-                self.ear.version = read_version(frame).version
-            except MalformedError:
-                return
+        if self._talk is not None:
+            self._talk.hear(frame, now)
+            self._ask(self._talk, now)
 
     def step(self, now: float) -> None:
-        """Once a step."""
+        """Once a step: begins when the autopilot has told its version, for names depend on it."""
         telemetry = self._agent.telemetry
-        if telemetry.heartbeat_at is None or any(self.ear.version) or now < self._ask_at:
-            return
-        self._ask_at = now + _ASK_S
-        payload = request_message(
-            AUTOPILOT_VERSION, target_system=telemetry.system_id, target_component=telemetry.component_id
-        )
-        self._agent.tell_vehicle(self._agent.vehicle_writer.frame(COMMAND_LONG, payload))
+        if self._talk is None and telemetry.version is not None and telemetry.firmware is not None:
+            autopilot = Autopilot(telemetry.system_id, telemetry.firmware.autopilot, armed=telemetry.armed)
+            autopilot.version = telemetry.version
+            questions = {name: reading(autopilot, name) for name in telling_names(telemetry.firmware)}
+            self._talk = Exchange(autopilot, questions, _PATIENCE)
+        if self._talk is not None:
+            self._ask(self._talk, now)
+
+    def _ask(self, talk: Exchange, now: float) -> None:
+        for message_id, payload in talk.say(now):
+            self._agent.tell_vehicle(self._agent.vehicle_writer.frame(message_id, payload))
+        if talk.values:
+            self.ear.parameters = {name: value.value for name, value in talk.values.items()}
 
 
 async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
     """Open what the configuration names, look for at most so many seconds, and close it again. Opens no store."""
     clock = Clock()
-    troubles: dict[str, str] = {}
+    evidence = Evidence(False, [])
     async with AsyncExitStack() as stack:
-        vehicle = _open_vehicle(config, troubles)
+        vehicle = _open_vehicle(config, evidence)
         if vehicle is not None:
             stack.callback(vehicle.close)
         links: dict[int, Link] = {}
         for index in range(len(config.links)):
-            link = _open_link(config, index, vehicle, troubles)
+            link = _open_link(config, index, vehicle, evidence)
             if link is not None:
                 links[index] = link
                 stack.callback(link.close)
-        sensor = _open_sensor(config, clock, troubles)
+        sensor = _open_sensor(config, clock, evidence)
         if sensor is not None:
             stack.callback(sensor.close)
         executor = stack.enter_context(ThreadPoolExecutor(1, "trial"))
@@ -101,12 +109,13 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
         agent = Agent(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
         listener = Listener(agent)
         if vehicle is not None:
-            agent.services += [MessageRates(agent, message_ids(config.autopilot.messages)), listener]
+            rates = MessageRates(agent, message_ids(config.autopilot.messages))
+            agent.services += [VersionQuestion(agent), rates, listener]
         driver = Driver(agent, list(links.values()), vehicle, clock.now, executor, rng, sensor, mute=True)
         started = clock.now()
         task = asyncio.create_task(driver.run())
-        samples: list[Status] = []
-        while not samples or (clock.now() - started < most_s and not seen_enough(config, samples)):
+        samples = evidence.samples
+        while not samples or (clock.now() - started < most_s and (listener.busy or not seen_enough(config, samples))):
             # A bug that ends the driver comes out here.
             await asyncio.wait({task}, timeout=LOOK_S)
             if task.done():
@@ -114,7 +123,8 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
             samples.append(status(driver, started))
         driver.stop()
         await task
-        return Evidence(False, samples, troubles, list(links), listener.ear)
+        evidence.opened, evidence.ear = list(links), listener.ear
+        return evidence
 
 
 def _settings(config: RunConfig) -> AgentSettings:
@@ -137,43 +147,43 @@ def _settings(config: RunConfig) -> AgentSettings:
     )
 
 
-def _open_vehicle(config: RunConfig, troubles: dict[str, str]) -> VehiclePort | None:
+def _open_vehicle(config: RunConfig, evidence: Evidence) -> VehiclePort | None:
     if config.autopilot.url is None:
         return None
     url = parse_vehicle_url(config.autopilot.url)
     if url.mode != "serial" and not is_known(url.address[0]):
-        troubles["autopilot.url"] = f"the name {url.address[0]} is not known"
+        evidence.note("autopilot.url", LinkError(f"the name {url.address[0]} is not known"))
         return None
     try:
         return open_vehicle(url)
     except LinkError as error:
-        troubles["autopilot.url"] = str(error)
+        evidence.note("autopilot.url", error)
         return None
 
 
-def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, troubles: dict[str, str]) -> Link | None:
+def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, evidence: Evidence) -> Link | None:
     section = config.links[index]
     key = f"links[{index}]"
     if section.kind.through and vehicle is None:
-        troubles[key] = "the autopilot's port is not open"
+        evidence.note(key, LinkError("the autopilot's port is not open"))
         return None
     if not section.kind.shared:
         texts = [section.listen, section.broadcast, *(peer.address for peer in section.peers)]
         for text in filter(None, texts):
             host = parse_address(text, any_port=True)[0]
             if not is_known(host):
-                troubles[key] = f"the name {host} is not known"
+                evidence.note(key, LinkError(f"the name {host} is not known"))
                 return None
     try:
         return section.open(vehicle)
     except LinkError as error:
-        troubles[key] = str(error)
+        evidence.note(key, error)
         return None
 
 
-def _open_sensor(config: RunConfig, clock: Clock, troubles: dict[str, str]) -> Sensor | None:
+def _open_sensor(config: RunConfig, clock: Clock, evidence: Evidence) -> Sensor | None:
     try:
         return config.sensor.open(clock.now)
     except (ConfigError, LogError) as error:
-        troubles["sensor"] = str(error)
+        evidence.note("sensor", error)
         return None

@@ -5,15 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rass_mav.app.config import RunConfig
-from rass_mav.params.names import firmware_name, fitting_file
+from rass_mav.params.names import fitting_file, system_id_names
+from rass_mav.params.ports import closed_ports
 
-from .finding import Finding, failed, passed, warned
+from . import remedies
+from .finding import Finding, failed, passed, skipped, warned
 from .watch import Evidence, heartbeats, positions, rate, readings, unfixed
 
 #: An autopilot is heard if its last heartbeat is not older than this, seconds.
 SILENT_S = 3.0
 #: Slower than asked for by this factor is too slow.
 _SLACK = 2.0
+
+
+def is_heard(evidence: Evidence) -> bool:
+    """Whether the node's own autopilot is there. If not, `autopilot` says why, and the other checks say nothing."""
+    known, port = evidence.last["autopilot"], evidence.last["vehicle"] or {}
+    return known is not None and known["heartbeat_age_s"] <= SILENT_S and not port.get("trouble")
+
+
+def refuses(evidence: Evidence) -> bool:
+    """Whether it signs what it says, and does not answer us, who do not sign."""
+    known = evidence.last["autopilot"]
+    return known is not None and known["signed"] and known["version"] is None
 
 
 def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
@@ -24,26 +38,25 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             return passed("autopilot", "none configured, a base needs none")
         return warned("autopilot", "none configured, so data bear no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
-        return failed("autopilot", why, "another program may have the port; see ss -ulnp, and docs/installation.md")
-    port = evidence.last["vehicle"] or {}
-    if trouble := port.get("trouble"):
-        busy = "temporarily unavailable" in trouble.lower()
-        why = "another program has the port" if busy else trouble.lower()
-        return failed(
-            "autopilot", f"{url}: {why}",
-            "stop the other program or put a router between (docs/installation.md)" if busy else "see the port above",
-        )  # fmt: skip
-    known = evidence.last["autopilot"]
-    if known is None or known["heartbeat_age_s"] > SILENT_S:
+        remedy = "another program may have the port; see ss -ulnp, and docs/installation.md"
+        return failed("autopilot", why, evidence.remedies.get("autopilot.url", remedy))
+    known, firmware = evidence.last["autopilot"], evidence.firmware
+    if not is_heard(evidence) or firmware is None:
         return _not_heard(url, config, evidence)
-    words = [firmware_name(known["type"])]
-    if evidence.ear is not None and any(evidence.ear.version):
-        words[0] += " " + ".".join(map(str, evidence.ear.version))
-    words += [f"system {known['system_id']}", "armed" if known["armed"] else "disarmed"]
+    words = [str(firmware), f"system {known['system_id']}", "armed" if known["armed"] else "disarmed"]
     per_second = rate(heartbeats(evidence.samples))
     if per_second is not None:
         words.append(f"{per_second:.1f} heartbeats/s")
     text = ", ".join(words)
+    if refuses(evidence):
+        return failed(
+            "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
+            remedies.for_signing(firmware),
+        )  # fmt: skip
+    values = evidence.parameters or {}
+    for name in system_id_names(firmware):
+        if values.get(name, known["system_id"]) != known["system_id"]:
+            return warned("autopilot", f"{text}; {name} is {values[name]:g}, but not used yet", "reboot the autopilot")
     others = sorted((evidence.ear.autopilots.keys() if evidence.ear else set()) - {known["system_id"]})
     if others and not config.mavlink.autopilot_id:
         return warned(
@@ -52,10 +65,20 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
         )  # fmt: skip
     if known["reboots"]:
         return warned("autopilot", f"{text}; it has restarted {known['reboots']} times", "look at its power supply")
-    return passed("autopilot", text)
+    return passed("autopilot", f"{text}, signed" if known["signed"] else text)
 
 
 def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
+    if "autopilot.url" in evidence.blocked:
+        return skipped("autopilot", "its port cannot be opened")
+    port = evidence.last["vehicle"] or {}
+    if trouble := port.get("trouble"):
+        if "temporarily unavailable" in trouble.lower():
+            return failed(
+                "autopilot", f"{url}: another program has the port",
+                "stop the other program or put a router between (docs/installation.md)",
+            )  # fmt: skip
+        return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start what it names")
     heard = sorted(evidence.ear.autopilots) if evidence.ear is not None else []
     wanted = config.mavlink.autopilot_id
     if heard and wanted:
@@ -63,7 +86,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
             "autopilot", f"no system {wanted} on {url}, but {_list(heard)}",
             "correct mavlink.autopilot_id, or the autopilot's system id (firmware_params/)",
         )  # fmt: skip
-    received = (evidence.last["vehicle"] or {}).get("received", 0)
+    received = port.get("received", 0)
     if received and (evidence.ear.frames == 0 if evidence.ear else evidence.last["vehicle_malformed"]):
         return failed(
             "autopilot", f"what comes from {url} is no MAVLink",
@@ -81,17 +104,23 @@ def position(config: RunConfig, evidence: Evidence) -> Finding | None:
     """Do positions come, and often enough? None: there is no autopilot to ask."""
     if config.autopilot.url is None or "autopilot.url" in evidence.troubles:
         return None
+    firmware = evidence.firmware
+    if not is_heard(evidence) or firmware is None:
+        return skipped("position", "no autopilot")
     times = positions(evidence.samples)
     per_second = rate(times)
-    remedy = "see autopilot.messages, and SR2_POSITION or MAV3_POSITION on the autopilot"
+    remedy = remedies.for_positions(firmware)
+    asked = config.autopilot.messages.get("GLOBAL_POSITION_INT")
+    seldom = asked is not None and (per_second is None or per_second * asked * _SLACK < 1.0)
+    if refuses(evidence) and seldom and not unfixed(evidence.samples):
+        return skipped("position", "the autopilot ignores what we ask for")
     if not times:
         if unfixed(evidence.samples):
             return warned("position", "no fix yet", "wait, or go where the sky is seen")
         return warned("position", "none comes", remedy)
     if per_second is None:
         return warned("position", "one came while we looked", remedy)
-    asked = config.autopilot.messages.get("GLOBAL_POSITION_INT")
-    if asked is not None and per_second * asked * _SLACK < 1.0:
+    if asked is not None and seldom:
         return warned("position", f"{per_second:.1f}/s, asked for {1 / asked:.1f}/s", remedy)
     at = evidence.last["position"]
     return passed("position", f"{at['latitude']:.5f} {at['longitude']:.5f}, {per_second:.1f}/s")
@@ -109,6 +138,8 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     known = last["reading"]
     if known is None or known["age_s"] > config.risk.stale_s:
         what = "so the risk counts as the worst"
+        if own and "sensor.port" in evidence.blocked:
+            return skipped("sensor", "its port cannot be opened")
         if own:
             state = last["sensor"] or {}
             trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
@@ -118,10 +149,13 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
             )  # fmt: skip
         if config.autopilot.url is None:
             return failed("sensor", f"no sensor and no autopilot, {what}", "set sensor.type or autopilot.url")
-        return failed(
-            "sensor", f"no {source} from the autopilot, {what}",
-            "a script sends it: SCR_ENABLE 1 and rass_rad.lua (firmware_params/); or set sensor.type",
-        )  # fmt: skip
+        firmware = evidence.firmware
+        if "autopilot.url" in evidence.troubles or not is_heard(evidence) or firmware is None:
+            return skipped("sensor", "no autopilot")
+        if refuses(evidence):
+            return skipped("sensor", "the autopilot ignores this node")
+        why, remedy = remedies.for_readings(firmware, evidence.parameters)
+        return failed("sensor", f"no {source} from the autopilot, {what}" + (f": {why}" if why else ""), remedy)
     per_second = rate(readings(evidence.samples))
     text = f"{source}: {known['value']:g}, {known['age_s']:.1f} s old"
     if per_second is None:
@@ -136,13 +170,34 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     return passed("sensor", f"{text}, {per_second:.1f}/s")
 
 
+def forwarding(config: RunConfig, evidence: Evidence) -> Finding | None:
+    """Does the autopilot pass frames on? None: there is no autopilot to ask."""
+    firmware = evidence.firmware
+    if config.autopilot.url is None or not is_heard(evidence) or firmware is None or refuses(evidence):
+        return None
+    values = evidence.parameters
+    if values is None:
+        return skipped("forwarding", "a running node does not ask; stop it" if evidence.running else "no answer")
+    closed = closed_ports(firmware, values)
+    if not closed:
+        return passed("forwarding", "no MAVLink port of the autopilot has it switched off")
+    text = "off on " + ", ".join(f"{port.port} ({port.parameter} {port.value})" for port in closed)
+    if not through_autopilot(config):
+        return passed("forwarding", f"{text}; frames of the swarm go another way")
+    if evidence.last["neighbours"]:
+        return passed("forwarding", f"{text}; neighbours are heard all the same")
+    return failed("forwarding", f"{text}, but the swarm's frames go through it", remedies.for_closed_ports(closed))
+
+
+def through_autopilot(config: RunConfig) -> bool:
+    """Whether the autopilot's radio is a way to the neighbours."""
+    return any(link.kind.through for link in config.links)
+
+
 def parameters(config: RunConfig, evidence: Evidence, path: str) -> Finding | None:
     """Which file of parameters fits this autopilot? None: cannot be told. `path`: of the configuration."""
-    known = evidence.last["autopilot"]
-    if known is None or known["type"] is None:
-        return None
-    file = fitting_file(known["type"], evidence.ear.version if evidence.ear else (0, 0, 0))
-    if file is None:
+    firmware = evidence.firmware
+    if firmware is None or refuses(evidence) or (file := fitting_file(firmware)) is None:
         return None
     stop = "with the node stopped, " if evidence.running else ""
     return passed("parameters", f"not compared; {stop}rass-mav params check firmware_params/{file} --live {path}")

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from rass_mav.app.config import RunConfig
+from rass_mav.errors import LinkError, RassError
+from rass_mav.mavlink.firmware import Firmware
 
 #: What `rass-mav status` tells (docs/configuration.md).
 Status: TypeAlias = Mapping[str, Any]
@@ -29,8 +31,8 @@ class Ear:
     """MAV_AUTOPILOT by system id, of all autopilots whose heartbeat was heard."""
     frames: int = 0
     """Frames of whatever kind."""
-    version: tuple[int, int, int] = (0, 0, 0)
-    """Of the node's own autopilot; all 0: not told."""
+    parameters: Mapping[str, float] | None = None
+    """Of the node's own autopilot, by name (`params.ports`), those that it has; None: they were not read."""
 
 
 @dataclass
@@ -43,20 +45,49 @@ class Evidence:
     """One look after the other, at least one."""
     troubles: dict[str, str] = field(default_factory=dict)
     """What could not be opened in a trial, by key of the configuration: why."""
+    remedies: dict[str, str] = field(default_factory=dict)
+    """What to do about some of them, likewise."""
     opened: list[int] = field(default_factory=list)
     """The links that are in the samples, by their number in the configuration."""
     ear: Ear | None = None
     """None: a running node does not tell."""
+    blocked: frozenset[str] = frozenset()
+    """Keys of the configuration whose serial port cannot be opened; another check has told why."""
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """Of the node's own autopilot; None: it was never heard."""
+        known = self.last["autopilot"]
+        if known is None or known["type"] is None:
+            return None
+        return Firmware(known["type"], tuple(known["version"] or (0, 0, 0)))
+
+    @property
+    def parameters(self) -> Mapping[str, float] | None:
+        """Of the node's own autopilot; None: they were not read."""
+        return None if self.ear is None else self.ear.parameters
 
     @property
     def last(self) -> Status:
         """The last look."""
         return self.samples[-1]
 
+    def note(self, key: str, error: RassError) -> None:
+        """Something could not be opened in a trial. `key`: of the configuration."""
+        self.troubles[key] = str(error)
+        if isinstance(error, LinkError) and error.remedy:
+            self.troubles[key], self.remedies[key] = error.text, error.remedy
+
     def link(self, index: int) -> Mapping[str, Any] | None:
         """The last look at a link; None: it could not be opened."""
         links: Sequence[Mapping[str, Any]] = self.last["links"]
         return links[self.opened.index(index)] if index in self.opened else None
+
+    def grown(self, index: int, counter: str) -> int:
+        """By how much a counter of an opened link has grown while we looked."""
+        place = self.opened.index(index)
+        first, last = (sample["links"][place][counter] for sample in (self.samples[0], self.last))
+        return int(last - first)
 
 
 def heartbeats(samples: Sequence[Status]) -> list[float]:

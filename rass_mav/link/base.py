@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias, TypeVar
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from .airtime import Budget
+from .interface import Carrier
 
 T = TypeVar("T")
 
@@ -88,6 +89,17 @@ class LinkCounters(NamedTuple):
     """Own datagrams that came back."""
 
 
+class Remark(NamedTuple):
+    """What of a link's configuration does not fit this computer as it is now, though it may fit it later."""
+
+    key: str
+    """Of the configuration."""
+    text: str
+    remedy: str
+    works: bool = False
+    """The link works, but perhaps not as it was meant."""
+
+
 class Port(ABC):
     """Something that bytes come in by and go out. Used on one event loop; never raises for what happens to it."""
 
@@ -134,6 +146,15 @@ class Link(Port):
         """`name`: how status and log call it."""
         self.name = name
         self._inbox = Inbox()
+
+    @staticmethod
+    def remarks(section: Any, key: str) -> Iterable[Remark]:
+        """What of its section, which was checked, does not fit this computer as it is now. `key`: of the section."""
+        return ()
+
+    def carriers(self) -> list[Carrier]:
+        """The network interfaces by which the neighbours are reached; none: it needs none."""
+        return []
 
     @abstractmethod
     def receive(self) -> list[Datagram]:

@@ -1,34 +1,75 @@
-"""Network interfaces by their names (Linux, netdevice(7)): what a wlan0 is called and how it broadcasts."""
+"""Network interfaces as the kernel has them now (Linux, netdevice(7)): their addresses, and whether they carry."""
 
 from __future__ import annotations
 
+import array
 import fcntl
+import ipaddress
+import os
 import socket
 import struct
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from rass_mav.errors import LinkError, os_errors_as
+from rass_mav.errors import LinkError
 
-_SIOCGIFADDR = 0x8915
+_SIOCGIFCONF = 0x8912
+_SIOCGIFFLAGS = 0x8913
 _SIOCGIFBRDADDR = 0x8919
+_SIOCGIFNETMASK = 0x891B
+_IFF_UP = 0x1
+_IFF_RUNNING = 0x40
+# struct ifreq: the name, then a union of which the largest member is struct ifmap. Its size depends on the machine.
+_REQUEST_BYTES = struct.calcsize("16s2LH4B0L")
 #: Longest name of an interface, bytes (IFNAMSIZ less the closing zero).
 MAX_NAME = 15
 #: The broadcast address of whatever network one is on.
 EVERY_NETWORK = "255.255.255.255"
-_NONE = "0.0.0.0"
+#: Own address of a socket that takes what comes to any of them.
+ANY_ADDRESS = "0.0.0.0"
 
 
 class Interface(NamedTuple):
-    """An interface on which IPv4 is spoken."""
+    """An IPv4 address of an interface. An interface with two addresses stands here twice."""
 
+    name: str
     address: str
     """Own IPv4 address."""
+    network: ipaddress.IPv4Network
     broadcast: str | None
     """The network's broadcast address; None: nothing can be broadcast there."""
 
 
+class Carrier(NamedTuple):
+    """Whether an interface can carry a frame now."""
+
+    name: str
+    up: bool
+    """It is switched on."""
+    carrier: bool
+    """It has joined a Wi-Fi network, or somebody is at the other end of its cable."""
+
+    @property
+    def trouble(self) -> str:
+        """Why it carries nothing; empty: it does."""
+        if not self.up:
+            return f"{self.name} is down"
+        if not self.carrier:
+            return f"{self.name} has {'joined no network' if _is_wireless(self.name) else 'no carrier'}"
+        return ""
+
+    @property
+    def remedy(self) -> str:
+        """What to do about `trouble`."""
+        if not self.up:
+            return f"sudo ip link set {self.name} up"
+        if _is_wireless(self.name):
+            return f"join the drones' network (sudo iw dev {self.name} ibss join ..., docs/links.md)"
+        return f"is the cable of {self.name} plugged in, and the other end switched on?"
+
+
 def is_address(text: str) -> bool:
-    """Whether an interface is given by its own IPv4 address, and not by its name."""
+    """Whether something is given by its IPv4 address, and not by its name."""
     try:
         socket.inet_pton(socket.AF_INET, text)
     except OSError:
@@ -41,15 +82,115 @@ def is_name(text: str) -> bool:
     return 0 < len(text.encode()) <= MAX_NAME and text not in (".", "..") and not set(text) & set("/: \t\n\0")
 
 
-def find_interface(name: str) -> Interface:
-    """The interface of this name, as it is now. Raises `LinkError`: there is none, or it has no IPv4 address yet."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, os_errors_as(LinkError, name):
-        address = _ask(sock, _SIOCGIFADDR, name)
-        broadcast = _ask(sock, _SIOCGIFBRDADDR, name)
-    return Interface(address, None if broadcast == _NONE else broadcast)
+def interfaces() -> list[Interface]:
+    """All interfaces of this computer that have an IPv4 address."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        found = []
+        for entry in _configured(sock):
+            # With the address in it, the request is about this address of the interface, not about its first one.
+            address = _address_of(entry)
+            try:
+                mask = _address_of(fcntl.ioctl(sock.fileno(), _SIOCGIFNETMASK, entry))
+                broadcast = _address_of(fcntl.ioctl(sock.fileno(), _SIOCGIFBRDADDR, entry))
+            except OSError:
+                continue  # it went away meanwhile
+            network = ipaddress.IPv4Network((address, mask), strict=False)
+            if broadcast == ANY_ADDRESS:
+                # Set without `brd +`: the kernel broadcasts there all the same.
+                broadcast = str(network.broadcast_address)
+            label = entry[:16].split(b"\0")[0].decode()
+            name = label.partition(":")[0]
+            found.append(Interface(name, address, network, broadcast if network.prefixlen < 31 else None))
+    return found
 
 
-def _ask(sock: socket.socket, what: int, name: str) -> str:
-    # struct ifreq: the name, then family, port and address.
-    answer = fcntl.ioctl(sock.fileno(), what, struct.pack("16s24x", name.encode()))
-    return socket.inet_ntoa(answer[20:24])
+def _configured(sock: socket.socket) -> Iterable[bytes]:
+    """A `struct ifreq` with name and address for each address."""
+    room = 64
+    while True:
+        buffer = array.array("B", bytes(room * _REQUEST_BYTES))
+        place, length = buffer.buffer_info()
+        # struct ifconf: length and place of the buffer.
+        answer = fcntl.ioctl(sock.fileno(), _SIOCGIFCONF, struct.pack("iP", length, place))
+        filled: int = struct.unpack_from("i", answer)[0]
+        if filled <= length - _REQUEST_BYTES:
+            return [buffer[at : at + _REQUEST_BYTES].tobytes() for at in range(0, filled, _REQUEST_BYTES)]
+        room *= 2  # what did not fit was left out
+
+
+def _address_of(request: bytes) -> str:
+    # Behind the name: family, port and address.
+    return socket.inet_ntoa(request[20:24])
+
+
+def find_interface(which: str) -> Interface:
+    """The interface of this name or of this own IPv4 address, as it is now.
+
+    Raises `LinkError`: there is none, or it has no IPv4 address yet.
+    """
+    known = interfaces()
+    for interface in known:
+        if which in (interface.name, interface.address):
+            return interface
+    if is_address(which):
+        raise LinkError(f"{which} is no address of this computer ({listed(known)})", "which there are: ip -br address")
+    if which in (name for _, name in socket.if_nameindex()):
+        raise LinkError(f"{which} has no IPv4 address yet", f"sudo ip addr add 192.168.4.7/24 brd + dev {which}")
+    raise LinkError(f"there is no interface {which} ({listed(known)})", "which there are: ip -br link")
+
+
+def listed(known: Sequence[Interface]) -> str:
+    """What there is, for people."""
+    each = [f"{i.name} {i.address}" + (f" with broadcast {i.broadcast}" if i.broadcast else "") for i in known]
+    return f"there is {', '.join(each)}" if each else "there are none"
+
+
+def interface_to(host: str, known: Sequence[Interface]) -> Interface | None:
+    """Of the `known` ones that by which an IPv4 address is reached; None: none.
+
+    What lies in the network of an interface belongs to it, even while the kernel has no route because it is down.
+    """
+    there = ipaddress.IPv4Address(host)
+    near = [interface for interface in known if there in interface.network]
+    if near:
+        return max(near, key=lambda interface: interface.network.prefixlen)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        try:
+            probe.connect((host, 9))  # sends nothing; the kernel chooses the way
+        except OSError:
+            return None
+        own = probe.getsockname()[0]
+    return next((interface for interface in known if interface.address == own), None)
+
+
+def carriers(hosts: Iterable[str], chosen: str | None) -> list[Carrier]:
+    """The interfaces by which IPv4 addresses are reached, each once. `chosen`: for multicast and for broadcast to
+    255.255.255.255, by name or own address; None: the system chooses."""
+    known = interfaces()
+    names = dict.fromkeys(name for host in hosts if (name := _name_of_way(host, chosen, known)))
+    return [carrier(name) for name in names]
+
+
+def _name_of_way(host: str, chosen: str | None, known: Sequence[Interface]) -> str | None:
+    if chosen is not None and (host == EVERY_NETWORK or ipaddress.IPv4Address(host).is_multicast):
+        if not is_address(chosen):
+            return chosen
+        host = chosen
+    way = interface_to(host, known)
+    return None if way is None else way.name
+
+
+def carrier(name: str) -> Carrier:
+    """How this interface does; one that is not there is down."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        try:
+            answer = fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, struct.pack(f"{_REQUEST_BYTES}s", name.encode()))
+        except OSError:
+            return Carrier(name, up=False, carrier=False)
+    flags: int = struct.unpack_from("H", answer, 16)[0]
+    return Carrier(name, bool(flags & _IFF_UP), bool(flags & _IFF_RUNNING))
+
+
+def _is_wireless(name: str) -> bool:
+    return os.path.exists(f"/sys/class/net/{name}/phy80211")

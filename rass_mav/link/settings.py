@@ -9,7 +9,7 @@ from rass_mav.config.bounds import NodeId, Positive
 from rass_mav.config.sections import Meta, Mistakes, Section
 
 from .airtime import FRAME_BYTES, Budget
-from .base import Link
+from .base import Link, Remark
 from .kinds import KINDS, LinkKind
 from .vehicle import VehiclePort
 
@@ -75,7 +75,7 @@ class LinkSection(Section):
     """Multicast group and port, as 239.255.82.83:14601; null: none."""
     interface: str | None = None
     """Network interface for multicast and for broadcast to 255.255.255.255, by name (wlan0) or by its own IPv4
-    address (multicast only); null: the system chooses."""
+    address; null: the system chooses."""
     ttl: Annotated[int, Meta(ge=0, le=255)] = 1
     """Multicast frames pass so many routers less one."""
 
@@ -99,6 +99,11 @@ class LinkSection(Section):
         with mistakes.gathering():
             resolve_name(self.kind.link).check(self, key)
         mistakes.check()
+
+    def remarks(self, key: str) -> list[Remark]:
+        """What does not fit this computer as it is now. `key`: of this link, which was checked."""
+        link: type[Link] = resolve_name(self.kind.link)
+        return list(link.remarks(self, key))
 
     def open(self, vehicle: VehiclePort | None) -> Link:
         """The link. `vehicle`: the autopilot's port. Raises `LinkError`."""

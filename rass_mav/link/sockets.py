@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import os
 import socket
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from rass_mav.errors import LinkError, why
 
@@ -32,8 +34,21 @@ def bound_socket(name: str, address: Address) -> socket.socket:
         sock.bind(address)
     except OSError as error:
         sock.close()
+        if error.errno == errno.EADDRINUSE:
+            raise in_use(name, address[1]) from None
         raise LinkError(f"{name}: {why(error)}") from None
     return sock
+
+
+def in_use(name: str, port: int) -> LinkError:
+    """The error for a UDP port that somebody else has. It names the process, if this user may see it."""
+    from .holders import holder
+
+    who = holder(port)
+    return LinkError(
+        f"{name}: address already in use" + (f" by {who}" if who else ""),
+        f"another node runs here? rass-mav status CONFIG; or another program: ss -lunp 'sport = :{port}'",
+    )
 
 
 def udp_socket() -> socket.socket:
@@ -175,14 +190,27 @@ def kernel_drops(sock: socket.socket) -> int:
     """Datagrams that found the socket's receive buffer full; 0 where the system does not tell (Linux does)."""
     try:
         inode = str(os.fstat(sock.fileno()).st_ino)
-        with Path("/proc/net/udp").open(encoding="ascii") as table:
-            for line in table:
-                fields = line.split()
-                if len(fields) >= 13 and fields[9] == inode:
-                    return int(fields[12])
+        return next((entry.drops for entry in udp_table() if entry.inode == inode), 0)
     except OSError:
-        pass
-    return 0
+        return 0
+
+
+class UdpEntry(NamedTuple):
+    """A UDP socket of this computer."""
+
+    port: int
+    inode: str
+    drops: int
+    """Datagrams that found its receive buffer full."""
+
+
+def udp_table() -> Iterator[UdpEntry]:
+    """All of them (proc_pid_net(5)). Raises `OSError` where the system does not tell."""
+    with Path("/proc/net/udp").open(encoding="ascii") as table:
+        for line in table:
+            fields = line.split()
+            if len(fields) >= 13 and fields[0] != "sl":
+                yield UdpEntry(int(fields[1].rpartition(":")[2], 16), fields[9], int(fields[12]))
 
 
 def is_local(host: str) -> bool:

@@ -8,6 +8,7 @@ neighbours answer and by which it knows its own echoes.
 from __future__ import annotations
 
 import asyncio
+import errno
 import socket
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -17,10 +18,11 @@ from rass_mav.config.sections import Mistakes
 from rass_mav.errors import LinkError, why
 
 from .address import parse_address, parse_multicast, resolve
-from .base import Address, Datagram, Link, LinkCounters, remember
-from .interface import EVERY_NETWORK, find_interface, is_address, is_name
+from .base import Address, Datagram, Link, LinkCounters, Remark, remember
+from .interface import EVERY_NETWORK, Carrier, carriers, find_interface, interfaces, is_address, is_name
+from .remarks import remarks
 from .settings import LinkSection
-from .sockets import Reader, Sender, bound_socket, is_local, kernel_drops, udp_socket
+from .sockets import Reader, Sender, bound_socket, in_use, is_local, kernel_drops, udp_socket
 from .vehicle import VehiclePort
 
 #: Addresses learned from beacons that a link remembers; beyond it the longest silent one is forgotten.
@@ -51,9 +53,9 @@ class UdpLink(Link):
         interface: str | None = None,
         ttl: int = 1,
     ) -> None:
-        """`listen`: own address, port 0 for any. `interface`: by name or own IPv4 address, for multicast, and with a
-        name for broadcast to 255.255.255.255; None: the system chooses. `ttl`: routers that a multicast frame may pass,
-        plus one.
+        """`listen`: own address, port 0 for any. `interface`: by name or own IPv4 address, for multicast and for
+        broadcast to 255.255.255.255; None: the system chooses. `ttl`: routers that a multicast frame may pass, plus
+        one.
 
         Host names are looked up, which may take seconds. Raises `LinkError`.
         """
@@ -65,16 +67,18 @@ class UdpLink(Link):
             for peer, address in zip(peers, self._everybody, strict=True)
             if peer.node_id is not None
         }
-        if interface is not None and not is_address(interface):
+        self._interface = interface
+        if interface is not None:
             try:
                 found = find_interface(interface)
             except LinkError as error:
-                raise LinkError(f"{self.name}: {error}") from None
+                raise LinkError(f"{self.name}: {error.text}", error.remedy) from None
             interface = found.address
             if broadcast is not None and broadcast[0] == EVERY_NETWORK and found.broadcast is not None:
                 broadcast = (found.broadcast, broadcast[1])
         if broadcast is not None:
             self._everybody.append(resolve(broadcast, self.name))
+        self._broadcast = None if broadcast is None else self._everybody[-1][0]
         if multicast is not None:
             self._everybody.append(multicast)
         self._learned: OrderedDict[int, Address] = OrderedDict()
@@ -130,6 +134,11 @@ class UdpLink(Link):
             ttl=section.ttl,
         )
 
+    @staticmethod
+    def remarks(section: LinkSection, key: str) -> Iterable[Remark]:
+        """What of a section that was checked does not fit this computer as it is now. `key`: of the section."""
+        return remarks(section, key)
+
     def _join(self, group: Address, interface: str | None, ttl: int) -> socket.socket:
         own = socket.inet_aton(interface or "0.0.0.0")
         sock = udp_socket()
@@ -144,6 +153,8 @@ class UdpLink(Link):
             sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group[0]) + own)
         except OSError as error:
             sock.close()
+            if error.errno == errno.EADDRINUSE:
+                raise in_use(self.name, group[1]) from None
             where = f" on {interface}" if interface else ""
             raise LinkError(f"{self.name}: multicast {group[0]}:{group[1]}{where}: {why(error)}") from None
         return sock
@@ -191,6 +202,21 @@ class UdpLink(Link):
         """From now on, frames for this node go there."""
         if node_id not in self._configured:
             remember(self._learned, node_id, source, MAX_LEARNED)
+
+    def carriers(self) -> list[Carrier]:
+        """The interfaces by which the neighbours are reached."""
+        return carriers((address[0] for address in self._everybody), self._interface)
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can leave: no interface carries, or none has the broadcast address."""
+        broadcasts = [EVERY_NETWORK, *(interface.broadcast for interface in interfaces())]
+        if self._broadcast is not None and len(self._everybody) == 1 and self._broadcast not in broadcasts:
+            return f"{self._broadcast} is the broadcast address of no interface"
+        ways = self.carriers()
+        if self._everybody and all(way.trouble for way in ways):
+            return ", ".join(way.trouble for way in ways) or "no interface leads to the neighbours"
+        return ""
 
     def counters(self) -> LinkCounters:
         """What has been done so far; dropped in is what the kernel had no room for."""

@@ -1,4 +1,4 @@
-"""Everything MAVLink: frames, checksum, signing, identity, messages, telemetry.
+"""Everything about MAVLink: frames, checksum, signing, identity, messages, telemetry.
 
-pymavlink is imported here and nowhere else (in `dialect`), and of it only the generated dialect.
+Only this package imports pymavlink (in `dialect`), and only its generated dialect.
 """

@@ -1,4 +1,4 @@
-"""The one place where pymavlink is imported: its generated `common` dialect, never `mavutil` (24 MiB more)."""
+"""The only module that imports pymavlink: its generated `common` dialect, never `mavutil` (24 MiB more)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ MavlinkMessage: TypeAlias = Any
 
 
 class MessageFormat(NamedTuple):
-    """What a reader must know of a message to check its frame."""
+    """What a reader must know about a message to check its frame."""
 
     crc_extra: bytes
-    """One byte that goes into the checksum behind the payload: a digest of the message's definition."""
+    """One byte that enters the checksum after the payload: a digest of the message's definition."""
     size: int
-    """Bytes of the whole payload, extension fields included, before zeros are trimmed."""
+    """Size of the whole payload in bytes, including extension fields, before zeros are trimmed."""
 
 
 #: Format of each message of the dialect, by message id.
@@ -27,23 +27,23 @@ FORMATS: dict[int, MessageFormat] = {
     for message_id, definition in common.mavlink_map.items()
 }
 
-# Only lends its state to `pack` (no signing); it never sends, so it never changes.
+# `pack` needs it for its state (no signing). It never sends, so it never changes.
 _PACKER = common.MAVLink(None)
 
 
 def forget_texts() -> None:
-    """Give up pymavlink's descriptions of enumerations, 1 MiB: they are for programs that explain messages to people.
+    """Free pymavlink's descriptions of enumerations, 1 MiB, which are for programs that explain messages to people.
 
-    For the start of a process that does nothing but run a node: what is loaded afterwards takes their place. Not for a
-    process in which others may use pymavlink too.
+    Call it at the start of a process that only runs a node; modules loaded afterwards use the memory. Do not call it in
+    a process where other code may use pymavlink.
     """
     common.enums.clear()
 
 
 def payload_of(message: MavlinkMessage) -> bytes:
-    """The payload of a pymavlink message, packed by pymavlink, trailing zeros trimmed.
+    """The payload of a pymavlink message, packed by pymavlink, with trailing zeros trimmed.
 
-    :raises struct.error: a field is out of its range (a mistake of the caller).
+    :raises struct.error: a field is out of range (a mistake of the caller).
     """
     frame: bytes = message.pack(_PACKER)
     return frame[10:-2]

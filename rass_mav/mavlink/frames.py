@@ -1,4 +1,4 @@
-"""MAVLink 2 frames: what a frame is, and how a component writes its own.
+"""MAVLink 2 frames, and how a component writes them.
 
 Layout (https://mavlink.io/en/guide/serialization.html), little-endian: magic 0xFD, payload length, incompatibility
 flags, compatibility flags, sequence, system id, component id (one byte each), message id (3 bytes), payload
@@ -31,7 +31,7 @@ _TUNNEL_HEADER = struct.Struct("<BBBBBBBHBHBBB")
 
 
 class Frame(NamedTuple):
-    """A frame that was read: its checksum is good."""
+    """A received frame with a good checksum."""
 
     message_id: int
     """0..2^24 - 1."""
@@ -44,11 +44,11 @@ class Frame(NamedTuple):
     payload: bytes
     """As on the wire: MAVLink 2 trims trailing zeros."""
     signed: bool
-    """The frame carried a signature. If the reader has a verifier, that one found it good; else nobody checked it."""
+    """The frame carried a signature. If the reader has a verifier, the signature is good; otherwise it is unchecked."""
 
 
 class FrameWriter:
-    """Writes the frames of one component. They share one sequence, whatever the message.
+    """Writes the frames of one component. All messages share one sequence.
 
     `system_id` and `component_id` (0..255) may be changed between frames.
     """
@@ -61,7 +61,7 @@ class FrameWriter:
         self.component_id = component_id
         self.signer = signer
         self.sequence = 0
-        """Sequence of the next frame, 0..255."""
+        """Sequence number of the next frame, 0..255."""
 
     def tunnel(self, data: bytes, *, payload_type: int, target_system: int = 0, target_component: int = 0) -> bytes:
         """A whole frame with a TUNNEL message (385, https://mavlink.io/en/messages/common.html#TUNNEL).
@@ -72,14 +72,14 @@ class FrameWriter:
         :param target_component: 0: every component.
         :returns: 13..145 bytes, signed 26..158.
         :raises ValueError: more than 128 bytes.
-        :raises struct.error: a number out of its range.
+        :raises struct.error: a number out of range.
         """
         size = len(data)
         if size > TUNNEL_MAX:
             raise ValueError(f"a TUNNEL carries at most {TUNNEL_MAX} bytes, not {size}")
         kept = data.rstrip(b"\0")
         if not kept:
-            # The trimming goes on into the fields: too rare to be fast.
+            # Trimming continues into the fields. This is too rare to need a fast path.
             return self.frame(TUNNEL_ID, _TUNNEL_FIELDS.pack(payload_type, target_system, target_component, size))
         signer = self.signer
         sequence = self.sequence
@@ -95,14 +95,14 @@ class FrameWriter:
     def message(self, message: MavlinkMessage) -> bytes:
         """A whole frame with a pymavlink message object, whose fields pymavlink packs.
 
-        :raises struct.error: a field is out of its range.
+        :raises struct.error: a field is out of range.
         """
         return self.frame(message.get_msgId(), payload_of(message))
 
     def frame(self, message_id: int, payload: bytes) -> bytes:
-        """A whole frame with a payload that is packed already; trailing zeros may still be there.
+        """A whole frame with a packed payload, which may still have trailing zeros.
 
-        :param message_id: of the common dialect (others raise KeyError: their CRC_EXTRA is not known).
+        :param message_id: of the common dialect (others raise KeyError: their CRC_EXTRA is unknown).
         :param payload: 0..255 bytes.
         :raises struct.error: a longer payload.
         """

@@ -1,7 +1,7 @@
-"""Messages of the common dialect: from frames to pymavlink's message objects, and builders for those we send.
+"""Messages of the common dialect: parsing into pymavlink's message objects, and builders for those we send.
 
 Field definitions: https://mavlink.io/en/messages/common.html. Builders take the units that people use (degrees, metres)
-and raise ValueError for values out of range, which are mistakes of the caller.
+and raise ValueError for values out of range: a mistake of the caller.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TUNNEL: int = common.MAVLINK_MSG_ID_TUNNEL
 
 #: The longest name of a NAMED_VALUE_FLOAT, in bytes.
 NAME_SIZE = 10
-#: Bytes of text in one STATUSTEXT, and the most pieces with text that a longer one is cut into.
+#: Bytes of text in one STATUSTEXT, and the largest number of pieces into which a longer text is split.
 TEXT_SIZE = 50
 TEXT_PIECES = 8
 
@@ -39,9 +39,9 @@ _pack_named_value = common.MAVLink_named_value_float_message.unpacker.pack
 
 
 def parse(frame: Frame) -> MavlinkMessage:
-    """The pymavlink message object of a frame, the same that pymavlink's own parser makes.
+    """The pymavlink message object of a frame, the same that pymavlink's own parser creates.
 
-    Fields that were trimmed are zero; bytes beyond the fields we know are ignored.
+    Trimmed fields are zero. Bytes after the fields we know are ignored.
 
     :raises MalformedError: the dialect has no message with this id, or it cannot be built from this payload.
     """
@@ -50,8 +50,8 @@ def parse(frame: Frame) -> MavlinkMessage:
         raise MalformedError(f"message id {frame.message_id} is not in the dialect")
     unpacker = definition.unpacker
     values = unpacker.unpack_from(frame.payload.ljust(unpacker.size, b"\0"))
-    # On the wire fields are sorted by size. `lengths` says how many values each takes, in that order (a char array is
-    # one value), `orders` where each field of the definition stands on the wire.
+    # On the wire fields are sorted by size. `lengths` has the number of values of each, in that order (a char array is
+    # one value). `orders` has the position on the wire of each field of the definition.
     fields: list[object] = []
     position = 0
     for length in definition.lengths:
@@ -74,12 +74,12 @@ def parse(frame: Frame) -> MavlinkMessage:
 
 
 def radio_txbuf(frame: Frame, radio: tuple[int, int]) -> int | None:
-    """How much of a telemetry radio's buffer is free, percent, from its RADIO_STATUS.
+    """The free share of a telemetry radio's buffer, in percent, from its RADIO_STATUS.
 
     https://mavlink.io/en/messages/common.html#RADIO_STATUS
 
     :param radio: the radio's system and component id; SiK radios have 51 and 68.
-    :returns: 0..100; None if the frame is from somebody else: a radio of another vehicle, which somebody passed on.
+    :returns: 0..100; None if the frame has another sender, such as the radio of another vehicle, forwarded.
     """
     if (frame.system_id, frame.component_id) != radio:
         return None
@@ -88,7 +88,7 @@ def radio_txbuf(frame: Frame, radio: tuple[int, int]) -> int | None:
 
 
 def companion_heartbeat() -> MavlinkMessage:
-    """HEARTBEAT of a companion computer: it is active and no autopilot."""
+    """HEARTBEAT of a companion computer: active, and not an autopilot."""
     kind, state = common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_STATE_ACTIVE
     return common.MAVLink_heartbeat_message(kind, common.MAV_AUTOPILOT_INVALID, 0, 0, state, _DIALECT_VERSION)
 
@@ -96,7 +96,7 @@ def companion_heartbeat() -> MavlinkMessage:
 def autopilot_heartbeat(*, armed: bool = True, custom_mode: int = 0) -> MavlinkMessage:
     """HEARTBEAT of an ArduPilot quadrotor, for a mock flight controller.
 
-    :param custom_mode: the flight mode as ArduCopter counts them, 0..2^32 - 1.
+    :param custom_mode: ArduCopter's number of the flight mode, 0..2^32 - 1.
     """
     base_mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
     state = common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY
@@ -122,7 +122,7 @@ def global_position_int_payload(
 ) -> bytes:
     """The payload (28 bytes) of GLOBAL_POSITION_INT, with an unknown heading, for `FrameWriter.frame`.
 
-    A mock flight controller sends one each step; a message object would take three times as long.
+    A mock flight controller sends one in each step; a message object would take three times as long.
 
     :param latitude: degrees, -90..90.
     :param longitude: degrees, -180..180.
@@ -140,7 +140,7 @@ def global_position_int_payload(
     return payload
 
 
-@lru_cache(16)  # a vehicle says the same few names all the time
+@lru_cache(16)  # a vehicle always sends the same few names
 def _name(name: str) -> bytes:
     encoded = name.encode("ascii")
     if not 1 <= len(encoded) <= NAME_SIZE or 0 in encoded:
@@ -154,7 +154,7 @@ def named_value_float_payload(name: str, value: float, time_boot_ms: int) -> byt
     :param name: 1 to 10 ASCII characters.
     :param value: rounded to 32 bits on the wire.
     :param time_boot_ms: milliseconds since boot; wraps after 49.7 days.
-    :raises ValueError: a name that does not fit.
+    :raises ValueError: an invalid name.
     """
     payload: bytes = _pack_named_value(time_boot_ms & 0xFFFFFFFF, value, _name(name))
     return payload
@@ -183,16 +183,16 @@ def statustext(severity: int, text: str, *, text_id: int = 1) -> list[MavlinkMes
     """STATUSTEXT, in several messages if the text is longer than 50 characters.
 
     :param severity: MAV_SEVERITY, 0 (emergency) .. 7 (debug).
-    :param text: other than ASCII becomes `?`, since some ground stations read nothing else. Cut after
+    :param text: characters outside ASCII become `?`, because some ground stations read only ASCII. Cut after
         `TEXT_SIZE * TEXT_PIECES` characters.
-    :param text_id: 1..65535, ties the pieces of one text together: pass another one for each text.
+    :param text_id: 1..65535, links the pieces of one text: pass a different one for each text.
     """
     encoded = text.replace("\0", " ").encode("ascii", errors="replace")
     if len(encoded) <= TEXT_SIZE:
         return [common.MAVLink_statustext_message(severity, encoded)]
     pieces = [encoded[start : start + TEXT_SIZE] for start in range(0, len(encoded), TEXT_SIZE)][:TEXT_PIECES]
     if len(pieces[-1]) == TEXT_SIZE:
-        # A receiver knows the last piece by its end: a zero byte within the 50.
+        # A receiver recognises the last piece by a zero byte within the 50.
         pieces.append(b"")
     return [common.MAVLink_statustext_message(severity, piece, text_id, index) for index, piece in enumerate(pieces)]
 
@@ -200,7 +200,7 @@ def statustext(severity: int, text: str, *, text_id: int = 1) -> list[MavlinkMes
 def command_long(
     command: int, parameters: Sequence[float], *, target_system: int, target_component: int
 ) -> MavlinkMessage:
-    """COMMAND_LONG, MAV_CMD `command`; those of its seven parameters that are not given are 0."""
+    """COMMAND_LONG with MAV_CMD `command`. Parameters that are not given, of the seven, are 0."""
     given = (*parameters, *[0.0] * (7 - len(parameters)))
     return common.MAVLink_command_long_message(target_system, target_component, command, 0, *given)
 
@@ -211,7 +211,7 @@ def set_message_interval(
     """COMMAND_LONG with MAV_CMD_SET_MESSAGE_INTERVAL: asks an autopilot for a message at a fixed rate.
 
     :param message_id: the message wanted.
-    :param interval_s: seconds between two; the wire has whole microseconds.
+    :param interval_s: seconds between two messages; whole microseconds on the wire.
     """
     return command_long(
         common.MAV_CMD_SET_MESSAGE_INTERVAL,

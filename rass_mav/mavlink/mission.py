@@ -1,4 +1,4 @@
-"""Missions, and what a simulator knows of its vehicle: what a mock flight controller and its harness need.
+"""Missions, and a simulated vehicle's true position: for a mock flight controller and the program that flies it.
 
 Field definitions: https://mavlink.io/en/messages/common.html and https://mavlink.io/en/services/mission.html.
 """
@@ -40,12 +40,12 @@ _HEADERS = {MAGIC_V1: 6, MAGIC_V2: 10}
 
 
 class MissionItem(NamedTuple):
-    """What MISSION_ITEM_INT says, but for its number."""
+    """The contents of MISSION_ITEM_INT, except for its number."""
 
     command: int
     """MAV_CMD."""
     frame: int
-    """MAV_FRAME: what `altitude` counts from."""
+    """MAV_FRAME: the zero of `altitude`."""
     latitude: float = 0.0
     """Degrees."""
     longitude: float = 0.0
@@ -63,7 +63,7 @@ def mission_item(frame: Frame) -> tuple[int, MissionItem]:
 
 
 def mission_request(number: int, *, target_system: int, target_component: int) -> MavlinkMessage:
-    """MISSION_REQUEST_INT: asks who uploads a mission for its item `number`, from 0."""
+    """MISSION_REQUEST_INT: asks the sender of a mission for its item `number`, from 0."""
     return common.MAVLink_mission_request_int_message(target_system, target_component, number)
 
 
@@ -85,7 +85,7 @@ def mission_reached(number: int) -> MavlinkMessage:
 def sim_state(
     latitude: float, longitude: float, altitude: float, velocity: tuple[float, float, float]
 ) -> MavlinkMessage:
-    """SIM_STATE: where a simulated vehicle truly is, level and without acceleration.
+    """SIM_STATE: the true position of a simulated vehicle, level and without acceleration.
 
     Degrees, degrees, metres above sea level; metres per second to north, east and down.
     """
@@ -96,14 +96,14 @@ def sim_state(
 
 
 def true_place(frame: Frame) -> tuple[float, float, float] | None:
-    """Where a simulator says that its vehicle truly is: latitude and longitude in degrees, metres above sea level.
+    """A simulated vehicle's true position: latitude and longitude in degrees, metres above sea level.
 
-    From SIM_STATE (ArduPilot) or HIL_STATE_QUATERNION (PX4); None for other messages and for those that do not parse.
+    From SIM_STATE (ArduPilot) or HIL_STATE_QUATERNION (PX4). None for other messages, and for those that do not parse.
     """
     try:
         if frame.message_id == SIM_STATE:
             m = parse(frame)
-            # Newer senders say degrees times 1e7 as well: a 32-bit float is good to half a metre only.
+            # Newer senders add degrees times 1e7, because a 32-bit float is only accurate to half a metre.
             if m.lat_int or m.lon_int:
                 return m.lat_int / 1e7, m.lon_int / 1e7, m.alt
             return m.lat, m.lon, m.alt
@@ -116,9 +116,10 @@ def true_place(frame: Frame) -> tuple[float, float, float] | None:
 
 
 def whole_frames(data: bytes, reader: FrameReader) -> Iterator[tuple[bytes, Frame]]:
-    """The frames of a datagram, each as its bytes and as what they say; `reader` checks and counts them.
+    """The frames of a datagram, each as bytes and as a `Frame`; `reader` checks and counts them.
 
-    For who passes frames on as they are. What is no whole frame ends it: a datagram holds whole frames only.
+    For a program that forwards frames unchanged. It stops at the first bytes that are not a whole frame, because a
+    datagram contains only whole frames.
     """
     start = 0
     while start < len(data):

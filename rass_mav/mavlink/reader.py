@@ -1,18 +1,18 @@
-"""From any bytes to MAVLink frames, version 1 and 2.
+"""Finds MAVLink frames, version 1 and 2, in any bytes.
 
-Nothing is believed before a checksum has proved it. Where a magic byte starts something that turns out not to be a
-frame (a false start), the search goes on one byte behind it, so that garbage never swallows a true frame.
+Nothing is trusted before its checksum is verified. If a magic byte turns out not to start a frame (a false start), the
+search continues one byte after it, so garbage never hides a genuine frame.
 
-A frame with a message id that the dialect does not know cannot be checked, because its CRC_EXTRA is not known. It is
-counted once and not returned. Its length is not believed either: the search goes on one byte behind its start, but what
-is found to be no frame within the length it claims is not counted again. The price is small: bytes inside it that are a
-whole frame with a good checksum of their own are taken for one.
+A frame whose message id is not in the dialect cannot be checked, because its CRC_EXTRA is unknown. It is counted once
+and not returned. Its length is not trusted either: the search continues one byte after its start, but false starts
+within the length it claims are not counted again. The price is small: if the bytes inside it are a whole frame with a
+good checksum, they are returned as a frame.
 
-Work is linear in the bytes fed: each byte starts at most one candidate, and a candidate is checked at most once, over
-at most 280 bytes. Between two feeds at most 279 bytes are kept: a frame that lacks its end.
+Work is linear in the number of bytes: each byte starts at most one candidate, and a candidate is checked at most once,
+over at most 280 bytes. Between two feeds at most 279 bytes are kept: a frame whose end has not arrived.
 
-Of a stream no true frame is given up, whatever stands before it; who reads it bounds the bytes of a turn. A datagram
-begins with a frame, so one in which too many starts come to nothing is noise or malice, and its rest is not searched.
+In a stream no genuine frame is lost, whatever comes before it; the caller limits the bytes per call. A datagram starts
+with a frame. So a datagram with too many false starts is noise or an attack, and its rest is not searched.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from .signing import SIGNATURE_SIZE, Verifier
 
 #: The longest frame: header 10, payload 255, checksum 2, signature 13.
 MAX_FRAME = 280
-#: Starts in one datagram that may come to nothing, those of unknown messages included, before its rest is garbage. A
-#: whole datagram of messages from a newer dialect has a dozen by chance.
+#: False starts allowed in one datagram, including unknown messages, before its rest counts as garbage. A whole datagram
+#: of messages from a newer dialect has a dozen by chance.
 MAX_FALSE_STARTS = 32
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 _HEADER_V1 = 6
 _HEADER_V2 = 10
-# Bytes of a version 2 frame but for its payload: unsigned, signed.
+# Size of a version 2 frame without its payload, in bytes: unsigned, signed.
 _AROUND = (_HEADER_V2 + 2, _HEADER_V2 + 2 + SIGNATURE_SIZE)
 
 
 class FrameReader:
-    """Reads the frames of one stream or of the datagrams of one link. Never raises, whatever the bytes."""
+    """Reads the frames of one stream, or of the datagrams of one link. Never raises, whatever the bytes."""
 
     __slots__ = (
         "_buffer", "_needed", "_unknown_left", "frames", "garbage_bytes", "malformed", "pending", "rejected", "unknown",
@@ -46,28 +46,28 @@ class FrameReader:
     )  # fmt: skip
 
     def __init__(self, verifier: Verifier | None = None) -> None:
-        """:param verifier: checks signatures; None: signatures are not looked at."""
+        """:param verifier: checks signatures; None: signatures are not checked."""
         self.verifier = verifier
-        # A candidate that lacks its end; it begins with a magic byte. `_needed`: its length as far as that is known.
+        # A candidate whose end has not arrived. It starts with a magic byte. `_needed`: its length, as far as known.
         self._buffer = b""
         self.pending = 0
         """Bytes that wait for the end of their frame, 0..279."""
         self._needed = 0
-        # How many bytes from the start of the buffer a frame with an unknown id claims.
+        # How many bytes at the start of the buffer a frame with an unknown id claims.
         self._unknown_left = 0
         self.frames = 0
         """Frames returned."""
         self.malformed = 0
-        """False starts: wrong checksum, or flags that we do not understand, or (at `flush`) no end."""
+        """False starts: a wrong checksum, unknown flags, or (at `flush`) no end."""
         self.garbage_bytes = 0
-        """Bytes that belong to no frame, those of false starts included."""
+        """Bytes that belong to no frame, including those of false starts."""
         self.unknown = 0
         """Frames (or false starts) with a message id that is not in the dialect."""
         self.rejected = 0
-        """Frames with a good checksum that the verifier refused: no signature, a bad one, or a replay."""
+        """Frames with a good checksum that the verifier refused: no signature, a wrong one, or a replay."""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take what has arrived, of any length, and return the frames that are now whole, in order.
+        """Take the bytes that have arrived, and return the frames that are now whole, in order.
 
         :param data: bytes (not a bytearray: parts of it may be kept).
         """
@@ -80,11 +80,11 @@ class FrameReader:
         return self._scan(data)
 
     def datagram(self, data: bytes) -> list[Frame]:
-        """The frames of a datagram, which holds whole ones: what is cut off at its end is garbage, and so is all behind
-        `MAX_FALSE_STARTS`. Nothing is kept. Not for a reader that is fed a stream.
+        """The frames of a datagram. An incomplete frame at its end is garbage, and so is everything after
+        `MAX_FALSE_STARTS` false starts. Nothing is kept. Do not use it on a reader that is fed a stream.
         """
         if len(data) >= _HEADER_V2 + 2 and data[0] == MAGIC_V2 and len(data) == _AROUND[data[2] & 1] + data[1]:
-            # The usual datagram, exactly one whole frame, takes a short way; `_scan` would find the same.
+            # A short cut for the usual datagram, exactly one whole frame. `_scan` would find the same.
             message_id = data[7] | data[8] << 8 | data[9] << 16
             known = FORMATS.get(message_id)
             if known is not None and data[2] <= FLAG_SIGNED:
@@ -96,21 +96,21 @@ class FrameReader:
         return frames
 
     def flush(self) -> list[Frame]:
-        """Give up waiting for the end of a frame, and return the frames found behind its start.
+        """Stop waiting for the end of a frame, and return the frames found after its start.
 
-        For the end of a file, or of a port that was lost.
+        Call it at the end of a file, or when a port was lost.
         """
         frames = self._scan(self._buffer, final=True)
         self._unknown_left = 0
         return frames
 
     def _scan(self, data: bytes, *, final: bool = False, most: int | None = None) -> list[Frame]:
-        """`final`: nothing comes behind it. `most`: starts that may come to nothing; None: as many as there are."""
+        """`final`: no more bytes will come. `most`: how many false starts are allowed; None: any number."""
         frames: list[Frame] = []
         position = 0
         size = len(data)
         self._needed = 0
-        claimed = self._unknown_left  # up to here, bytes are accounted for by a frame with an unknown id
+        claimed = self._unknown_left  # bytes up to here belong to a frame with an unknown id
         left = size + 1 if most is None else most
         while True:
             found = _MAGIC.search(data, position)
@@ -134,7 +134,7 @@ class FrameReader:
                     position += 1
                     left -= 1
                     continue
-                # In version 1 nothing is trimmed or appended, so a longer payload cannot be.
+                # Version 1 neither trims nor appends, so a longer payload is impossible.
                 if known is not None and header == _HEADER_V1 and length > known.size + _HEADER_V1 + 2:
                     length = 0
             else:
@@ -162,7 +162,7 @@ class FrameReader:
         return frames
 
     def _check(self, raw: bytes, message_id: int, crc_extra: bytes) -> tuple[Frame | None, bool]:
-        """The frame that `raw` holds, unless it is refused; and whether its checksum is good."""
+        """The frame in `raw`, unless the verifier refuses it, and whether its checksum is good."""
         if raw[0] == MAGIC_V2:
             header, signed = _HEADER_V2, raw[2] == FLAG_SIGNED
             sequence, system_id, component_id = raw[4], raw[5], raw[6]
@@ -181,7 +181,7 @@ class FrameReader:
 
 
 def _shape(data: bytes, start: int) -> tuple[int, int]:
-    """Length of the frame that the header at `start` announces, 0 if it has flags we do not know; and message id."""
+    """Length of the frame according to the header at `start` (0: it has unknown flags), and its message id."""
     if data[start] != MAGIC_V2:
         return data[start + 1] + _HEADER_V1 + 2, data[start + 5]
     flags = data[start + 2]

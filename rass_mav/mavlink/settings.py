@@ -1,4 +1,4 @@
-"""What can be set of how a node speaks MAVLink."""
+"""Settings of a node's MAVLink messages."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ class MavlinkSettings(Section):
     """Identity and framing."""
 
     system_id: Annotated[int, Meta(ge=1, le=255)] | None = None
-    """MAVLink system id; null: the autopilot's once heard, until then from the node id."""
+    """MAVLink system id; null: the autopilot's. Until the autopilot is heard, derived from the node id."""
     component_id: Annotated[int, Meta(ge=2, le=250)] = 191
     """MAVLink component id of the node; 1 belongs to the autopilot."""
     payload_type: Annotated[int, Meta(ge=0, le=65535)] = 33200
-    """payload_type of our TUNNEL frames; above 32767 is for local use."""
+    """payload_type of our TUNNEL frames; values above 32767 are for local use."""
     autopilot_id: Annotated[int, Meta(ge=0, le=255)] = 0
-    """System id of the autopilot that readings and positions are taken from; 0: the first one heard."""
+    """System id of the autopilot that provides readings and positions; 0: the first one heard."""
     radio_system_id: Annotated[int, Meta(ge=1, le=255)] = 51
-    """System id that the telemetry radio says its RADIO_STATUS with; SiK and RFD: 51."""
+    """System id with which the telemetry radio sends its RADIO_STATUS; SiK and RFD: 51."""
     radio_component_id: Annotated[int, Meta(ge=1, le=255)] = 68
-    """Its component id; SiK and RFD: 68."""
+    """Component id with which it sends RADIO_STATUS; SiK and RFD: 68."""
     reading_name: Annotated[str, Meta(min_length=1, max_length=10)] = "RAD"
-    """Name of the NAMED_VALUE_FLOAT that carries the reading."""
+    """Name of the NAMED_VALUE_FLOAT that contains the reading."""

@@ -1,10 +1,10 @@
-"""What the vehicle's autopilot says about the vehicle: position, home, heartbeat, reading.
+"""The vehicle's state as its autopilot reports it: position, home, heartbeat, reading.
 
-Only one autopilot is believed. A component on the same link, or a neighbour's autopilot whose frames a radio or router
-passes on, says the same messages about something else.
+Only one autopilot is trusted. A component on the same link sends the same messages about something else. So does a
+neighbour's autopilot, whose frames a radio or router may forward.
 
-One echo cannot be told apart: PX4 repeats a companion's NAMED_VALUE_FLOAT as if it had measured it itself. So never
-send the autopilot a value under the name of the reading.
+One echo looks genuine: PX4 repeats a companion's NAMED_VALUE_FLOAT as if the autopilot had measured it. So never send
+the autopilot a value under the name of the reading.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, MalformedError
 
+from .component import AUTOPILOT_VERSION
 from .dialect import common
+from .firmware import Firmware
 from .frames import Frame
 from .identity import AUTOPILOT_COMPONENT
 from .messages import GLOBAL_POSITION_INT, HEARTBEAT, HOME_POSITION, LOCAL_POSITION_NED, NAME_SIZE, NAMED_VALUE_FLOAT
+from .vehicle_parameters import AutopilotVersion, read_version
 
 _global_position = common.MAVLink_global_position_int_message.unpacker
 _named_value = common.MAVLink_named_value_float_message.unpacker
@@ -30,7 +33,7 @@ _ARMED: int = common.MAV_MODE_FLAG_SAFETY_ARMED
 _MAX_LATITUDE = 900_000_000
 _MAX_LONGITUDE = 1_800_000_000
 
-#: A fall of time_boot_ms by more than this is a reboot; a smaller one is a frame that was overtaken on its way.
+#: If time_boot_ms falls by more than this, the autopilot has rebooted. A smaller fall is a frame that was overtaken.
 REBOOT_MS = 5000
 
 
@@ -61,7 +64,7 @@ class LocalPosition(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What the sensor said."""
+    """A reading of the sensor."""
 
     value: float
     """Finite, in the sensor's unit."""
@@ -70,18 +73,18 @@ class Reading(NamedTuple):
 
 
 class Telemetry:
-    """The state of the vehicle as its autopilot tells it. Give it every frame that comes in."""
+    """The state of the vehicle as its autopilot reports it. Pass it every incoming frame."""
 
     def __init__(self, system_id: int, component_id: int = AUTOPILOT_COMPONENT, reading_name: str = "RAD") -> None:
-        """:param system_id: of the autopilot, 1..255. 0: that of the first autopilot heard, and from then on only that.
+        """:param system_id: of the autopilot, 1..255. 0: that of the first autopilot heard; the others are ignored.
         :param component_id: of the autopilot.
-        :param reading_name: name of the NAMED_VALUE_FLOAT that holds the reading, 1 to 10 ASCII characters.
-        :raises ConfigError: a name that does not fit.
+        :param reading_name: name of the NAMED_VALUE_FLOAT that contains the reading, 1 to 10 ASCII characters.
+        :raises ConfigError: an invalid name.
         """
         if not (reading_name.isascii() and 1 <= len(reading_name) <= NAME_SIZE):
             raise ConfigError(f"a reading's name has 1 to {NAME_SIZE} ASCII characters, got {reading_name!r}")
         self.system_id = system_id
-        """0 as long as no autopilot has been heard."""
+        """0 until an autopilot has been heard."""
         self.component_id = component_id
         self._name = reading_name.encode("ascii")
         self._name_padded = self._name.ljust(NAME_SIZE, b"\0")
@@ -94,27 +97,31 @@ class Telemetry:
         """When the last heartbeat was received."""
         self.autopilot: int | None = None
         """MAV_AUTOPILOT of its heartbeat."""
+        self.version: AutopilotVersion | None = None
+        """What its AUTOPILOT_VERSION said; None: it was not heard."""
+        self.signed = False
+        """The last heartbeat was signed."""
         self.no_fix_at: float | None = None
         """When the last position without a fix was received."""
         self.armed = False
         self.boot_ms = 0
         """The autopilot's last time_boot_ms."""
         self.reboots = 0
-        """How often time_boot_ms fell by more than `REBOOT_MS`: message rates must be asked for again."""
+        """How often time_boot_ms fell by more than `REBOOT_MS`. Message rates must then be requested again."""
         self.rejected = 0
-        """Values from our autopilot that cannot be: a reading or local position that is not finite, degrees out of
+        """Impossible values from our autopilot: a reading or local position that is not finite, degrees out of
         range."""
         self.foreign = 0
-        """Readings from another system or component, which were not used."""
+        """Readings from another system or component, which were ignored."""
 
     def handle(self, frame: Frame, now: float) -> bool:
-        """Take what a frame says.
+        """Take the contents of a frame.
 
         :param now: seconds on the caller's timeline.
-        :returns: True if it was from our autopilot and changed what is known; False otherwise, also for values that
-            were rejected and for a position without a fix.
+        :returns: True if it came from our autopilot and changed the state. False otherwise, also for rejected values
+            and for a position without a fix.
         """
-        message_id, _, system_id, component_id, payload, _ = frame
+        message_id, _, system_id, component_id, payload, signed = frame
         if system_id != self.system_id or component_id != self.component_id or not system_id:
             if message_id == NAMED_VALUE_FLOAT:
                 if self.system_id and self._is_reading(payload[8:18]):
@@ -122,21 +129,23 @@ class Telemetry:
                 return False
             if self.system_id or not system_id or component_id != self.component_id or message_id != HEARTBEAT:
                 return False
-            return self._on_heartbeat(payload, now, latch=system_id)
+            return self._on_heartbeat(payload, now, signed, latch=system_id)
         if message_id == NAMED_VALUE_FLOAT:
             return self._on_named_value(payload, now)
         if message_id == GLOBAL_POSITION_INT:
             return self._on_global_position(payload, now)
         if message_id == HEARTBEAT:
-            return self._on_heartbeat(payload, now)
+            return self._on_heartbeat(payload, now, signed)
         if message_id == LOCAL_POSITION_NED:
             return self._on_local_position(payload, now)
         if message_id == HOME_POSITION:
             return self._on_home_position(payload, now)
+        if message_id == AUTOPILOT_VERSION:
+            return self._on_version(frame)
         return False
 
     def _is_reading(self, name: bytes) -> bool:
-        # Behind the zero that ends the name there may be anything.
+        # The zero that ends the name may be followed by anything.
         return name == self._name_padded or name.split(b"\0", 1)[0] == self._name
 
     def _on_named_value(self, payload: bytes, now: float) -> bool:
@@ -178,7 +187,22 @@ class Telemetry:
         self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, now)
         return True
 
-    def _on_heartbeat(self, payload: bytes, now: float, latch: int = 0) -> bool:
+    @property
+    def firmware(self) -> Firmware | None:
+        """What the autopilot runs; None: no heartbeat of it was heard."""
+        if self.autopilot is None:
+            return None
+        return Firmware(self.autopilot) if self.version is None else Firmware(self.autopilot, self.version.version)
+
+    def _on_version(self, frame: Frame) -> bool:
+        try:
+            self.version = read_version(frame)
+        except MalformedError:
+            self.rejected += 1
+            return False
+        return True
+
+    def _on_heartbeat(self, payload: bytes, now: float, signed: bool, latch: int = 0) -> bool:
         _, _, autopilot, base_mode, _, _ = _heartbeat.unpack_from(payload.ljust(_heartbeat.size, b"\0"))
         if autopilot == _NO_AUTOPILOT:
             return False
@@ -186,19 +210,20 @@ class Telemetry:
             self.system_id = latch
         self.heartbeat_at = now
         self.autopilot = autopilot
+        self.signed = signed
         self.armed = bool(base_mode & _ARMED)
         return True
 
     def _is_place(self, lat: int, lon: int) -> bool:
         if lat == 0 and lon == 0:
-            return False  # what autopilots say before their first fix; the altitude may come from the barometer by then
+            return False  # autopilots send 0, 0 before their first fix; the altitude may already come from a barometer
         if -_MAX_LATITUDE <= lat <= _MAX_LATITUDE and -_MAX_LONGITUDE <= lon <= _MAX_LONGITUDE:
             return True
         self.rejected += 1
         return False
 
     def _on_boot_time(self, boot_ms: int) -> None:
-        # Callers leave out 0: some scripts never set the field, and would look like a reboot each time.
+        # Callers skip 0: some scripts never set the field, which would look like a reboot each time.
         if boot_ms < self.boot_ms - REBOOT_MS:
             self.reboots += 1
         self.boot_ms = boot_ms

@@ -6,12 +6,12 @@ from typing import IO
 
 
 class TlogWriter:
-    """Writes frames as ground stations do, so that MAVExplorer, QGroundControl and pymavlink read them."""
+    """Writes frames as ground stations do, so that MAVExplorer, QGroundControl and pymavlink can read them."""
 
     def __init__(self, file: IO[bytes]) -> None:
         """`file`: open for writing, in binary; the caller closes it."""
         self._write = file.write
 
     def record(self, frame: bytes, unix_s: float) -> None:
-        """A frame at a time, in seconds since 1970."""
+        """Write a frame with its time, in seconds since 1970."""
         self._write(round(unix_s * 1e6).to_bytes(8, "big") + frame)

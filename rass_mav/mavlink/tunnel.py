@@ -1,4 +1,4 @@
-"""Reading TUNNEL messages: the way by which everything that nodes say arrives."""
+"""Reads TUNNEL messages, which carry everything that nodes send to each other."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from .crc import crc16
 from .frames import MAGIC_V2, TUNNEL_EXTRA, TUNNEL_MAX
 
 _FIELDS = struct.Struct("<HBBB")
-# Bytes of a frame around its payload, and of the fields before the data.
+# Size of a frame without its payload, and with the fields before the data, in bytes.
 _AROUND = 12
 _AHEAD = _AROUND + _FIELDS.size
 _LARGEST = _AHEAD + TUNNEL_MAX
 _TUNNEL_ID = b"\x81\x01\x00"
 
-# By the length of the whole frame, from the smallest with all fields: one struct that takes all of it apart, and
-# the first three bytes (magic, payload length, no incompatibility flag) that such a frame must have.
+# By the length of the whole frame, from the smallest with all fields: one struct that unpacks the whole frame, and the
+# first three bytes (magic, payload length, no incompatibility flag) that such a frame must have.
 _SHAPES = [
     (struct.Struct(f"<3sxxBB3sHBBB{length - _AHEAD}sH").unpack, bytes((MAGIC_V2, length - _AROUND, 0)), length - _AHEAD)
     for length in range(_AHEAD, _LARGEST + 1)
@@ -35,13 +35,13 @@ class TunnelFields(NamedTuple):
     payload_type: int
     """0..65535."""
     payload: bytes
-    """As many bytes as `payload_length` says, 0..128."""
+    """`payload_length` bytes, 0..128."""
 
 
 def decode_tunnel(payload: bytes) -> TunnelFields:
-    """The fields of a TUNNEL message from its MAVLink payload, as it was on the wire (zeros trimmed).
+    """The fields of a TUNNEL message, from its MAVLink payload as on the wire (zeros trimmed).
 
-    Bytes after the 133 that we know are fields of a newer version, and are ignored.
+    Bytes after the 133 that we know belong to a newer version and are ignored.
 
     :raises MalformedError: `payload_length` is more than 128.
     """
@@ -53,13 +53,13 @@ def decode_tunnel(payload: bytes) -> TunnelFields:
 
 
 def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
-    """The short way from a datagram to what a node said, for a receiver that takes unsigned frames.
+    """A short cut from a datagram to a node's TUNNEL message, for a receiver that accepts unsigned frames.
 
-    Do not use it where signatures are demanded: it lets unsigned frames in. `FrameReader` is the way that always works.
+    Do not use it where signatures are required: it accepts unsigned frames. `FrameReader` works in every case.
 
     :returns: (system id, component id, target system, target component, payload type, payload of 0..128 bytes) if
         `data` is exactly one unsigned MAVLink 2 frame with a TUNNEL message and a good checksum. None for anything
-        else, good or bad: then give it to a `FrameReader`, which also counts it.
+        else, valid or not: then pass it to a `FrameReader`, which also counts it.
     """
     size = len(data)
     if not _AHEAD <= size <= _LARGEST:
@@ -71,13 +71,13 @@ def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] |
     if start != prefix or message_id != _TUNNEL_ID or length > TUNNEL_MAX or crc16(data[1:-2] + TUNNEL_EXTRA) != crc:
         return None
     if length != held:
-        # Trimmed zeros come back; bytes beyond payload_length do not count.
+        # Restore trimmed zeros, and drop bytes beyond payload_length.
         payload = payload[:length].ljust(length, b"\0")
     return system_id, component_id, target_system, target_component, payload_type, payload
 
 
 def _tiny_tunnel(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
-    """The same for frames so short that even the fields were trimmed (`payload_length` is 0, or zero bytes of it)."""
+    """The same for frames so short that even the fields were trimmed (`payload_length` is 0, or all data are zeros)."""
     size = len(data)
     if (
         not _AROUND <= size < _AHEAD

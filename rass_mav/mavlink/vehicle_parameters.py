@@ -1,8 +1,8 @@
-"""An autopilot's parameters as MAVLink carries them, seen from the asker's side.
+"""An autopilot's parameters in MAVLink messages, from the client's side.
 
 The protocol: https://mavlink.io/en/services/parameter.html. A value always travels in a field for a 32-bit float.
-ArduPilot converts whole numbers to floats ("C cast"); PX4 puts the bytes of the whole number there ("bytewise").
-What our own node answers about its parameters is in `component`.
+ArduPilot converts whole numbers to floats ("C cast"). PX4 puts the bytes of the whole number there ("bytewise").
+Messages about our own node's parameters are in `component`.
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ from rass_mav.errors import MalformedError
 
 from .component import CMD_REQUEST_MESSAGE, PARAM_NAME_SIZE, REAL32, single
 from .dialect import common, payload_of
+from .firmware import PX4
 from .frames import Frame
 from .messages import command_long, parse
 
-ARDUPILOT: int = common.MAV_AUTOPILOT_ARDUPILOTMEGA
-PX4: int = common.MAV_AUTOPILOT_PX4
-
 _BYTEWISE: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 _C_CAST: int = common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST | common.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-#: The types that fit into the field, with their layout in its four bytes (bytewise).
+#: The types that fit the field, with their layout in its four bytes (bytewise).
 _LAYOUTS: dict[int, str] = {
     common.MAV_PARAM_TYPE_UINT8: "<B3x",
     common.MAV_PARAM_TYPE_INT8: "<b3x",
@@ -34,7 +32,7 @@ _LAYOUTS: dict[int, str] = {
     common.MAV_PARAM_TYPE_REAL32: "<f",
 }
 TYPES: frozenset[int] = frozenset(_LAYOUTS)
-# Sizes, for the whole numbers that a type can hold.
+# The range of the whole numbers that each type can hold.
 _RANGES = {
     kind: (-(1 << bits - 1), (1 << bits - 1) - 1) if layout[1].islower() else (0, (1 << bits) - 1)
     for kind, layout in _LAYOUTS.items()
@@ -43,28 +41,28 @@ _RANGES = {
 
 
 class ParameterValue(NamedTuple):
-    """What PARAM_VALUE says."""
+    """The contents of PARAM_VALUE."""
 
     name: str
     value: float
-    """A whole number for all types but REAL32."""
+    """A whole number for all types except REAL32."""
     kind: int
     """MAV_PARAM_TYPE."""
 
 
 class AutopilotVersion(NamedTuple):
-    """What AUTOPILOT_VERSION says."""
+    """The contents of AUTOPILOT_VERSION."""
 
     capabilities: int
     version: tuple[int, int, int]
-    """Major, minor and patch of the firmware; all 0: not told."""
+    """Major, minor and patch of the firmware; all 0: unknown."""
 
 
 def is_bytewise(capabilities: int, autopilot: int) -> bool:
-    """How this autopilot encodes whole numbers.
+    """Whether this autopilot encodes whole numbers bytewise.
 
-    :param capabilities: of its AUTOPILOT_VERSION; 0: not known.
-    :param autopilot: MAV_AUTOPILOT of its heartbeat, which decides where the capabilities do not.
+    :param capabilities: from its AUTOPILOT_VERSION; 0: unknown.
+    :param autopilot: MAV_AUTOPILOT from its heartbeat, which decides if the capabilities do not.
     """
     if capabilities & _BYTEWISE:
         return True
@@ -82,28 +80,28 @@ def fits(value: float, kind: int) -> bool:
 
 
 def same(a: float, b: float, kind: int, *, bytewise: bool) -> bool:
-    """Whether two numbers are the same for a parameter of this type, as far as the wire can tell them apart."""
+    """Whether two numbers are the same for a parameter of this type, within the precision of the wire."""
     return a == b if bytewise and kind != REAL32 else single(a) == single(b)
 
 
 def read_value(frame: Frame, *, bytewise: bool) -> ParameterValue:
-    """What a PARAM_VALUE frame says.
+    """The contents of a PARAM_VALUE frame.
 
-    :raises MalformedError: a type that the field cannot hold, or a name that is none.
+    :raises MalformedError: a type that does not fit the field, or an invalid name.
     """
     message = parse(frame)
     kind = message.param_type
     if kind not in _LAYOUTS:
-        raise MalformedError(f"PARAM_VALUE: parameter type {kind}")
+        raise MalformedError(f"PARAM_VALUE: unknown parameter type {kind}")
     name = _name(message.param_id)
     if kind == REAL32:
         return ParameterValue(name, message.param_value, kind)
     if bytewise:
-        # From the frame itself: Python may change the bits of what is not a number on its way through a float.
+        # Read from the frame itself: Python may change the bits of a NaN when they pass through a float.
         (value,) = struct.unpack(_LAYOUTS[kind], frame.payload[:4].ljust(4, b"\0"))
         return ParameterValue(name, value, kind)
     if not math.isfinite(message.param_value):
-        raise MalformedError(f"PARAM_VALUE: {name} is {message.param_value}")
+        raise MalformedError(f"PARAM_VALUE: {name}: expected a finite number, got {message.param_value}")
     return ParameterValue(name, round(message.param_value), kind)
 
 
@@ -114,7 +112,7 @@ def read_error(frame: Frame) -> tuple[str, int]:
 
 
 def read_version(frame: Frame) -> AutopilotVersion:
-    """What an AUTOPILOT_VERSION frame says. Raises `MalformedError`."""
+    """The contents of an AUTOPILOT_VERSION frame. Raises `MalformedError`."""
     message = parse(frame)
     number = message.flight_sw_version
     return AutopilotVersion(message.capabilities, (number >> 24, number >> 16 & 0xFF, number >> 8 & 0xFF))
@@ -134,12 +132,12 @@ def param_set(
 
     :param name: 1 to 16 ASCII characters.
     :param value: fits the type (`fits`).
-    :param kind: MAV_PARAM_TYPE, as the vehicle said it.
+    :param kind: MAV_PARAM_TYPE, as the vehicle reported it.
     """
     layout = _LAYOUTS[kind if bytewise else REAL32]
     field = struct.pack(layout, int(value) if layout != _LAYOUTS[REAL32] else value)
     message = common.MAVLink_param_set_message(target_system, target_component, name.encode("ascii"), 1.0, kind)
-    # The value comes first on the wire. Packed by hand: as a float, some whole numbers would be no numbers.
+    # The value comes first on the wire. It is packed by hand, because some whole numbers would be NaN as a float.
     return field + payload_of(message)[len(field) :]
 
 
@@ -152,5 +150,5 @@ def request_message(message_id: int, *, target_system: int, target_component: in
 def _name(field: str | bytes) -> str:
     text = (field if isinstance(field, str) else field.decode("ascii", errors="replace")).split("\0", 1)[0]
     if not (0 < len(text) <= PARAM_NAME_SIZE and text.isascii() and text.isprintable()):
-        raise MalformedError(f"a parameter's name: {text!r}")
+        raise MalformedError(f"invalid parameter name {text!r}")
     return text

@@ -6,11 +6,20 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from rass_mav.mavlink.component import PERMISSION_DENIED, READ_ONLY, VALUE_OUT_OF_RANGE
-from rass_mav.mavlink.vehicle_parameters import PX4, ParameterValue, fits, same
+from rass_mav.mavlink.firmware import PX4, firmware_name
+from rass_mav.mavlink.vehicle_parameters import ParameterValue, fits, same
 
 from .exchange import Autopilot, Exchange, VehicleError
 from .files import Entry, ParameterFile
-from .names import firmware_name, fitting_file, made_for, other_name, replaced_in_px4
+from .names import (
+    SYSTEM_ID_NAMES,
+    fitting_file,
+    made_for,
+    needs_reboot,
+    other_name,
+    replaced_in_px4,
+    system_id_names,
+)
 from .session import Session
 
 _REASONS = {
@@ -26,8 +35,9 @@ class Row(NamedTuple):
     entry: Entry
     live: ParameterValue | None
     """What the vehicle has; None: it does not have it."""
-    state: Literal["same", "differs", "unfit", "missing", "written", "refused"]
-    """unfit: the vehicle's parameter cannot hold the file's value; written, refused: after `apply`."""
+    state: Literal["same", "differs", "kept", "unfit", "missing", "written", "refused"]
+    """kept: it differs, but is not set unasked; unfit: the vehicle's parameter cannot hold the file's value; written,
+    refused: after `apply`."""
     note: str = ""
     """For people; empty: nothing to say."""
 
@@ -58,8 +68,8 @@ class Comparison(NamedTuple):
     def vehicle(self) -> str:
         """The vehicle for people."""
         autopilot = self.autopilot
-        words = [firmware_name(autopilot.firmware), self.version or "", "armed" if autopilot.armed else "disarmed"]
-        return f"vehicle {autopilot.system_id}: {' '.join(filter(None, words))}"
+        state = "armed" if autopilot.armed else "disarmed"
+        return f"vehicle {autopilot.system_id}: {autopilot.firmware} {state}"
 
     @property
     def version(self) -> str | None:
@@ -68,24 +78,50 @@ class Comparison(NamedTuple):
         return ".".join(map(str, version)) if any(version) else None
 
 
-async def compare(session: Session, system_id: int, file: ParameterFile) -> Comparison:
+async def compare(
+    session: Session, system_id: int, file: ParameterFile, new_system_id: int | None = None
+) -> Comparison:
     """Ask the vehicle for each parameter of the file, and for what other versions call those that it does not have.
 
     :param system_id: of the autopilot; 0: the first one heard.
-    :raises VehicleError: it is not heard, or answers nothing.
+    :param new_system_id: what its system id is to be, whatever the file says, 1..255; None: as it is.
+    :raises VehicleError: it is not heard, or answers nothing, or nobody knows what it calls its system id.
     """
     autopilot = await session.find(system_id)
-    names = [entry.name for entry in file.entries]
+    entries = file.entries
+    if new_system_id is not None:
+        name = await _system_id_name(session, autopilot)
+        # The last one: the ground station may lose sight of a vehicle whose id changes.
+        entries = tuple(entry for entry in entries if entry.name not in SYSTEM_ID_NAMES)
+        entries += (Entry(name, new_system_id, None, None, needs_reboot(name)),)
+    names = [entry.name for entry in entries]
     # Of another autopilot's file it may well know nothing.
-    foreign = made_for(frozenset(names)) not in (None, autopilot.firmware)
+    foreign = made_for(frozenset(names)) not in (None, autopilot.type)
     read = await session.read(autopilot, names, guesses=foreign)
     others = {name: other for name in (*read.silent, *read.refused) if (other := other_name(name))}
     guesses = sorted(set(others.values()) - read.values.keys())
     found = read.values.keys() | (await session.read(autopilot, guesses, guesses=True)).values.keys()
     renamed = {name: other for name, other in others.items() if other in found}
-    rows = tuple(_row(entry, read, renamed, autopilot) for entry in file.entries)
-    fitting = fitting_file(autopilot.firmware, autopilot.version.version, frozenset(found))
+    rows = tuple(_row(entry, read, renamed, autopilot) for entry in entries)
+    if new_system_id is None:
+        rows = tuple(_unless_asked(row) for row in rows)
+    fitting = fitting_file(autopilot.firmware, frozenset(found))
     return Comparison(autopilot, rows, fitting, _misfit(autopilot, rows, renamed, fitting))
+
+
+async def _system_id_name(session: Session, autopilot: Autopilot) -> str:
+    names = system_id_names(autopilot.firmware)
+    if len(names) > 1:
+        names = tuple((await session.read(autopilot, names, guesses=True)).values)
+    if len(names) != 1:
+        raise VehicleError(f"vehicle {autopilot.system_id}: nobody knows what this firmware calls its system id")
+    return names[0]
+
+
+def _unless_asked(row: Row) -> Row:
+    if row.state == "differs" and row.entry.name in SYSTEM_ID_NAMES:
+        return row._replace(state="kept", note="only --sysid sets a system id")
+    return row
 
 
 def _row(entry: Entry, read: Exchange, renamed: dict[str, str], autopilot: Autopilot) -> Row:
@@ -95,6 +131,8 @@ def _row(entry: Entry, read: Exchange, renamed: dict[str, str], autopilot: Autop
     if not fits(entry.value, live.kind):
         return Row(entry, live, "unfit", f"its type there is {live.kind}, which does not hold {entry.value:.9g}")
     equal = same(entry.value, live.value, live.kind, bytewise=autopilot.bytewise)
+    if equal and entry.name in SYSTEM_ID_NAMES and live.value != autopilot.system_id:
+        return Row(entry, live, "same", f"but the vehicle still uses {autopilot.system_id}: reboot it")
     return Row(entry, live, "same" if equal else "differs")
 
 
@@ -103,19 +141,20 @@ def _why_missing(name: str, renamed: dict[str, str], autopilot: Autopilot) -> st
         return f"this firmware has {renamed[name]} instead, whose values mean something else"
     if name in renamed:
         return f"this firmware calls it {renamed[name]}"
-    if autopilot.firmware == PX4:
+    if autopilot.type == PX4:
         return "this firmware does not have it, or shows it after a reboot only"
     return "this firmware or board does not have it"
 
 
 def _misfit(autopilot: Autopilot, rows: Sequence[Row], renamed: dict[str, str], fitting: str | None) -> str:
-    firmware = made_for(frozenset(row.entry.name for row in rows))
+    made = made_for(frozenset(row.entry.name for row in rows))
+    here = firmware_name(autopilot.type)
     use = f"; use {fitting}" if fitting else ""
-    if firmware is not None and firmware != autopilot.firmware:
-        return f"the file is for {firmware_name(firmware)}, this is {firmware_name(autopilot.firmware)}{use}"
+    if made is not None and made != autopilot.type:
+        return f"the file is for {firmware_name(made)}, this is {here}{use}"
     names = [name for name in renamed if not replaced_in_px4(name)]
     if names:
-        return f"the file is for another version of {firmware_name(autopilot.firmware)}{use}"
+        return f"the file is for another version of {here}{use}"
     return ""
 
 
@@ -141,6 +180,9 @@ def _written(row: Row, told: Exchange, held: Exchange, autopilot: Autopilot) -> 
     if live is None:
         return row._replace(state="refused", note="no answer when it was read back")
     if same(value, live.value, live.kind, bytewise=autopilot.bytewise):
+        if name in SYSTEM_ID_NAMES:
+            # Some take it at once, and are known by it now.
+            row = row._replace(entry=row.entry._replace(reboot=autopilot.system_id != value))
         return row._replace(state="written", live=live)
     note = _REASONS.get(told.refused.get(name, 0), "the vehicle keeps its value")
     return row._replace(state="refused", live=live, note=note)

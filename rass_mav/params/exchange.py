@@ -13,6 +13,7 @@ from typing import NamedTuple
 from rass_mav.errors import MalformedError, RassError
 from rass_mav.mavlink.component import AUTOPILOT_VERSION, PARAM_ERROR, PARAM_REQUEST_READ, PARAM_SET, PARAM_VALUE
 from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.firmware import Firmware
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.mavlink.messages import COMMAND_LONG, HEARTBEAT, parse
@@ -59,18 +60,23 @@ class Question(NamedTuple):
 class Autopilot:
     """Who is asked. Its system id changes when it is set."""
 
-    def __init__(self, system_id: int, firmware: int, *, armed: bool) -> None:
-        """`system_id`: 1..255; `firmware`: MAV_AUTOPILOT of its heartbeat."""
+    def __init__(self, system_id: int, type: int, *, armed: bool) -> None:
+        """`system_id`: 1..255; `type`: MAV_AUTOPILOT of its heartbeat."""
         self.system_id = system_id
-        self.firmware = firmware
+        self.type = type
         self.armed = armed
         self.version = AutopilotVersion(0, (0, 0, 0))
         """All 0: it did not tell."""
 
     @property
+    def firmware(self) -> Firmware:
+        """What it runs."""
+        return Firmware(self.type, self.version.version)
+
+    @property
     def bytewise(self) -> bool:
         """Whether whole numbers travel as their bytes, and not converted to floats."""
-        return is_bytewise(self.version.capabilities, self.firmware)
+        return is_bytewise(self.version.capabilities, self.type)
 
 
 class Talk(ABC):

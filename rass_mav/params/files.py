@@ -15,6 +15,8 @@ from rass_mav.errors import ConfigError, os_errors_as
 from rass_mav.mavlink.component import single
 from rass_mav.mavlink.vehicle_parameters import TYPES, fits
 
+from .names import needs_reboot
+
 #: Largest file that is read, bytes.
 MAX_FILE_BYTES = 1 << 20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,15}")
@@ -29,12 +31,12 @@ class Entry(NamedTuple):
 
     name: str
     value: float
-    line: int
-    """Counted from 1."""
+    line: int | None
+    """Counted from 1; None: it stands in no file."""
     kind: int | None
     """MAV_PARAM_TYPE; None: the format does not tell."""
     reboot: bool
-    """The comment above it says that it needs a reboot."""
+    """A new value counts after a reboot only: so the comment above it says, or it is known."""
 
 
 class ParameterFile(NamedTuple):
@@ -77,7 +79,7 @@ def parse_text(text: str) -> ParameterFile:
                 raise ConfigError(f"{name} stands twice, first in line {entries[name].line}")
         except ConfigError as error:
             raise ConfigError(f"line {number}: {error}") from None
-        entries[name] = Entry(name, value, number, kind, bool(_REBOOT.search(comment)))
+        entries[name] = Entry(name, value, number, kind, needs_reboot(name) or bool(_REBOOT.search(comment)))
         comment = ""
     if format is None:
         raise ConfigError("no parameters in it")

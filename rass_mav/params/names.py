@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import re
 
-from rass_mav.mavlink.vehicle_parameters import ARDUPILOT, PX4
-
-#: Of an autopilot, by the MAV_AUTOPILOT of its heartbeat.
-FIRMWARES: dict[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
-#: Since this version ArduPilot has other names for the parameters of its MAVLink ports.
-RENAMING_VERSION = (4, 7)
+from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 
 _RENAMED = {"SYSID_THISMAV": "MAV_SYSID", "SYSID_MYGCS": "MAV_GCS_SYSID", "TELEM_DELAY": "MAV_TELEM_DELAY"}
 _RENAMED_BACK = {new: old for old, new in _RENAMED.items()}
@@ -19,13 +14,13 @@ _OF_PX4 = re.compile(r"MAV_\d_\w+|SER_[A-Z]+\d_BAUD|MAV_SYS_ID")
 _OF_ARDUPILOT = re.compile(r"SERIAL\d_\w+|SR\d_\w+|MAV\d_\w+|BRD_\w+|SYSID_\w+|MAV_SYSID|SCR_ENABLE")
 #: Parameters that hold the vehicle's system id. Once they are set, the vehicle may speak under the new one.
 SYSTEM_ID_NAMES = frozenset({"SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID"})
+#: What counts after a reboot only, whether a file says so or not. Whether a system id does shows when it is set.
+_AFTER_REBOOT = re.compile(
+    r"SERIAL\d_(PROTOCOL|BAUD|OPTIONS)|BRD_SER\d_RTSCTS|SR\d_\w+|MAV\d_OPTIONS|SCR_ENABLE|SYSID_THISMAV"
+    r"|MAV_\d_\w+|SER_\w+_(BAUD|PROTO)|MAV_SYS_ID|RADS_(SOURCE|PORT|BAUD|PIN)"
+)
 #: What PX4's development branch has instead; the values mean something else.
 _PX4_REPLACED = {"MAV_1_CONFIG": "SER_TEL2_PROTO", "MAV_0_CONFIG": "SER_TEL1_PROTO"}
-
-
-def firmware_name(autopilot: int) -> str:
-    """For people; `autopilot`: MAV_AUTOPILOT."""
-    return FIRMWARES.get(autopilot, f"autopilot of type {autopilot}")
 
 
 def other_name(name: str) -> str | None:
@@ -46,6 +41,20 @@ def replaced_in_px4(name: str) -> bool:
     return name in _PX4_REPLACED
 
 
+def needs_reboot(name: str) -> bool:
+    """Whether a new value counts only when the autopilot starts again."""
+    return _AFTER_REBOOT.fullmatch(name) is not None
+
+
+def system_id_names(firmware: Firmware) -> tuple[str, ...]:
+    """What the parameter with the vehicle's system id is called; several: one of them; none: not known."""
+    if firmware.autopilot == PX4:
+        return ("MAV_SYS_ID",)
+    if firmware.autopilot != ARDUPILOT:
+        return ()
+    return {True: ("MAV_SYSID",), False: ("SYSID_THISMAV",), None: ("SYSID_THISMAV", "MAV_SYSID")}[firmware.renamed]
+
+
 def made_for(names: frozenset[str]) -> int | None:
     """The MAV_AUTOPILOT that has parameters with such names; None: it cannot be told."""
     px4 = any(map(_OF_PX4.fullmatch, names))
@@ -53,19 +62,18 @@ def made_for(names: frozenset[str]) -> int | None:
     return None if px4 == ardupilot else PX4 if px4 else ARDUPILOT
 
 
-def fitting_file(autopilot: int, version: tuple[int, int, int], names: frozenset[str] = frozenset()) -> str | None:
+def fitting_file(firmware: Firmware, names: frozenset[str] = frozenset()) -> str | None:
     """The file of firmware_params/ for a vehicle; None: there is none, or it cannot be told.
 
-    :param version: all 0: not known; then `names` decide, parameters that the vehicle is known to have.
+    :param names: parameters that the vehicle is known to have; they decide where it did not tell its version.
     """
-    if autopilot == PX4:
+    if firmware.autopilot == PX4:
         return "px4.params"
-    if autopilot != ARDUPILOT:
+    if firmware.autopilot != ARDUPILOT:
         return None
-    if version > (0, 0, 0):
-        newer = version[:2] >= RENAMING_VERSION
-    elif bool(names & _RENAMED.keys()) != bool(names & _RENAMED_BACK.keys()):
+    newer = firmware.renamed
+    if newer is None and bool(names & _RENAMED.keys()) != bool(names & _RENAMED_BACK.keys()):
         newer = bool(names & _RENAMED_BACK.keys())
-    else:
+    if newer is None:
         return None
     return "ardupilot-4.7.parm" if newer else "ardupilot-4.6.parm"

@@ -1,5 +1,6 @@
-"""The policies, one module each. A policy is who is fit, and what goes to whom (`rass_mav.core.policy.Policy`).
+"""The policies, one module each. A policy decides which node is fit, and which data go where
+(`rass_mav.core.policy.Policy`).
 
-`settings.kinds` finds them: a module of this package that states `POLICIES` is all that a new one needs
+`settings.kinds` finds them: a new one only needs a module of this package that defines `POLICIES`
 (docs/development.md).
 """

@@ -9,18 +9,18 @@ from rass_mav.core.messages import NO_ROUTE, UNBOUNDED_FREE
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE, Dispatch, View
 from rass_mav.core.routes.neighbours import Neighbour
 
-#: Hop count that stands for "no route" in Eq. 3 unless another is set: more than any real one.
+#: Hop count that represents "no route" in Eq. 3 unless another is set: more than any real one.
 UNREACHABLE_HOPS = 255
 
 
 def policy_tag(name: str, *weights: float) -> int:
-    """16 bits that differ, all but surely, between policies whose potentials cannot be compared."""
+    """16 bits that almost certainly differ between policies whose potentials cannot be compared."""
     text = ":".join([name, *(format(w, ".9g") for w in weights)])
     return zlib.crc32(text.encode()) & 0xFFFF
 
 
 def all_to(target: Neighbour, view: View) -> list[Dispatch]:
-    """Everything to one neighbour, within the budget and its room."""
+    """Everything to one neighbour, within the budget and its free space."""
     free = target.beacon.free
     count = view.budget if free == UNBOUNDED_FREE else min(view.budget, free)
     id = target.id
@@ -28,9 +28,9 @@ def all_to(target: Neighbour, view: View) -> list[Dispatch]:
 
 
 class FitnessPolicy:
-    """phi = 1/(alpha h + beta r) if there is room, else 0 (Eq. 3); unfit when T phi < the fittest neighbour's (Eq. 4).
+    """phi = 1/(alpha h + beta r) if there is space, else 0 (Eq. 3); unfit when T phi < the fittest neighbour's (Eq. 4).
 
-    All data go to the fittest neighbour, least recently used first; among equals the generator chooses.
+    All data go to the fittest neighbour, least recently used first; ties are broken at random.
     """
 
     replicates = False
@@ -67,11 +67,12 @@ class FitnessPolicy:
         cost = self.alpha * hops + self.beta * risk
         if cost * (POTENTIAL_BASE - 1) <= POTENTIAL_ONE:
             return POTENTIAL_BASE - 1
-        # Never 0: that says there is no room.
+        # Never 0: that means there is no space.
         return max(1, int(POTENTIAL_ONE / cost + 0.5))
 
     def plan(self, view: View) -> list[Dispatch]:
-        """Everything to the fittest neighbour if this node is unfit, within the budget and the neighbour's room."""
+        """Everything to the fittest neighbour if this node is unfit, within the budget and the neighbour's free
+        space."""
         best = self.threshold * view.potential
         fittest: list[Neighbour] = []
         tag = self.tag
@@ -80,7 +81,7 @@ class FitnessPolicy:
             if beacon.policy == tag or beacon.potential in (0, POTENTIAL_BASE):
                 potential = beacon.potential
             else:
-                # Another policy's numbers mean nothing here: judge by hops, as if it stood in our risk.
+                # Another policy's numbers mean nothing here: judge by hops, as if the neighbour had our risk.
                 potential = self.potential(beacon.hops, view.risk, beacon.free)
             if potential > best:
                 best = potential

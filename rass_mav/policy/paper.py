@@ -32,7 +32,7 @@ def _weighed(alpha: float, beta: float, settings: PolicySettings) -> Policy:
 
 
 POLICIES = (
-    # The paper's reasoning and results, and the authors' code.
+    # By the paper's reasoning and results, and the authors' code.
     PolicyKind("rass", 0, partial(_risk_aware, 1.0, 10.0)),
     # The weights as the paper's text prints them.
     PolicyKind("rass-literal", 1, partial(_risk_aware, 10.0, 1.0)),

@@ -12,20 +12,20 @@ from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import FitnessPolicy
 
-#: The authors' neighbour tables are hash tables of so many buckets, each bucket a list.
+#: Buckets of the hash tables that hold the authors' neighbours; each bucket is a list.
 BUCKETS = 10
 
 
 def place_in_table(node_id: int) -> tuple[int, int, int]:
-    """Sorts node ids as the authors' hash table passes them: the last of equals is chosen."""
+    """Sorts node ids in the order of the authors' hash table: the last of equals is chosen."""
     return node_id % BUCKETS, node_id % (2 * BUCKETS), node_id
 
 
 class ReferencePolicy(FitnessPolicy):
     """Eq. 3 like `FitnessPolicy`; evicts unless strictly fitter than every neighbour, half of the store a step.
 
-    Among equal neighbours the last in the hash table wins. A neighbour's free room is not asked for. It is for swarms
-    in which all nodes follow it: there is no judging of strangers by their hops.
+    Among equal neighbours the last in the hash table wins. A neighbour's free space is ignored. All nodes of a swarm
+    must follow it: it does not judge nodes of other policies by their hops.
     """
 
     family = "reference"

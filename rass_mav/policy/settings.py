@@ -1,4 +1,4 @@
-"""What can be set of a policy, and the policies by their names."""
+"""The settings of a policy, and the policies by their names."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from rass_mav.core.policy import Policy
 
 
 class PolicyKind(NamedTuple):
-    """A policy that a configuration can name. Its module states it in `POLICIES`."""
+    """A policy that a configuration can name. Its module lists it in `POLICIES`."""
 
     name: str
     number: int
-    """Its value of the parameter RASS_POLICY, 0 or more. Ground stations and stores remember it: never give one
-    another meaning."""
+    """Its value of the parameter RASS_POLICY, 0 or more. Ground stations and stores remember it: never reuse one."""
     make: Callable[[PolicySettings], Policy]
-    """Raises `ConfigError` for weights that cannot be."""
+    """Raises `ConfigError` for impossible weights."""
 
 
 @cache
@@ -37,7 +36,7 @@ PolicyName = Annotated[str, Meta(one_of=kinds)]
 
 
 class PolicySettings(Section):
-    """Who is fit, and what goes to whom."""
+    """Which node is fit, and which data go where."""
 
     name: PolicyName = "survival"
     alpha: NonNegative | None = None
@@ -47,9 +46,9 @@ class PolicySettings(Section):
     threshold: NonNegative | None = None
     """T of Eq. 4; null: 1."""
     hop_cost: Positive | None = None
-    """What a hop costs under survival, beside -log(1 - risk); null: 0.05."""
+    """The cost of a hop under survival, in addition to -log(1 - risk); null: 0.05."""
     unknown_hops: Annotated[int, Meta(ge=1, le=255)] | None = None
-    """Hop count of a node that knows no way to a base; null: 255, more than any real one."""
+    """Hop count of a node without a route to a base; null: 255, more than any real one."""
     rules: Literal["paper", "authors"] = "paper"
     """authors: ties and eviction as in the authors' code; all nodes of a swarm must agree."""
 

@@ -1,4 +1,4 @@
-"""Virtual stigmergy (Buzz; Pinciroli and Beltrame, 2016): every node keeps every datum it has room for."""
+"""Virtual stigmergy (Buzz; Pinciroli and Beltrame, 2016): every node keeps every datum it has space for."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .settings import PolicyKind
 
 
 class Stigmergy:
-    """A shared key-value store without a centre: `rass_mav.core.replica` does what there is to do."""
+    """A shared key-value store without a centre: `rass_mav.core.replica` does the work."""
 
     name = "stigmergy"
     replicates = True
@@ -20,7 +20,7 @@ class Stigmergy:
     tag = policy_tag(name)
 
     def potential(self, hops: int, risk: float, free: int) -> int:
-        """Nobody is fitter than anybody: 1 with room, 0 without."""
+        """All nodes are equally fit: 1 with space, 0 without."""
         return 1 if free > 0 else 0
 
     def plan(self, view: View) -> list[Dispatch]:

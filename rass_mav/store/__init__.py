@@ -1,7 +1,7 @@
 """Where a node keeps its data: in memory (`MemoryStore`) or on disk (`SqliteStore`).
 
-Both implement `rass_mav.core.store.Store`. `SqliteReader` looks into a store on disk from outside, also while the node
-that owns it is running.
+Both implement `rass_mav.core.store.Store`. `SqliteReader` reads a store on disk from outside, also while the node that
+owns it is running.
 """
 
 from .memory import MemoryStore

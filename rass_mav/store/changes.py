@@ -1,4 +1,4 @@
-"""What has changed in a store since its last commit, and the batch that carries the changes to the disk."""
+"""What has changed in a store since its last commit, and the batch that brings the changes to the disk."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from .quota import ROW_OVERHEAD
 class Changes:
     """Changes that are not on disk yet.
 
-    They are applied in this order: rows in `removes` go, data in `puts` come, the rest is set. Everything is said in
-    absolute values, so applying the same changes twice does no harm; that makes it safe to write again a batch of which
-    an I/O error left unclear whether it reached the disk.
+    They are applied in this order: rows in `removes` are deleted, data in `puts` are inserted, the rest is set. All
+    values are absolute, so applying the same changes twice does no harm. If an I/O error leaves unclear whether a batch
+    reached the disk, it can safely be written again.
     """
 
     puts: dict[DatumId, Datum] = field(default_factory=dict)
     """Data to store, in the order of arrival."""
     apart: dict[tuple[DatumId, int], Datum] = field(default_factory=dict)
-    """Further contents of an id, by their CRC; one that is kept already stays as it is."""
+    """Second contents of an id, by their CRC; one that is kept already stays unchanged."""
     removes: dict[DatumId, None] = field(default_factory=dict)
     """Older rows to delete (a set that keeps its order)."""
     losses: dict[DatumId, Fate] = field(default_factory=dict)
-    """New entries of the table of losses; a loss that is noted already stays as it is."""
+    """New entries of the table of losses; a loss that is recorded already stays unchanged."""
     founds: dict[DatumId, None] = field(default_factory=dict)
-    """Entries to take out of the table of losses, before the new ones come."""
+    """Entries to remove from the table of losses, before the new ones are inserted."""
     counters: dict[str, int] = field(default_factory=dict)
     """New values of the counters that changed."""
     meta: dict[str, int] = field(default_factory=dict)
@@ -36,7 +36,7 @@ class Changes:
     sequence: int | None = None
     """The next sequence number, if one has been claimed."""
     aged: bool = False
-    """Before all else: every datum on disk is at least as old as it says."""
+    """Before all else: every datum on disk is at least as old as recorded."""
 
     def __bool__(self) -> bool:
         return self.urgent or bool(self.removes or self.founds or self.counters)
@@ -45,16 +45,16 @@ class Changes:
     def urgent(self) -> bool:
         """Whether a commit is due.
 
-        Data, losses, meta numbers and the sequence numbers of new data are about to be told to others, and nothing
-        goes out that the disk does not know. Removals and counters may wait: after a crash the node merely holds a
-        spare copy, tells a loss twice, or counts a little less.
+        Data, losses, meta numbers and the sequence numbers of new data are about to be sent to other nodes, and nothing
+        leaves that is not on disk. Removals and counters may wait: after a crash the node merely holds a spare copy,
+        reports a loss twice, or counts a little less.
         """
-        # A number may stand alone: its datum was sent without custody, and removed.
+        # A number may occur alone: its datum was sent without custody, and removed.
         return bool(self.puts or self.apart or self.losses or self.meta or self.aged) or self.sequence is not None
 
     @property
     def rows(self) -> int:
-        """Rows that come."""
+        """Rows to insert."""
         return len(self.puts) + len(self.apart) + len(self.losses)
 
     @property
@@ -63,29 +63,29 @@ class Changes:
         return sum(len(d.payload) + ROW_OVERHEAD for data in (self.puts, self.apart) for d in data.values())
 
     def put(self, datum: Datum, older: bool) -> None:
-        """Store a datum. `older`: a datum with its id is stored already, in here or before."""
+        """Store a datum. `older`: a datum with its id is stored already, in this batch or before."""
         id = datum.id
         if older and self.puts.pop(id, None) is None:
             self.removes[id] = None
         self.puts[id] = datum
 
     def remove(self, id: DatumId) -> None:
-        """Delete a stored datum. One that came after the last commit just goes; an older row of its stays in
-        `removes`, where `put` noted it."""
+        """Delete a stored datum. One inserted since the last commit is simply dropped; an older row of it stays in
+        `removes`, where `put` recorded it."""
         if self.puts.pop(id, None) is None:
             self.removes[id] = None
 
     def lose(self, id: DatumId, fate: Fate) -> None:
-        """Note a loss."""
+        """Record a loss."""
         self.losses.setdefault(id, fate)
 
     def found(self, id: DatumId) -> None:
-        """Take a loss out of the table."""
+        """Remove a loss from the table."""
         self.losses.pop(id, None)
         self.founds[id] = None
 
     def followed_by(self, later: Changes) -> Changes:
-        """These changes and then the `later` ones, as one."""
+        """These changes followed by the `later` ones, as one."""
         puts = {id: datum for id, datum in self.puts.items() if id not in later.removes}
         return Changes(
             puts={**puts, **later.puts},
@@ -101,12 +101,12 @@ class Changes:
 
 
 class BatchState(enum.Enum):
-    """How far a batch is on its way to the disk."""
+    """How far a batch is with its write."""
 
     TAKEN = "taken"
-    """Handed out, not yet given to `write`."""
+    """Returned by `take`, not yet passed to `write`."""
     WRITING = "writing"
-    """A thread is at it."""
+    """A thread is writing it."""
     WRITTEN = "written"
     """Durable."""
     FAILED = "failed"
@@ -114,10 +114,10 @@ class BatchState(enum.Enum):
 
 
 class Batch:
-    """What `take` hands out and `write` makes durable.
+    """What `take` returns and `write` makes durable.
 
     Its state is all that the thread in `write` and the owner of the store share. One side sets it, the other reads it,
-    and `changes` is not changed by either.
+    and neither changes `changes`.
     """
 
     __slots__ = ("changes", "state")

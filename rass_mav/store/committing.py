@@ -1,4 +1,4 @@
-"""What writes a store's database, and keeps its high-water mark."""
+"""Writes a store's database, and maintains its high-water mark."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Committer:
     """Makes changes durable, on one thread at a time."""
 
     def __init__(self, path: Path, *, vfs: str | None, busy_timeout: float, file_limit: int | None) -> None:
-        """`OSError` and the errors of SQLite. What the options mean: see `SqliteStore.open`."""
+        """`OSError` and the errors of SQLite. For the options see `SqliteStore.open`."""
         self.connection = connect(path, vfs=vfs, busy_timeout=busy_timeout)
         try:
             self.connection.execute("PRAGMA synchronous = FULL")
@@ -29,10 +29,10 @@ class Committer:
             raise
         self._mark: Mark | None = None
         self._sure = False
-        """Whether the last commit went well, so that the numbers of rows are right."""
+        """Whether the last commit succeeded, so that the numbers of rows are right."""
 
     def begin(self, own: schema.OwnNumbers) -> None:
-        """Note that the store is in use, and how far it has come. `OSError` and the errors of SQLite."""
+        """Record that the store is in use, and how far it has come. `OSError` and the errors of SQLite."""
         self._mark = Mark(own.life, own.epoch, own.given, own.written, schema.count_rows(self.connection))
         self._file.begin(self._mark)
         self._sure = True
@@ -54,12 +54,12 @@ class Committer:
         )
         self._sure = True
         if changes.rows or changes.sequence is not None:
-            # A mark that stays behind harms nothing by itself; it would take damage beside it.
+            # A mark that stays behind does no harm alone; only together with damage would it.
             with suppress(OSError):
                 self._file.write(self._mark)
 
     def _transact(self, changes: Changes, mark: Mark) -> int:
-        """Returns how many rows there are more."""
+        """Returns by how many the number of rows has grown."""
         own = {} if changes.sequence is None else {schema.NEXT_SEQUENCE: changes.sequence}
         if changes.rows:
             own[schema.WRITTEN] = mark.written + changes.rows
@@ -79,14 +79,14 @@ class Committer:
             schema.write_numbers(writer, "meta", {**changes.meta, **own})
             writer.execute("COMMIT")
         except BaseException:
-            # On some errors SQLite has rolled back by itself.
+            # On some errors SQLite has already rolled back.
             if writer.in_transaction:
                 writer.execute("ROLLBACK")
             raise
         return rows
 
     def close(self, *, clean: bool) -> None:
-        """Release the files. `clean`: all that there was has been written."""
+        """Release the files. `clean`: everything has been written."""
         self.connection.close()
         if clean and self._sure and self._mark is not None:
             with suppress(OSError):

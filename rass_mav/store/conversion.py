@@ -1,4 +1,4 @@
-"""A store of the last version, made into one of this: schema 1 had no life, no `at_least`, and nothing kept apart."""
+"""Conversion of a store of the previous version: schema 1 had no life, no `at_least`, and no second contents."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _FATES = {fate.value: fate for fate in Fate}
 
 
 def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int, vfs: str | None) -> OpenReport:
-    """Make the store at `path` one of this version; the old one goes `aside`, with all that it is.
+    """Convert the store at `path` to this version; the old one is moved to `aside`, unchanged.
 
-    Its life is what was its epoch. It kept no mark, so its last numbers may be missing: the epoch is a new one.
+    Its life is its former epoch. It kept no mark, so its last numbers may be missing: the epoch is a new one.
     `StoreError` and the errors of SQLite; then nothing has changed.
     """
     with closing(connect(path, "ro", vfs=vfs)) as old:
@@ -45,11 +45,11 @@ def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int
             write_numbers(new, "meta", meta)
             own = close_epochs(new, OwnNumbers(life, epoch, 0, 0, 0), node_id, {life: given}, 0)
             write_own(new, own._replace(written=count_rows(new)))
-    return OpenReport(converted=aside, closed=((life, given),), reason="made by the last version")
+    return OpenReport(converted=aside, closed=((life, given),), reason="created by the previous version")
 
 
 def check_old(connection: sqlite3.Connection) -> str:
-    """What is wrong with a store of the last version, in its rows; empty: nothing."""
+    """What is wrong with the rows of a store of the previous version; empty: nothing."""
     bad = connection.execute(
         "SELECT arrival FROM datum WHERE (typeof(origin) = 'integer' AND typeof(epoch) = 'integer' "
         "AND typeof(sequence) = 'integer' AND typeof(kind) = 'integer' AND typeof(created) = 'real' "
@@ -57,12 +57,12 @@ def check_old(connection: sqlite3.Connection) -> str:
         "AND length(payload) = size) IS NOT 1 LIMIT 1"
     ).fetchall()
     if bad:
-        return f"row {bad[0][0]} of table datum does not hold what it should"
+        return f"row {bad[0][0]} of table datum has values of a wrong type"
     numbers = read_numbers(connection, "meta")
     read_numbers(connection, "counter")
     if not 0 <= numbers.get("store.epoch", -1) < 1 << 32 or not 0 <= numbers.get("store.next_sequence", -1) <= 1 << 32:
         return "a number of the store's own in table meta is missing, or out of range"
     fates = {row[0] for row in connection.execute("SELECT fate FROM loss").fetchall()}
     if not fates <= _FATES.keys():
-        return "table loss holds a fate that is none"
+        return "table loss has an invalid fate"
     return ""

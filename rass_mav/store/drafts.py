@@ -1,8 +1,8 @@
-"""A store that is made anew, empty or out of what an older or damaged one holds: it is there whole, or not at all.
+"""Creating a store, empty or from the content of an older or damaged one: it is there completely, or not at all.
 
-It is made under the name `node.db.new`. One that takes the place of another is renamed, when it is complete, to
-`node.db.ready-REASON-1`; then the old files are set aside as `node.db.REASON-1`, and it gets its name. Whatever ends
-the program in between, the next start goes on from there.
+It is created under the name `node.db.new`. If it replaces another store, it is renamed to `node.db.ready-REASON-1` when
+it is complete; then the old files are set aside as `node.db.REASON-1`, and it gets its name. Whatever ends the program
+in between, the next start continues from there.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _READY = ".ready-"
 
 
 def draw(draw_number: Callable[[], int], *taken: int) -> int:
-    """A number of 32 bits that is none of those `taken`."""
+    """A number of 32 bits that is none of `taken`."""
     number = draw_number()
     if not 0 <= number < 1 << 32:
         raise ValueError(f"an epoch has 32 bits, got {number}")
@@ -36,11 +36,11 @@ def connect(
     path: Path, mode: Literal["ro", "rw", "rwc"] = "rw", *, vfs: str | None = None, busy_timeout: float = 5.0,
     immutable: bool = False,
 ) -> sqlite3.Connection:  # fmt: skip
-    """A connection to a database, in which transactions are begun by hand.
+    """A connection to a database, in which the caller begins transactions.
 
-    It may be used on any thread, by one at a time. `mode`: "ro" does not change the database, not even by moving the
-    log into it when the connection is closed; "rwc" makes one if there is none. `immutable`: nobody changes the file,
-    and there is no log.
+    Any thread may use it, one at a time. `mode`: "ro" does not change the database, not even by moving the log into it
+    when the connection is closed; "rwc" creates one if there is none. `immutable`: no process changes the file, and
+    there is no log.
     """
     options = f"mode={mode}"
     if vfs is not None:
@@ -55,9 +55,9 @@ def connect(
 def drafted(
     path: Path, life: int, epoch: int, vfs: str | None, aside: Path | None = None
 ) -> Iterator[sqlite3.Connection]:
-    """Make a store of this life and epoch; the block fills it, and at its end it has its place.
+    """Create a store of this life and epoch. The block fills it; at the end of the block it gets its place.
 
-    `aside`: where what is there now goes, a name of `path` with an ending; None: there is nothing.
+    `aside`: where the present file is moved, a name of `path` with an ending; None: there is none.
     """
     draft = beside(path, ".new")
     _discard(draft)
@@ -72,15 +72,15 @@ def drafted(
             own = read_own(read_numbers(connection, "meta"))
             mark = Mark(own.life, own.epoch, own.given, own.written, count_rows(connection), clean=True)
             connection.execute("COMMIT")
-            # Last: closing does not tell if moving a log into the database fails. Fetched to the end, where the change
-            # is committed; where the mode is not to be had, the answer is the old one.
+            # Last: closing does not report if moving a log into the database fails. Fetched to the end, where the
+            # change is committed; if the mode is not available, the answer is the old one.
             if connection.execute("PRAGMA journal_mode = WAL").fetchall() != [("wal",)]:
                 raise OSError(errno.ENOTSUP, "no write-ahead mode here")
         finally:
             connection.close()
         make_mark(beside(draft, MARK), mark)
     except BaseException:
-        # Half a store would only take up room.
+        # An incomplete store would only take up space.
         with suppress(OSError):
             _discard(draft)
         raise
@@ -94,7 +94,7 @@ def drafted(
 
 
 def finish(path: Path) -> Path | None:
-    """Go on where a program was ended while a store took the place of another. Returns where the other lies."""
+    """Continue if a program ended while a store replaced another. Returns where the other one is."""
     for ready in sorted(path.parent.glob(f"{_literal(path.name)}{_READY}*")):
         if not ready.name.endswith((MARK, *LOG_ENDINGS)):
             _take_place(path, ready)
@@ -104,7 +104,7 @@ def finish(path: Path) -> Path | None:
 
 
 def free_name(path: Path, reason: str) -> Path:
-    """A name for what is set aside that nothing has yet, with a number behind the `reason`."""
+    """An unused name for a file to set aside, with a number after the `reason`."""
     number = 1
     while any(beside(path, f".{reason}-{number}{ending}").exists() for ending in ("", MARK, *LOG_ENDINGS)):
         number += 1
@@ -117,14 +117,14 @@ def _discard(draft: Path) -> None:
 
 
 def _rename_whole(old: Path, new: Path) -> None:
-    # The mark first: one without its database says by its zeros that nothing is missing.
+    # The mark first: one without its database shows by its zeros that nothing is missing.
     beside(old, MARK).rename(beside(new, MARK))
     old.rename(new)
 
 
 def _take_place(path: Path, ready: Path) -> None:
     aside = beside(path, "." + ready.name[len(path.name + _READY) :])
-    # The mark of the old store goes only while that of the new one waits.
+    # The mark of the old store is moved only while that of the new one waits.
     endings = ("", *LOG_ENDINGS, *((MARK,) if beside(ready, MARK).exists() else ()))
     for ending in endings:
         if beside(path, ending).exists():

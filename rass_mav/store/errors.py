@@ -1,4 +1,4 @@
-"""What can go wrong with a database file, told apart: a full disk, damage, other trouble, and our own bugs."""
+"""What can go wrong with a database file, distinguished: a full disk, damage, other trouble, and our own bugs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
-# Caused by a wrong statement or value, so by us: these pass as they are.
+# Caused by a wrong statement or value, so by us: these pass unchanged.
 _OUR_BUGS = (
     sqlite3.ProgrammingError, sqlite3.IntegrityError, sqlite3.InterfaceError, sqlite3.NotSupportedError,
     sqlite3.DataError,
 )  # fmt: skip
-# Python 3.10 does not tell the numeric result code, so SQLite's constant messages have to do.
+# Python 3.10 does not give the numeric result code, so SQLite's constant messages have to do.
 _FULL = "database or disk is full"
 _OUTSIDE = (
     "locked", "locking protocol", "disk I/O error", "unable to open database", "readonly database",
@@ -29,7 +29,7 @@ class Unsound(Exception):
 
 @contextmanager
 def explained(path: Path, doing: str) -> Iterator[None]:
-    """Raise what goes wrong in the block as a `StoreError` that says which file it was and what was being done.
+    """Raise errors of the block as a `StoreError` that names the file and what was being done.
 
     `StoreFullError`: the disk, or the file's own limit, is full. `StoreDamagedError`: the database is not sound.
     Exceptions that only a bug of ours can cause pass unchanged.
@@ -39,7 +39,7 @@ def explained(path: Path, doing: str) -> Iterator[None]:
     except _OUR_BUGS:
         raise
     except UnicodeDecodeError as error:
-        raise StoreDamagedError(f"{path}: a text in it is not UTF-8 (while {doing})") from error
+        raise StoreDamagedError(f"{path}: a text in the file is not UTF-8 (while {doing})") from error
     except (sqlite3.Error, OSError, Unsound) as error:
         raise _kind(error)(f"{path}: {_text(error)} (while {doing})") from error
 

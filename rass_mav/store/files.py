@@ -1,7 +1,8 @@
-"""The files of a store: their names, who may read them, and renames that last.
+"""The files of a store: their names, their permissions, and durable renames.
 
 A store is `node.db`, its high-water mark `node.db.mark`, the write-ahead log `node.db-wal` and its index `node.db-shm`
-while it is open, and `node.db.lock`, which stays. What is set aside or being made has an ending of its own.
+while it is open, and `node.db.lock`, which stays. Files that are set aside or under construction have their own
+endings.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from rass_mav.errors import StoreError
 
-#: Of all files of a store, whatever the umask: they are the node's, and its group may read them.
+#: For all files of a store, whatever the umask: they belong to the node, and its group may read them.
 MODE = 0o640
 LOG_ENDINGS = ("-wal", "-shm")
 MARK = ".mark"
@@ -36,11 +37,11 @@ def checked_path(path: str | os.PathLike[str]) -> Path:
 
 
 def make_file(path: Path, flags: int = os.O_CREAT | os.O_RDWR) -> int:
-    """Open a file, made with `MODE` if it is not there. Returns the descriptor."""
+    """Open a file, and create it with `MODE` if it does not exist. Returns the descriptor."""
     descriptor = os.open(path, flags, MODE)
     try:
         mode = os.fstat(descriptor).st_mode & 0o777
-        # The umask may have taken what we need; an older version may have given what nobody needs.
+        # The umask may have removed rights that we need; an older version may have granted rights that nobody needs.
         if mode & ~MODE or not mode & 0o400:
             os.fchmod(descriptor, mode & MODE | 0o600)
     except OSError as error:
@@ -51,7 +52,7 @@ def make_file(path: Path, flags: int = os.O_CREAT | os.O_RDWR) -> int:
 
 
 def tighten(path: Path) -> None:
-    """Take from the files of a store the rights beyond `MODE`. SQLite gives the log those of the database."""
+    """Remove rights beyond `MODE` from the files of a store. SQLite gives the log those of the database."""
     for ending in ("", MARK, *LOG_ENDINGS):
         with suppress(FileNotFoundError, PermissionError):
             file = beside(path, ending)

@@ -13,12 +13,12 @@ from .files import beside, make_file
 
 
 class Lock:
-    """The right to use a store: one process at a time, given back by the system however the process ends."""
+    """The right to use a store: one process at a time. The system releases it however the process ends."""
 
     def __init__(self, path: Path, *, readable_only: bool = False) -> None:
         """Raises `StoreError` if another process, or another store in this one, has the lock.
 
-        `readable_only`: nothing can be written here; without a file of the lock there is nobody to keep out.
+        `readable_only`: nothing can be written here; if there is no lock file, no process needs to be kept out.
         """
         self._file = -1
         lock = beside(path, ".lock")
@@ -44,7 +44,7 @@ class Lock:
             raise
 
     def release(self) -> None:
-        """Give the lock back. The file stays: deleting it could take it from under somebody who just opened it."""
+        """Release the lock. The file stays: deleting it could take it from a process that has just opened it."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1

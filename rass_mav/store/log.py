@@ -1,8 +1,8 @@
-"""The write-ahead log as it lies on disk (sqlite.org/fileformat2.html, section 4), looked through by ourselves.
+"""The write-ahead log as it is on disk (sqlite.org/fileformat2.html, section 4), read without SQLite.
 
-SQLite takes the log up to the first frame that does not fit, and says nothing of what stands behind it. Behind a torn
-last write there is nothing, or frames of an earlier log, with other salts. Frames with the present salts there have
-been written, perhaps committed, and SQLite will not see them any more.
+SQLite uses the log up to the first frame that does not match, and reports nothing about what follows. After a torn last
+write there is nothing, or frames of an earlier log, with other salts. Frames there with the present salts were written,
+and perhaps committed, but SQLite no longer sees them.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ class LogFrame(NamedTuple):
     at: int
     """Where its bytes begin in the file."""
     sound: bool
-    """Whether they fit the checksums of this frame and the one before it."""
+    """Whether they match the checksums of this frame and the one before it."""
 
 
 class Log(NamedTuple):
-    """What a log holds."""
+    """The content of a log."""
 
     intact: bool
-    """Whether all that was ever committed to it can be read, as far as one can see."""
+    """Whether all that was ever committed to it can be read, as far as that can be determined."""
     page_bytes: int
     """0: unknown."""
     frames: list[LogFrame]
-    """All that bear the present salts, in the order of writing."""
+    """All frames with the present salts, in the order of writing."""
     committed: int
-    """So many of them, from the first, SQLite goes by."""
+    """How many of them, from the first, SQLite uses."""
 
 
 def read_log(path: Path) -> Log:
-    """Look through a log; one that is missing or empty is intact. `OSError`."""
+    """Read a log; one that is missing or empty is intact. `OSError`."""
     if not path.exists() or not path.stat().st_size:
         return Log(True, 0, [], 0)
     with path.open("rb") as file:
@@ -55,7 +55,7 @@ def read_log(path: Path) -> Log:
             magic & ~1 == _MAGIC and _is_page_size(page_bytes) and _checksum(order, header[:24], 0, 0) == (sum1, sum2)
         )
         if not valid:
-            # What follows can still be read if it is as we write it.
+            # What follows can still be read if it is in the form in which we write it.
             page_bytes, order = 4096, "<"
         frames: list[LogFrame] = []
         committed = broken = behind = 0

@@ -1,10 +1,10 @@
-"""The high-water mark of a store, outside its database: how far it had come when it was last heard of.
+"""The high-water mark of a store, outside its database: how far it had come when the mark was written.
 
-A database whose log was cut off or struck looks sound: it is an earlier state of itself. Its next number has been given
-then, and data that it took are gone without a trace. So a small file beside it says how many numbers have been given
-and how many rows were ever written. It has two slots, written in turn, each with a CRC-32. It is written after each
-commit without a sync of its own: the system keeps it however the process ends. After a power cut it may be old, and the
-mark says so, for it bears the system's boot id.
+A database whose log was cut off or damaged looks sound: it is an earlier state of itself. Its next number has then
+already been assigned, and data that it accepted are gone without a trace. So a small file beside it records how many
+numbers have been assigned and how many rows were ever written. It has two slots, written in turn, each with a CRC-32.
+It is written after each commit without a sync of its own: the system keeps it however the process ends. After a power
+cut it may be old. The mark shows this, because it has the system's boot id.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from zlib import crc32
 
 from .files import make_file
 
-#: A slot has a sector of its own: what tears one leaves the other.
+#: A slot has a sector of its own: a torn write to one leaves the other intact.
 SLOT_BYTES = 512
 MARK_BYTES = 2 * SLOT_BYTES
 
@@ -33,15 +33,15 @@ class Mark(NamedTuple):
     life: int
     epoch: int
     given: int
-    """Numbers given in this epoch."""
+    """Numbers assigned in this epoch."""
     written: int
-    """Rows ever written in this life: data, contents kept apart, losses."""
+    """Rows ever written in this life: data, second contents, losses."""
     rows: int
-    """Rows held, at most."""
+    """The most rows that may be held."""
     clean: bool = False
-    """The store was closed in good order, and nothing has opened it since."""
+    """The store was closed in order, and nothing has opened it since."""
     boot: bytes = _UNKNOWN_BOOT
-    """Which start of the system wrote it, 16 bytes."""
+    """The boot id of the system that wrote it, 16 bytes."""
 
     @property
     def exact(self) -> bool:
@@ -53,13 +53,13 @@ class MarkFile:
     """The file, open for writing."""
 
     def __init__(self, path: Path) -> None:
-        """Open or make it. `OSError`."""
+        """Open or create it. `OSError`."""
         self._file = make_file(path)
         self._boot = boot_id()
         self._turn = max((turn for turn, _ in _slots(os.pread(self._file, MARK_BYTES, 0))), default=0)
 
     def write(self, mark: Mark) -> None:
-        """Write over the older slot, for the system to keep. `OSError`."""
+        """Overwrite the older slot, without a sync. `OSError`."""
         self._turn += 1
         os.pwrite(self._file, _packed(self._turn, mark._replace(boot=self._boot)), self._turn % 2 * SLOT_BYTES)
 
@@ -97,7 +97,7 @@ def make_mark(path: Path, mark: Mark) -> None:
 
 
 def boot_id() -> bytes:
-    """Of the present start of the system, 16 bytes; zeros: unknown."""
+    """The boot id of the running system, 16 bytes; zeros: unknown."""
     try:
         return bytes.fromhex(_BOOT_ID.read_text(encoding="ascii").strip().replace("-", ""))[:16].ljust(16, b"\0")
     except (OSError, ValueError):

@@ -10,14 +10,14 @@ from rass_mav.errors import StoreFullError
 
 from .quota import ROW_OVERHEAD, charge
 
-#: Fates that go into the table of losses.
+#: Fates that are recorded in the table of losses.
 RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
 
 class MemoryStore:
-    """A `Store` in a dict. What is put is there for good: there is nothing to commit, so `take` returns None.
+    """A `Store` in a dict. Data are there permanently: there is nothing to commit, so `take` returns None.
 
-    The data outlive a restart of the node for as long as the object is kept.
+    The data survive a restart of the node for as long as the object is kept.
     """
 
     __slots__ = (
@@ -35,16 +35,16 @@ class MemoryStore:
         self.life = self.epoch = epoch
         """32 bits, given when the store was created."""
         self._sequence = 0
-        # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum goes to the end.
+        # A dict keeps the order of insertion: the order of arrival, as long as a replaced datum is moved to the end.
         self._data: dict[DatumId, Datum] = {}
         self._apart: dict[tuple[DatumId, int], Datum] = {}
         self._struck: set[DatumId] = set()
-        """What may not fit its checksum: bytes in memory change by `flip_bit` only."""
+        """Data that may not match their checksum: only `flip_bit` changes bytes in memory."""
         self._losses: dict[DatumId, Fate] = {}
         self._counters: dict[str, int] = {}
         self._meta: dict[str, int] = {}
         self._quota = quota_bytes
-        self._used = 0  # kept only under a quota: without one, nobody asks at every put
+        self._used = 0  # counted only under a quota: without one, not every put has to ask
 
     @property
     def used_bytes(self) -> int:
@@ -54,7 +54,7 @@ class MemoryStore:
 
     @property
     def given(self) -> int:
-        """How many numbers of this epoch have been given."""
+        """How many numbers of this epoch have been assigned."""
         return self._sequence
 
     def next_sequence(self) -> int:
@@ -83,7 +83,7 @@ class MemoryStore:
         data[id] = datum
 
     def keep_apart(self, datum: Datum) -> bool:
-        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no room."""
+        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no space."""
         id, size = datum.id, len(datum.payload)
         stored = self._data.get(id)
         if (id, datum.crc) in self._apart or (stored is not None and stored.crc == datum.crc):
@@ -97,11 +97,11 @@ class MemoryStore:
         return True
 
     def apart(self) -> Iterable[StoredInfo]:
-        """What is kept apart: a list, safe to keep while the store changes."""
+        """The second contents: a list, safe to keep while the store changes."""
         return list(map(info_of, self._apart.values()))
 
     def get_apart(self, id: DatumId, crc: int) -> Datum | None:
-        """One content that is kept apart, or None."""
+        """One second content, or None."""
         return self._apart.get((id, crc))
 
     def get(self, id: DatumId) -> Datum | None:
@@ -109,16 +109,16 @@ class MemoryStore:
         return self._data.get(id)
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
-        """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
+        """The ids, among some stored data, whose bytes no longer match their checksum, in the same order."""
         struck = self._struck
         return [id for id in ids if id in struck and not self._data[id].intact] if struck else []
 
     def durable(self, id: DatumId) -> bool:
-        """Always: what is here outlives a restart of the node."""
+        """Always: the content survives a restart of the node."""
         return True
 
     def remove(self, id: DatumId, fate: Fate) -> None:
-        """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""
+        """Forget a datum; record the loss if it was corrupted or expired. Unknown ids are ignored."""
         datum = self._data.pop(id, None)
         if datum is None:
             return
@@ -129,15 +129,15 @@ class MemoryStore:
             self._losses.setdefault(id, fate)
 
     def lose(self, id: DatumId, fate: Fate) -> None:
-        """Note a loss elsewhere. The first fate that is noted for an id stays."""
+        """Record a loss elsewhere. The first fate recorded for an id stays."""
         self._losses.setdefault(id, fate)
 
     def found(self, id: DatumId) -> None:
-        """Take an entry out of the table of losses. Unknown ids are ignored."""
+        """Remove an entry from the table of losses. Unknown ids are ignored."""
         self._losses.pop(id, None)
 
     def flip_bit(self, id: DatumId, bit: int) -> None:
-        """Radiation: flip one bit of a stored payload and leave its checksum as it was.
+        """Radiation: flip one bit of a stored payload and leave its checksum unchanged.
 
         `bit`: 0 .. 8 * size - 1; bit 0 is the least significant bit of the first byte. Raises KeyError if `id` is not
         held and IndexError for a bit that the payload does not have.
@@ -165,7 +165,7 @@ class MemoryStore:
             yield StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
 
     def mark_at_least(self) -> None:
-        """Every datum that is stored now is at least as old as it says."""
+        """Every datum that is stored now is at least as old as recorded."""
         self._data = {id: datum._replace(at_least=True) for id, datum in self._data.items()}
         self._apart = {key: datum._replace(at_least=True) for key, datum in self._apart.items()}
 
@@ -186,7 +186,7 @@ class MemoryStore:
         self._meta[key] = value
 
     def meta_durable(self, key: str) -> bool:
-        """Always: what is here outlives a restart of the node."""
+        """Always: the content survives a restart of the node."""
         return True
 
     def take(self, *, force: bool = False) -> object | None:
@@ -194,11 +194,11 @@ class MemoryStore:
         return None
 
     def roll_back(self) -> None:
-        """Nothing: what was put is there for good."""
+        """Does nothing: data are there permanently."""
 
     def write(self, batch: object) -> None:
-        """Never called, since `take` hands out nothing; RuntimeError if it is."""
-        raise RuntimeError("a MemoryStore hands out no batches")
+        """Never called, since `take` returns nothing; RuntimeError if it is."""
+        raise RuntimeError("a MemoryStore has no batches")
 
     def close(self) -> None:
         """Nothing to release."""

@@ -1,7 +1,7 @@
-"""Opening a store file: whose it is, whether it is sound, what it may have lost, and what to do then.
+"""Opening a store file: which node owns it, whether it is sound, what it may have lost, and what to do then.
 
-A file that is no sound store of ours is never deleted or overwritten: what it still holds is salvaged into a new store,
-and it is set aside as `node.db.damaged-1`.
+A file that is not a sound store of ours is never deleted or overwritten. What it still holds is salvaged into a new
+store, and it is set aside as `node.db.damaged-1`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
 class Opening(NamedTuple):
-    """How a store is to be opened."""
+    """How to open a store."""
 
     path: Path
     node_id: int
@@ -59,7 +59,8 @@ class Opening(NamedTuple):
     check_limit: int
 
     def prepare(self) -> tuple[OpenReport, Repairs]:
-        """See to it that there is a store, and no damage that can be found beforehand but what is to be repaired.
+        """Ensure that there is a store, and no damage that can be found beforehand except what the returned repairs
+        fix.
 
         The caller holds the lock.
         """
@@ -71,7 +72,7 @@ class Opening(NamedTuple):
                 if not path.is_file():
                     raise StoreError(f"{path}: not a file")
                 if not os.access(path, os.W_OK):
-                    # SQLite would open it all the same, and fail at the first commit.
+                    # SQLite would still open it, and fail at the first commit.
                     mounted_so = os.statvfs(path).f_flag & os.ST_RDONLY
                     code = errno.EROFS if mounted_so else errno.EACCES
                     raise OSError(code, os.strerror(code))
@@ -91,7 +92,7 @@ class Opening(NamedTuple):
         return OpenReport(), repairs
 
     def begin_anew(self, damage: str) -> OpenReport:
-        """Make a new store of what a damaged one still holds, and set that aside. The caller has no connection."""
+        """Create a new store from what a damaged one still holds, and set that aside. The caller has no connection."""
         path = self.path
         with explained(path, "setting a damaged store aside"):
             mark = read_mark(beside(path, MARK))
@@ -114,29 +115,29 @@ class Opening(NamedTuple):
         )  # fmt: skip
 
     def _convert(self, aside: Path) -> OpenReport:
-        with explained(self.path, "converting the store of the last version"):
+        with explained(self.path, "converting the store of the previous version"):
             return convert(self.path, aside, self.draw_epoch, self.node_id, self.vfs)
 
     def _find_remains(self) -> str:
-        """What is left of a store whose database is not there; empty: nothing that matters."""
+        """What is left of a store whose database is missing; empty: nothing that matters."""
         if any(beside(self.path, ending).exists() for ending in LOG_ENDINGS):
-            # Must go: SQLite would play it into the new database.
+            # It must go: SQLite would replay it into the new database.
             return "a write-ahead log without its database"
         mark = read_mark(beside(self.path, MARK))
-        return "the database is gone" if mark is not None and (mark.given or mark.rows) else ""
+        return "the database is missing" if mark is not None and (mark.given or mark.rows) else ""
 
     def _examine(self) -> tuple[str, Repairs | None]:
-        """What is wrong with the file; if it is empty, what is to be repaired. Neither: it is of the last version."""
+        """What is wrong with the file; if nothing is, the repairs. Neither: it is of the previous version."""
         path = self.path
         with path.open("rb") as file:
             header = file.read(100)
-        # Looked at before SQLite sees it: in another program's database, even opening could change something.
+        # Check before SQLite sees it: in another program's database, even opening could change something.
         if len(header) < 100 or not header.startswith(_SQLITE_MAGIC):
             return "not a database", None
         if int.from_bytes(header[68:72], "big") != APPLICATION_ID:
             return "another program's database", None
         if header[18:20] != b"\x02\x02":
-            # SQLite would ignore the log then, or refuse to write.
+            # SQLite would then ignore the log, or refuse to write.
             return "not in write-ahead mode", None
         size = sum(file.stat().st_size for file in (path, beside(path, LOG_ENDINGS[0])) if file.exists())
         thorough = self.suspect or size <= self.check_limit
@@ -164,7 +165,7 @@ class Opening(NamedTuple):
             return str(error.__cause__), None
 
     def _compare(self, meta: dict[str, int], repairs: Repairs) -> None:
-        """Find out whether the store is what it was when it was last heard of; if not, a new epoch is due."""
+        """Compare the store with its mark. If it is not in the state that the mark records, a new epoch is due."""
         path = self.path
         mark = read_mark(beside(path, MARK))
         known = {name: meta[name] for name in (LIFE, EPOCH, NEXT_SEQUENCE, WRITTEN) if meta.get(name, -1) >= 0}
@@ -203,11 +204,11 @@ class Opening(NamedTuple):
 
 
 def version_of(connection: sqlite3.Connection, path: Path) -> int:
-    """The version of a store. `StoreError`: a later version of this program made it; `Unsound`: none did."""
+    """The version of a store. `StoreError`: a later version of this program created it; `Unsound`: no version did."""
     version = int(connection.execute("PRAGMA user_version").fetchall()[0][0])
     if version > SCHEMA_VERSION:
-        # Not damage: whoever went back to an older program wants these data, so we refuse to start without them.
-        raise StoreError(f"{path}: made by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
+        # Not damage: a person who went back to an older program wants these data, so we refuse to start without them.
+        raise StoreError(f"{path}: created by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
     if version not in (OLD_VERSION, SCHEMA_VERSION):
         raise Unsound(f"schema version {version}")
     return version
@@ -215,18 +216,18 @@ def version_of(connection: sqlite3.Connection, path: Path) -> int:
 
 def check_structure(connection: sqlite3.Connection) -> None:
     """Check the structure of the whole database, and its indexes. Takes time in proportion to its size."""
-    # It ends at the first fault, and a value that breaks a CHECK or NOT NULL is one: those are repaired.
+    # It ends at the first fault, and a value that violates CHECK or NOT NULL is one: those are repaired.
     for (verdict,) in connection.execute("PRAGMA integrity_check(1000)").fetchall():
         verdict = str(verdict)
         if "unable to get the page" in verdict or "failed to get page" in verdict:
-            # It takes a page that the disk does not give for a damaged one.
+            # It treats a page that the disk does not return as damaged.
             raise OSError(errno.EIO, verdict)
         if verdict != "ok" and not verdict.startswith(("CHECK constraint failed", "NULL value in")):
             raise Unsound(verdict)
 
 
 def _disagreement(path: Path, own: OwnNumbers, mark: Mark | None) -> str:
-    """Why numbers may have been given, or data taken, that the database does not know; empty: none have."""
+    """Why numbers may have been assigned, or data accepted, that the database does not know; empty: none have."""
     if mark is None:
         return "no high-water mark, or a damaged one"
     if (mark.life, mark.epoch) != (own.life, own.epoch):

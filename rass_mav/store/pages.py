@@ -1,7 +1,7 @@
 """Rows on the pages of a SQLite database, read without SQLite (sqlite.org/fileformat2.html, sections 1.6 and 2.1).
 
-For a database that SQLite refuses: one page that is beyond repair must not take the others with it. Everything read
-here may be anything, so nothing is taken for a row but by its checksum, which is the caller's to look at.
+For a database that SQLite refuses: one page that is beyond repair must not take the others with it. What is read here
+may be anything. So only its checksum makes it a row, which the caller has to check.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ from typing import Any
 TABLE_LEAF = 0x0D
 _INDEX_LEAF = 0x0A
 _INDEX_INTERIOR = 0x02
-#: Longer records are none of ours, bytes.
+#: Longer records cannot be ours, bytes.
 _MAX_RECORD = (1 << 20) + 4096
 _INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
 
 
 def rows_on(page: bytes, number: int, fetch: Callable[[int], bytes | None]) -> Iterator[tuple[int, tuple[Any, ...]]]:
-    """The rows of one page: rowid (0 in a table without) and columns, texts as bytes. What does not parse is left out.
+    """The rows of one page: rowid (0 in a table without) and columns, texts as bytes. Rows that do not parse are left
+    out.
 
-    `number`: of the page, from 1. `fetch`: gives the page of a number, for rows that do not fit one.
+    `number`: of the page, from 1. `fetch`: returns the page with a number, for rows that do not fit one.
     """
     start = 100 if number == 1 else 0
     kind = page[start]
@@ -43,7 +44,7 @@ def rows_on(page: bytes, number: int, fetch: Callable[[int], bytes | None]) -> I
 
 
 def free_pages(first: bytes, fetch: Callable[[int], bytes | None]) -> set[int] | None:
-    """The numbers of the pages that are in use for nothing; None: that cannot be told. `first`: page 1."""
+    """The numbers of the unused pages; None: they cannot be determined. `first`: page 1."""
     trunk, count = struct.unpack_from(">II", first, 32)
     free: set[int] = set()
     while trunk:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rass_mav.errors import StoreFullError
 
-#: Bytes that a stored datum costs beside its payload: its row and its entry in the index, about 70 bytes in a SQLite
+#: Bytes that a stored datum takes besides its payload: its row and its entry in the index, about 70 bytes in a SQLite
 #: file, rounded up for pages that are not quite full.
 ROW_OVERHEAD = 96
 

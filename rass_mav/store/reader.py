@@ -1,4 +1,4 @@
-"""Looking into a store from outside: for status, exports and tests, also while a node is using it."""
+"""Reading a store from outside: for status, exports and tests, also while a node is using it."""
 
 from __future__ import annotations
 
@@ -19,26 +19,25 @@ from .opening import version_of
 class SqliteReader:
     """What was durable in a store at the moment of opening, however it changes meanwhile.
 
-    Needs no lock, and changes nothing in the data. While it is open the node cannot shorten its write-ahead log, so
-    close it soon.
+    Needs no lock, and changes no data. While it is open the node cannot shorten its write-ahead log, so close it soon.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one."""
         self._path = checked_path(path)
         with explained(self._path, "opening the store to read"):
-            # A card mounted read-only, or another user's store at rest: SQLite could not make the index of a log there,
-            # and without a log it needs none.
+            # A card mounted read-only, or another user's store that is not in use: SQLite could not create the index of
+            # a log there, and without a log it needs none.
             folder = self._path.absolute().parent
             at_rest = not os.access(folder, os.W_OK) and not beside(self._path, LOG_ENDINGS[0]).exists()
             self._connection = connect(self._path, "ro", immutable=at_rest)
             try:
                 self._connection.execute("BEGIN")
-                # The first read fixes the moment that all the others see.
+                # The first read fixes the moment for all other reads.
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
                 if version_of(self._connection, self._path) != schema.SCHEMA_VERSION:
-                    raise StoreError(f"{self._path}: made by the last version, and not converted yet: start the node")
+                    raise StoreError(f"{self._path}: of the previous version, and not converted yet: start the node")
                 self._meta = schema.read_numbers(self._connection, "meta")
                 own = schema.read_own(self._meta)
                 self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given
@@ -67,7 +66,7 @@ class SqliteReader:
             return schema.read_datum(self._connection, id)
 
     def apart(self) -> list[Datum]:
-        """Further contents of ids, in the order of arrival."""
+        """Second contents of ids, in the order of arrival."""
         with explained(self._path, "reading a datum"):
             infos = list(schema.read_infos(self._connection, "apart"))
             data = [schema.read_datum(self._connection, info.id, info.crc) for info in infos]

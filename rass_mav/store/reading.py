@@ -1,4 +1,4 @@
-"""A store where nothing can be written: what is there is read, and that is all."""
+"""A store where nothing can be written: it is only read."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from .opening import version_of
 from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own
 
 _UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EDQUOT)
-#: With less room than this, bytes, an error of the disk is a want of room: SQLite needs as much for the log's index.
+#: With less free space than this, bytes, a disk error means lack of space: SQLite needs as much for the log's index.
 _NO_ROOM = 64 << 10
 
 
 def why_unwritable(error: StoreError, path: Path) -> str:
-    """Why nothing can be written, if that is what an error of opening says; else empty."""
+    """Why nothing can be written, if an error of opening means that; else empty."""
     cause = error.__cause__
     if isinstance(error, StoreFullError):
         return "disk full"
     if isinstance(cause, OSError) and cause.errno in _UNWRITABLE:
         return "disk full" if cause.errno in (errno.ENOSPC, errno.EDQUOT) else os.strerror(cause.errno).lower()
     if isinstance(cause, sqlite3.Error):
-        # A database that is there cannot be opened: SQLite cannot make a log beside it.
+        # An existing database cannot be opened: SQLite cannot create a log beside it.
         if "readonly" in str(cause) or ("unable to open" in str(cause) and path.exists()):
             return "read-only"
         if not isinstance(error, StoreDamagedError) and _room(path) < _NO_ROOM:
@@ -41,13 +41,13 @@ def why_unwritable(error: StoreError, path: Path) -> str:
 def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> sqlite3.Connection:
     """A connection that changes nothing, to the store at `path`; to an empty one in memory if there is none.
 
-    `StoreError`: it cannot be read, or is another version's, which would have to be converted.
+    `StoreError`: it cannot be read, or it is of another version and would have to be converted.
     """
     if path.exists():
         try:
             return _opened(path, vfs)
         except StoreDamagedError:
-            pass  # it stays where it is; without room there is no salvaging it
+            pass  # it stays where it is; without space it cannot be salvaged
     connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
     epoch = draw(draw_epoch)
     create_tables(connection, draw(draw_epoch, epoch), epoch)
@@ -56,7 +56,7 @@ def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> 
 
 def _opened(path: Path, vfs: str | None) -> sqlite3.Connection:
     with explained(path, "opening the store to read"):
-        # Without a log there is nothing to miss; with one, SQLite makes its index beside it, or else in memory.
+        # Without a log nothing is missing; with one, SQLite creates its index beside it, or else in memory.
         log = beside(path, LOG_ENDINGS[0])
         if not log.exists() or not log.stat().st_size:
             return _checked(path, connect(path, "ro", vfs=vfs, immutable=True))
@@ -65,19 +65,19 @@ def _opened(path: Path, vfs: str | None) -> sqlite3.Connection:
         except sqlite3.OperationalError:
             if vfs is not None:
                 raise
-            # Nobody else can write either, so no locks are needed.
+            # No other process can write either, so no locks are needed.
             connection = connect(path, "ro", vfs="unix-none")
             connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
             return _checked(path, connection)
 
 
 def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
-    """The connection, if all that is read at the start can be read; else it is closed."""
+    """The connection, if everything that is read at the start can be read; otherwise it is closed."""
     try:
         if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
             raise Unsound("another program's database")
         if version_of(connection, path) == OLD_VERSION:
-            raise StoreError(f"{path}: made by the last version, and cannot be converted where nothing can be written")
+            raise StoreError(f"{path}: of the previous version, and cannot be converted where nothing can be written")
         for table in ("datum", "apart"):
             for _ in read_infos(connection, table):
                 pass

@@ -1,4 +1,4 @@
-"""What has to be put right in a store whose structure is sound: single damaged rows, and an end that lost something."""
+"""Repairs in a store whose structure is sound: single damaged rows, and an end that lost something."""
 
 from __future__ import annotations
 
@@ -27,24 +27,25 @@ _U32 = (1 << 32) - 1
 
 @dataclass
 class Repairs:
-    """What opening found, to be put right in one transaction before the store is used."""
+    """What opening found, to be repaired in one transaction before the store is used."""
 
     rows: list[tuple[str, tuple[Any, ...]]] = field(default_factory=list)
-    """Table, and arrival and id of a row of data that does not hold what it should."""
+    """Table, and arrival and id of a row of data with wrong content."""
     numbers: list[tuple[str, bytes]] = field(default_factory=list)
-    """Table, and name of a number that does not fit its complement."""
+    """Table, and name of a number that does not match its complement."""
     losses: list[tuple[Any, ...]] = field(default_factory=list)
-    """Ids of losses that do not fit their checksum."""
+    """Ids of losses that do not match their checksum."""
     own: OwnNumbers | None = None
-    """The store's own numbers, if they are other ones from now on."""
+    """The store's own numbers, if they change."""
     closed: dict[int, int] = field(default_factory=dict)
-    """Epochs that end, each with the numbers known to be given."""
+    """Epochs that end, each with the numbers known to be assigned."""
     log: list[Datum] = field(default_factory=list)
-    """Data that stood in a part of the log that SQLite did not go by."""
+    """Data from a part of the log that SQLite did not use."""
     missing: int = 0
-    """Rows that were written and are not there, at most, before those of the `log` are found."""
+    """The most rows that were written and are missing, before those of the `log` are found."""
     held: int | None = None
-    """Rows that were held in the end, at most: no more can be lost, for what was passed on is not. None: unknown."""
+    """The most rows that were held in the end. No more can be lost, because data that were passed on are not lost.
+    None: unknown."""
     reason: str = ""
 
     def __bool__(self) -> bool:
@@ -52,7 +53,7 @@ class Repairs:
 
 
 def find_unsound(connection: sqlite3.Connection, repairs: Repairs, *, rows: bool) -> None:
-    """Note what does not hold what it should. `rows`: look at every row of data, which takes time."""
+    """Note rows and numbers with wrong content. `rows`: check every row of data, which takes time."""
     for table in ("meta", "counter"):
         repairs.numbers += [(table, name) for name in sound_numbers(connection, table)[1]]
     repairs.losses = sound_losses(connection)[1]
@@ -62,7 +63,7 @@ def find_unsound(connection: sqlite3.Connection, repairs: Repairs, *, rows: bool
 
 
 def apply(connection: sqlite3.Connection, repairs: Repairs, own: OwnNumbers, node_id: int) -> OpenReport:
-    """Put it right. `own`: the store's own numbers as they were, or as they are from now on."""
+    """Carry out the repairs. `own`: the store's own numbers, the former or the new ones."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         report = _apply(connection, repairs, own, node_id)
@@ -113,11 +114,11 @@ def close_epochs(
     connection: sqlite3.Connection, own: OwnNumbers, node_id: int, closed: dict[int, int], lost: int,
     losses: list[tuple[DatumId, Fate]] | None = None,
 ) -> OwnNumbers:  # fmt: skip
-    """Note losses: what ended uncleanly, and how many data went in this life. Returns the numbers as they are then."""
+    """Record losses: what ended uncleanly, and how many data were lost in this life. Returns the resulting numbers."""
     losses = losses or []
     losses += [(DatumId(node_id, epoch, min(given, _U32)), Fate.UNKNOWN) for epoch, given in closed.items()]
     if lost:
-        # The sum of this life, so that each word says more than the last one.
+        # The sum for this life, so that each report includes the earlier ones.
         own = own._replace(lost=own.lost + lost)
         losses.append((DatumId(node_id, own.life, min(own.lost, _U32)), Fate.DAMAGED))
     connection.executemany(INSERT_LOSS, [loss_row(id, fate) for id, fate in losses])

@@ -1,4 +1,4 @@
-"""What opening a store found, and how it is said to people."""
+"""What opening a store found, and the texts that report it to people."""
 
 from __future__ import annotations
 
@@ -10,34 +10,36 @@ class OpenReport(NamedTuple):
     """What opening a store found."""
 
     created: bool = False
-    """A new store was made, with a new life and a new epoch."""
+    """A new store was created, with a new life and a new epoch."""
     set_aside: Path | None = None
-    """Where the damaged file lies that was found in its place."""
+    """Where the damaged file is that was found in its place."""
     reason: str = ""
-    """What was wrong with it, or why the epoch is new; empty if nothing was."""
+    """What was wrong with it, or why the epoch is new; empty if nothing was wrong."""
     converted: Path | None = None
-    """Where the store of the last version lies that this one was made of."""
+    """Where the store of the previous version is from which this one was created."""
     closed: tuple[tuple[int, int], ...] = ()
-    """Epochs that ended, each with how many of its numbers are known to be given; more may have been."""
+    """Epochs that ended, each with how many of its numbers are known to be assigned; more may have been."""
     salvaged: int = 0
-    """Data that were found in what is damaged, and are in the store."""
+    """Data that were found in the damaged file, and are in the store now."""
     lost: int = 0
-    """Data that are not there any more, at most."""
+    """The most data that may be lost."""
     dropped: tuple[str, ...] = ()
     """Single rows that were damaged and are left out."""
     unwritable: str = ""
-    """Why nothing can be written here: the store only tells what it holds. Empty: it can."""
+    """Why nothing can be written here: the store is only read. Empty: it can be written."""
 
     @property
     def remarks(self) -> list[str]:
-        """What people should know, a short line each."""
+        """What people should know, one short line each."""
         said = []
         if self.unwritable:
             said.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
         if self.converted is not None:
-            said.append(f"store of the last version converted, the old one is {self.converted.name}")
+            said.append(f"store of the previous version converted, the old one is {self.converted.name}")
         if self.set_aside is not None:
-            said.append(f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, began anew")
+            said.append(
+                f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store made"
+            )
         elif self.salvaged:
             said.append(f"{self.salvaged} data salvaged from a damaged log")
         if self.lost:

@@ -1,7 +1,7 @@
-"""What a damaged store still holds: every datum and every loss whose checksum fits, wherever it stands.
+"""What a damaged store still holds: every datum and every loss whose checksum matches, wherever it is.
 
-Pages that are in use come first, each as the log has it last. If rows are missing then, older states of pages and pages
-that are free are looked through too. So data that were passed on long ago may come back: custody is at-least-once.
+Pages in use come first, each as the log has it last. If rows are then missing, older states of pages and free pages are
+searched too. So data that were passed on long ago may come back: custody is at-least-once.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .schema import (
     sound_loss,
 )  # fmt: skip
 
-#: No row takes less room, bytes: it bounds how many there can have been.
+#: No row takes less space, bytes: this bounds how many there can have been.
 MIN_ROW_BYTES = 32
 _INSERT_AS_IT_CAME = (
     "INSERT INTO datum (arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload) "
@@ -39,14 +39,14 @@ _INSERT_AS_IT_CAME = (
 
 
 class Salvaged(NamedTuple):
-    """What was taken over, and what is known of the rest."""
+    """What was salvaged, and what is known of the rest."""
 
     data: int
-    """Data and contents kept apart that are in the new store now."""
+    """Data and second contents that are in the new store now."""
     epochs: dict[int, int]
-    """Own epochs that may not be whole, with the numbers of each that are known to be given."""
+    """Own epochs that may be incomplete, with the numbers of each that are known to be assigned."""
     lost: int
-    """Data and losses that are not there any more, at most."""
+    """The most data and losses that may be gone."""
 
 
 class _Source:
@@ -59,7 +59,7 @@ class _Source:
         header = b"" if database is None else os.pread(database, 20, 0)
         named = int.from_bytes(header[16:18], "big")
         named = 65536 if named == 1 else named
-        # A page size that is none is damaged itself.
+        # An invalid page size is damaged itself.
         self.page_bytes = log.page_bytes or (named if named in [1 << bits for bits in range(9, 17)] else 4096)
         self.size = sum(os.fstat(file).st_size for file in self._files if file is not None)
         self.pages = 0 if database is None else os.fstat(database).st_size // self.page_bytes
@@ -67,23 +67,23 @@ class _Source:
         self._newest = {frame.page: frame.at for frame in frames if frame.sound}
 
     def fetch(self, number: int) -> bytes | None:
-        """A page as it was last; None: there is none."""
+        """The latest state of a page; None: there is none."""
         at = self._newest.get(number)
         return self._read(0, (number - 1) * self.page_bytes) if at is None else self._read(1, at)
 
     def state(self, frame: LogFrame) -> bytes | None:
-        """A page as a frame of the log has it."""
+        """A page as a frame of the log contains it."""
         return self._read(1, frame.at)
 
     def newest(self) -> Iterator[tuple[int, bytes]]:
-        """Each page as it was last."""
+        """The latest state of each page."""
         for number in sorted(self._newest.keys() | set(range(1, self.pages + 1))):
             page = self.fetch(number)
             if page is not None:
                 yield number, page
 
     def all(self) -> Iterator[tuple[int, bytes]]:
-        """Every state of every page that there is, the broken frames of the log too, the latest first."""
+        """Every existing state of every page, the broken frames of the log too, the latest first."""
         for frame in reversed(self.log.frames):
             page = self.state(frame)
             if page is not None:
@@ -107,14 +107,14 @@ class _Source:
 
 
 class _Finds:
-    """Where rows go: those that are sound, each once."""
+    """Collects the rows that are sound, each once."""
 
     def __init__(self, into: sqlite3.Connection) -> None:
         self.into = into
         self.data = 0
         self.losses = 0
         self.numbers: dict[bytes, int] = {}
-        """Of table `meta`: the first that is seen of each name is the latest."""
+        """From the table `meta`: the first value seen for each name is the latest."""
         self.last: dict[tuple[int, int], int] = {}
         """(origin, epoch) -> highest sequence number seen."""
 
@@ -145,8 +145,9 @@ class _Finds:
 
 
 def as_datum(columns: tuple[Any, ...]) -> Datum | None:
-    """A row of data, as this version or the last one wrote it; None: it is none, or its checksum does not fit."""
-    # The last version knew no at_least.
+    """A row of data, as this version or the previous one wrote it; None: it is not one, or its checksum does not
+    match."""
+    # The previous version had no at_least.
     _, origin, epoch, sequence, kind, created, hops, crc, size, *at_least, payload = columns
     numbers = (origin, epoch, sequence, kind, hops, crc, size, *at_least)
     if any(type(number) is not int or number < 0 for number in numbers) or type(payload) is not bytes:
@@ -166,7 +167,7 @@ def as_datum(columns: tuple[Any, ...]) -> Datum | None:
 
 
 def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connection) -> Salvaged:
-    """Take over what the damaged store at `path` holds. `into`: a new store, in a transaction. `OSError`."""
+    """Salvage what the damaged store at `path` holds. `into`: a new store, in a transaction. `OSError`."""
     log = read_log(beside(path, LOG_ENDINGS[0]))
     source = _Source(path, log)
     try:
@@ -177,7 +178,7 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
             if free is None or number not in free:
                 for rowid, columns in rows_on(page, number, source.fetch):
                     finds.take(rowid, columns)
-        # What is known to be the last state; older rows cannot be told from those that are missing otherwise.
+        # Known to be the latest state; older rows cannot be distinguished from rows that are missing otherwise.
         live = finds.data + finds.losses
         written = finds.numbers.get(WRITTEN.encode())
         if mark is not None and finds.numbers.get(LIFE.encode(), mark.life) != mark.life:
@@ -199,7 +200,7 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
 
 
 def salvage_log(path: Path) -> list[Datum]:
-    """The data in the part of the log that SQLite does not go by any more. `OSError`."""
+    """The data in the part of the log that SQLite no longer uses. `OSError`."""
     log = read_log(beside(path, LOG_ENDINGS[0]))
     source = _Source(path, log)
     try:

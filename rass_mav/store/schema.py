@@ -1,9 +1,9 @@
 """The tables of a store on disk, and how their rows are read.
 
-Radiation flips bits on the way to the disk and back. SQLite notices a broken structure, not a changed value. So the
-payloads have their CRC, and so have losses; the numbers in `meta` and `counter` are stored with their bitwise
-complement (a sequence number that fell back would be used twice), and every column of a row is checked for its type
-when it is read. What does not fit raises `Unsound`, which `explained` turns into `StoreDamagedError`.
+Radiation flips bits on the way to the disk and back. SQLite detects a broken structure, but not a changed value. So
+payloads and losses have a CRC. The numbers in `meta` and `counter` are stored with their bitwise complement (a sequence
+number that fell back would be used twice), and every column of a row is checked for its type when it is read. Wrong
+content raises `Unsound`, which `explained` turns into `StoreDamagedError`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rass_mav.core.store import StoredInfo
 
 from .errors import Unsound
 
-#: `PRAGMA application_id`: "RASS" in ASCII. Tells our files from other programs' databases.
+#: `PRAGMA application_id`: "RASS" in ASCII. Distinguishes our files from other programs' databases.
 APPLICATION_ID = 0x52415353
 #: `PRAGMA user_version`: the version of the tables below.
 SCHEMA_VERSION = 2
@@ -46,8 +46,8 @@ _DATA = (
     f"UNIQUE ({{}}), CHECK ({_SOUND_ROW}))"
 )
 
-#: Name -> the statement that makes the table; SQLite keeps the text as it is, so that it can be compared.
-#: Of data the payload stands last, so that the rest can be read without the pages that it overflows into.
+#: Name -> the statement that creates the table; SQLite keeps the text unchanged, so that it can be compared. The
+#: payload of a datum comes last, so that the rest can be read without its overflow pages.
 TABLES = {
     "meta": _NUMBERS.format("meta"),
     "counter": _NUMBERS.format("counter"),
@@ -62,7 +62,7 @@ TABLES = {
 _COLUMNS = "origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload"
 INSERT_DATUM = f"INSERT OR REPLACE INTO datum ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 INSERT_APART = f"INSERT OR IGNORE INTO apart ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
-#: As long as the row was, so it is written over where it stands.
+#: As long as the row was, so that it is overwritten in place.
 MARK_AT_LEAST = tuple(f"UPDATE {table} SET at_least = 1 WHERE at_least = 0" for table in ("datum", "apart"))
 DELETE_DATUM = "DELETE FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
 DELETE_LOSS = "DELETE FROM loss WHERE origin = ? AND epoch = ? AND sequence = ?"
@@ -78,7 +78,7 @@ _SELECT_INFOS = (
     "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least FROM {} "
     "WHERE arrival > ? ORDER BY arrival LIMIT 512"
 )
-# Of the columns that these select.
+# The columns that these select.
 _DATUM_TYPES = (int, float, int, int, bytes, int)
 _INFO_TYPES = (int, int, int, int, int, float, int, int, int, int)
 
@@ -89,17 +89,17 @@ class OwnNumbers(NamedTuple):
     life: int
     """32 bits."""
     epoch: int
-    """32 bits, another number than the life."""
+    """32 bits, not equal to the life."""
     given: int
-    """Numbers given in this epoch, 0 to 2^32."""
+    """Numbers assigned in this epoch, 0 to 2^32."""
     written: int
     """Rows ever written in this life."""
     lost: int
-    """Data that may have been lost in this life with a damaged store, at most."""
+    """The most data that may have been lost in this life with a damaged store."""
 
 
 def create_tables(connection: sqlite3.Connection, life: int, epoch: int) -> None:
-    """Make the tables of a new store, in one transaction."""
+    """Create the tables of a new store, in one transaction."""
     connection.execute("BEGIN IMMEDIATE")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
@@ -126,12 +126,12 @@ def read_numbers(connection: sqlite3.Connection, table: str) -> dict[str, int]:
     """All numbers in `meta` or `counter`, the store's own included."""
     numbers, unsound = sound_numbers(connection, table)
     if unsound:
-        raise Unsound(f"the number {unsound[0]!r} in table {table} does not fit its complement, or is no number")
+        raise Unsound(f"the number {unsound[0]!r} in table {table} does not match its complement, or is not a number")
     return numbers
 
 
 def sound_numbers(connection: sqlite3.Connection, table: str) -> tuple[dict[str, int], list[bytes]]:
-    """The numbers in `meta` or `counter` that fit their complement, and the names of the others as they lie there."""
+    """The numbers in `meta` or `counter` that match their complement, and the raw names of the others."""
     numbers, unsound = {}, []
     rows = connection.execute(f"SELECT CAST(name AS BLOB), value, inverse FROM {table}").fetchall()
     for raw, value, inverse in rows:
@@ -172,12 +172,12 @@ def loss_row(id: DatumId, fate: Fate) -> tuple[Any, ...]:
 
 
 def loss_crc(id: Iterable[int], fate: str) -> int:
-    """What a row of the table of losses must fit."""
+    """The checksum of a row of the table of losses."""
     return crc32(fate.encode(), crc32(struct.pack("<3q", *id)))
 
 
 def unsound_rows(connection: sqlite3.Connection, table: str = "datum") -> list[tuple[Any, ...]]:
-    """Of all rows of data that do not hold what they should: arrival, and the three parts of the id."""
+    """The rows of data with wrong content: arrival, and the three parts of the id."""
     # On a read-only connection integrity_check does not look at CHECK constraints.
     return connection.execute(
         f"SELECT arrival, origin, epoch, sequence FROM {table} WHERE ({_SOUND_ROW}) IS NOT 1"
@@ -185,7 +185,7 @@ def unsound_rows(connection: sqlite3.Connection, table: str = "datum") -> list[t
 
 
 def read_datum(connection: sqlite3.Connection, id: DatumId, apart_crc: int | None = None) -> Datum | None:
-    """One datum by its id; or one that is kept apart, by its CRC too."""
+    """One datum by its id; or a second content, by its CRC too."""
     # fetchall, not fetchone: a statement that is not run to its end keeps a read transaction open.
     if apart_crc is None:
         rows = connection.execute(_SELECT_DATUM, id).fetchall()
@@ -194,15 +194,15 @@ def read_datum(connection: sqlite3.Connection, id: DatumId, apart_crc: int | Non
     if not rows:
         return None
     if tuple(map(type, rows[0])) != _DATUM_TYPES:
-        raise Unsound(f"the row of datum {id} holds values of a wrong type")
+        raise Unsound(f"the row of datum {id} has values of a wrong type")
     kind, created, hops, crc, payload, at_least = rows[0]
     return Datum(id, kind, created, hops, crc, payload, bool(at_least))
 
 
 def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator[StoredInfo]:
-    """All data (or all that is kept `apart`) without their payloads, in the order of arrival.
+    """All data (or all second contents, `apart`) without their payloads, in the order of arrival.
 
-    Reads page by page, so that no read transaction stays open between two of them: a row that is written or deleted
+    Reads page by page, so that no read transaction stays open between two pages: a row that is written or deleted
     meanwhile may be seen or not.
     """
     after = -1
@@ -210,7 +210,7 @@ def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator
         rows = connection.execute(_SELECT_INFOS.format(table), (after,)).fetchall()
         for row in rows:
             if tuple(map(type, row)) != _INFO_TYPES:
-                raise Unsound(f"row {row[0]} of table {table} holds values of a wrong type")
+                raise Unsound(f"row {row[0]} of table {table} has values of a wrong type")
             _, origin, epoch, sequence, kind, created, hops, crc, size, at_least = row
             yield StoredInfo(DatumId(origin, epoch, sequence), kind, created, hops, crc, size, bool(at_least))
         if not rows:
@@ -224,15 +224,15 @@ def read_losses(connection: sqlite3.Connection) -> dict[DatumId, Fate]:
     """The table of losses."""
     losses, unsound = sound_losses(connection)
     if unsound:
-        raise Unsound(f"{len(unsound)} rows of table loss do not fit their checksum")
+        raise Unsound(f"{len(unsound)} rows of table loss do not match their checksum")
     return losses
 
 
 def sound_losses(connection: sqlite3.Connection) -> tuple[dict[DatumId, Fate], list[tuple[Any, ...]]]:
-    """The losses that fit their checksum, and the ids of the other rows, whatever stands there."""
+    """The losses that match their checksum, and the ids of the other rows, whatever they contain."""
     losses: dict[DatumId, Fate] = {}
     unsound = []
-    # As a blob, for it may not be UTF-8 any more.
+    # As a blob, because it may no longer be UTF-8.
     rows = connection.execute("SELECT origin, epoch, sequence, CAST(fate AS BLOB), crc FROM loss").fetchall()
     for origin, epoch, sequence, fate, crc in rows:
         id = (origin, epoch, sequence)
@@ -244,7 +244,7 @@ def sound_losses(connection: sqlite3.Connection) -> tuple[dict[DatumId, Fate], l
 
 
 def sound_loss(id: tuple[Any, ...], fate: Any, crc: Any) -> Fate | None:
-    """The fate that a row of the table of losses tells, with the text as bytes; None: the row is not sound."""
+    """The fate in a row of the table of losses, with the text as bytes; None: the row is not sound."""
     if type(fate) is not bytes or any(type(part) is not int for part in id):
         return None
     if any(not -(1 << 63) <= part < 1 << 63 for part in id):
@@ -254,7 +254,7 @@ def sound_loss(id: tuple[Any, ...], fate: Any, crc: Any) -> Fate | None:
 
 
 def count_rows(connection: sqlite3.Connection) -> int:
-    """Rows held: data, contents kept apart, losses."""
+    """Rows held: data, second contents, losses."""
     return int(
         connection.execute(
             "SELECT (SELECT count(*) FROM datum) + (SELECT count(*) FROM apart) + (SELECT count(*) FROM loss)"

@@ -1,8 +1,8 @@
 """The store of a real node: a SQLite file that survives power cuts.
 
-Two connections: one writes, inside `write` only and so on whichever thread the driver commits on; the other reads, on
-the thread of the store's owner. In write-ahead mode (WAL) neither waits for the other. With `synchronous = FULL` a
-commit returns when the disk has it.
+It has two connections. One writes, only inside `write` and so on the thread on which the driver commits. The other
+reads, on the thread of the store's owner. In write-ahead mode (WAL) neither waits for the other. With `synchronous =
+FULL` a commit returns when the disk has it.
 """
 
 from __future__ import annotations
@@ -31,30 +31,31 @@ from .repairs import Repairs
 from .repairs import apply as repair
 from .report import OpenReport
 
-#: Removals that wait for company before `take` hands them out alone.
+#: Removals that wait for other changes until `take` returns them alone.
 MAX_WAITING_REMOVALS = 512
-#: Bytes (payload and `ROW_OVERHEAD`) that may wait in memory for the next commit. It is reached when the disk fails or
-#: does not keep up; then `put` refuses. A batch on its way to the disk is not counted, so twice as much may wait.
+#: Bytes (payload and `ROW_OVERHEAD`) that may wait in memory for the next commit. The limit is reached when the disk
+#: fails or does not keep up; then `put` refuses. A batch that is being written is not counted, so twice as much may
+#: wait.
 MAX_BUFFERED_BYTES = 16 << 20
-#: Losses that a store which cannot be written keeps in memory.
+#: Losses that a read-only store keeps in memory.
 MAX_UNWRITTEN_LOSSES = 4096
 
 _RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
 
 class SqliteStore:
-    """A `Store` in a SQLite file. Made by `open`.
+    """A `Store` in a SQLite file. Created by `open`.
 
-    **Sequence numbers.** A number that `next_sequence` claims becomes durable in the transaction that stores the datum
-    which bears it. After a crash before that commit the number is claimed once more. This is safe, because what the
-    commit would have made durable had not been sent either: nobody has ever seen the number.
+    **Sequence numbers.** A number that `next_sequence` claims becomes durable in the transaction that stores its datum.
+    After a crash before that commit the number is claimed once more. This is safe, because nothing that the commit
+    would have made durable had been sent either: no node has ever seen the number.
 
-    **A write that fails** loses nothing: its batch stays visible to `get`, and the next `take` hands it out again,
-    together with what has changed since. The driver need only hold back its frames and try again later.
+    **A write that fails** loses nothing: its batch stays visible to `get`, and the next `take` returns it again,
+    together with what has changed since. The driver only has to hold back its frames and try again later.
 
-    **Damage** that shows while the store is in use raises `StoreDamagedError`. The way on is `abandon`, and `open` with
-    `suspect=True`, which checks the whole file: either it is sound after all, or it is set aside. What was
-    buffered is gone then, as after a crash; nobody had been told of it.
+    **Damage** that shows while the store is in use raises `StoreDamagedError`. The caller then calls `abandon`, and
+    `open` with `suspect=True`, which checks the whole file: either it is sound after all, or it is set aside. The
+    buffered changes are then lost, as after a crash; no node has heard of them.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class SqliteStore:
         report: OpenReport,
         quota_bytes: int | None,
     ) -> None:
-        """Not to be called: see `open`. `committer`: None: nothing can be written."""
+        """Not for callers: see `open`. `committer`: None: nothing can be written."""
         self._path = path
         self._lock = lock
         self._reader = reader
@@ -74,7 +75,7 @@ class SqliteStore:
         self._writing = threading.Lock()
         self._closed = False
         self.report = report
-        """What opening the store found, and what became of it."""
+        """What opening the store found, and what was done about it."""
         self._quota = quota_bytes
         self._changes = Changes()
         self._buffered = 0
@@ -83,16 +84,16 @@ class SqliteStore:
         self._load(_NOTHING)
 
     def _load(self, waiting: Changes) -> None:
-        """Take into memory what the disk has and will have: some changes are `waiting` for it."""
+        """Load into memory what the disk has and will have: some changes are `waiting` for it."""
         self._meta = schema.read_numbers(self._reader, "meta")
         own = schema.read_own(self._meta)
         self.life, self.epoch = own.life, own.epoch
-        """32 bits each. The life is drawn when the store is made; the epoch, of the ids that are given, then and
+        """32 bits each. The life is drawn when the store is created; the epoch of newly assigned ids is drawn then, and
         whenever numbers may have been lost."""
         self._meta.update(waiting.meta)
         self._sequence = own.given if waiting.sequence is None else waiting.sequence
         self._counters = {**schema.read_numbers(self._reader, "counter"), **waiting.counters}
-        # Id -> size of all that is stored, buffered changes included, in the order of arrival.
+        # Id -> size of all stored data, buffered changes included, in the order of arrival.
         self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(self._reader)}
         for id in (*waiting.removes, *waiting.puts):
             self._sizes.pop(id, None)
@@ -117,9 +118,9 @@ class SqliteStore:
         busy_timeout: float = 5.0,
         vfs: str | None = None,
     ) -> SqliteStore:
-        """Open the store at `path`, or make a new one. Blocking; up to seconds for a large file.
+        """Open the store at `path`, or create a new one. Blocking; up to seconds for a large file.
 
-        `node_id`: whose store it is; what may have been lost is noted under it.
+        `node_id`: the node that owns it; losses are recorded under it.
         `draw_epoch`: called for a life or an epoch (32 bits) when a new one is due.
         `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound.
         `file_limit`: bound of the database file in bytes, rounded down to pages; a commit beyond it fails as on a full
@@ -127,12 +128,12 @@ class SqliteStore:
         `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
         `check_limit`: size of file in bytes up to which the whole file is checked in any case.
         `busy_timeout`: seconds that a commit waits for another program that has locked the database.
-        `vfs`: SQLite's name of what it reads and writes files with, letters, digits and _ - only; None: its default.
+        `vfs`: SQLite's name of the file system layer to use, only letters, digits and _ -; None: its default.
 
-        What is damaged is repaired, or set aside under a new name and what it still holds salvaged; where nothing can
-        be written, what is there is read and nothing is taken. `report` tells. Raises `StoreError` naming the path if
-        the directory is missing, if another node uses the store, if a newer version of this program made it, or if one
-        of the last version cannot be converted.
+        Damage is repaired; or the file is set aside under a new name, and what it still holds is salvaged. Where
+        nothing can be written, the existing data are read and no new ones accepted. `report` describes it. Raises
+        `StoreError` naming the path if the directory is missing, if another node uses the store, if a newer version of
+        this program created it, or if one of the previous version cannot be converted.
         """
         path = checked_path(path)
         opening = Opening(path, node_id, draw_epoch, vfs, suspect, check_limit)
@@ -163,7 +164,7 @@ class SqliteStore:
             try:
                 return load(lock, *opening.prepare())
             except StoreDamagedError:
-                # It was not looked at closely enough.
+                # It was not checked closely enough.
                 report, repairs = opening._replace(suspect=True).prepare()
             try:
                 return load(lock, report, repairs)
@@ -193,14 +194,14 @@ class SqliteStore:
 
     @property
     def given(self) -> int:
-        """How many numbers of this epoch have been given."""
+        """How many numbers of this epoch have been assigned."""
         return self._sequence
 
     def next_sequence(self) -> int:
-        """Claim the next sequence number of this epoch; durable with the next commit. From 0, without holes."""
+        """Claim the next sequence number of this epoch; durable with the next commit. From 0, without gaps."""
         sequence = self._sequence
         if self._committer is None:
-            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}), so no number is given")
+            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}), no number is assigned")
         if sequence == 1 << 32:
             raise StoreFullError(f"{self._path}: all sequence numbers of this epoch are used up")
         self._sequence = self._changes.sequence = sequence + 1
@@ -208,7 +209,7 @@ class SqliteStore:
 
     @property
     def accepting(self) -> bool:
-        """False from a failed write until one succeeds; and where nothing can be written, for good."""
+        """False from a failed write until one succeeds; permanently where nothing can be written."""
         return self._committer is not None and not self._failing
 
     @property
@@ -219,7 +220,8 @@ class SqliteStore:
         return self._changes.urgent or self._in_flight() is not _NOTHING
 
     def room_for(self, size: int) -> bool:
-        """Whether a new datum of `size` bytes of payload fits the quota, and what may wait for a commit."""
+        """Whether a new datum of `size` bytes of payload fits the quota, and the limit of what may wait for a
+        commit."""
         if self._committer is None:
             return False
         cost = size + ROW_OVERHEAD
@@ -229,8 +231,8 @@ class SqliteStore:
     def put(self, datum: Datum) -> None:
         """Store a datum as the latest, or replace the one with its id.
 
-        Raises `StoreFullError` over the quota, when too much waits for a commit, or when nothing can be written; then
-        nothing changes.
+        Raises `StoreFullError` over the quota, when too much waits for a commit, or when nothing can be written;
+        nothing changes then.
         """
         if self._committer is None:
             raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable})")
@@ -238,7 +240,7 @@ class SqliteStore:
         old = self._sizes.get(id)
         used = charge(self.used_bytes, 0 if old is None else old + ROW_OVERHEAD, size, self._quota)
         if self._buffered + size + ROW_OVERHEAD > MAX_BUFFERED_BYTES:
-            raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, no more fit in memory")
+            raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, which is the limit")
         self._release(id)
         self._changes.put(datum, older=old is not None)
         self._sizes.pop(id, None)
@@ -247,7 +249,7 @@ class SqliteStore:
         self._buffered += size + ROW_OVERHEAD
 
     def keep_apart(self, datum: Datum) -> bool:
-        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no room."""
+        """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no space."""
         id, size = datum.id, len(datum.payload)
         stored = self.get(id)
         if (id, datum.crc) in self._apart or (stored is not None and stored.crc == datum.crc):
@@ -262,7 +264,7 @@ class SqliteStore:
         return True
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
-        """Those of some stored data whose bytes do not fit their checksum any more, in the same order."""
+        """The ids, among some stored data, whose bytes no longer match their checksum, in the same order."""
         return [id for id in ids if (datum := self.get(id)) is None or not datum.intact]
 
     def durable(self, id: DatumId) -> bool:
@@ -270,7 +272,7 @@ class SqliteStore:
         return id in self._sizes and id not in self._changes.puts and id not in self._in_flight().puts
 
     def remove(self, id: DatumId, fate: Fate) -> None:
-        """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""
+        """Forget a datum; record the loss if it was corrupted or expired. Unknown ids are ignored."""
         size = self._sizes.pop(id, None)
         if size is None:
             return
@@ -281,12 +283,12 @@ class SqliteStore:
             self.lose(id, fate)
 
     def lose(self, id: DatumId, fate: Fate) -> None:
-        """Note a loss elsewhere. The first fate that is noted for an id stays."""
+        """Record a loss elsewhere. The first fate recorded for an id stays."""
         if self._committer is not None or len(self._changes.losses) < MAX_UNWRITTEN_LOSSES:
             self._changes.lose(id, fate)
 
     def found(self, id: DatumId) -> None:
-        """Take an entry out of the table of losses; need not be durable soon. Unknown ids are ignored."""
+        """Remove an entry from the table of losses; need not be durable soon. Unknown ids are ignored."""
         self._changes.found(id)
 
     def count(self, name: str, amount: int = 1) -> None:
@@ -296,36 +298,36 @@ class SqliteStore:
     def set_meta(self, key: str, value: int) -> None:
         """Set a number that survives restarts; durable with the next commit.
 
-        `value`: 64 bits, signed. `key` must not begin with "store.": such names are the store's own.
+        `value`: 64 bits, signed. `key` must not begin with "store.": such names belong to the store itself.
         """
         if key.startswith(schema.OWN_PREFIX) or not -(1 << 63) <= value < 1 << 63:
             raise ValueError(f"{key} = {value}: a reserved name, or more than 64 bits")
         self._meta[key] = self._changes.meta[key] = value
 
     def meta_durable(self, key: str) -> bool:
-        """Whether such a number is on disk as it was set last."""
+        """Whether such a number is on disk with its latest value."""
         return key not in self._changes.meta and key not in self._in_flight().meta
 
     def _release(self, id: DatumId) -> None:
-        """Take a datum that waits in the buffer out of the count of buffered bytes."""
+        """Subtract a buffered datum from the count of buffered bytes."""
         waiting = self._changes.puts.get(id)
         if waiting is not None:
             self._buffered -= len(waiting.payload) + ROW_OVERHEAD
 
     def mark_at_least(self) -> None:
-        """Every datum that is stored now is at least as old as it says; durable with the next commit.
+        """Every datum that is stored now is at least as old as recorded; durable with the next commit.
 
-        To be called before anything is put.
+        Call it before anything is put.
         """
         self._changes.aged = True
         self._apart = {key: info._replace(at_least=True) for key, info in self._apart.items()}
 
     @property
     def _aged(self) -> bool:
-        """Whether what is read from the disk does not say yet that it is older. Asked before it is read."""
+        """Whether rows on disk do not show yet that they are older. Call it before reading them."""
         return self._changes.aged or self._in_flight().aged
 
-    # -- what is stored ------------------------------------------------------------------------------------------------
+    # -- stored data ---------------------------------------------------------------------------------------------------
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
@@ -342,11 +344,11 @@ class SqliteStore:
         return datum._replace(at_least=True) if aged else datum
 
     def apart(self) -> Iterable[StoredInfo]:
-        """What is kept apart: a list, safe to keep while the store changes."""
+        """The second contents: a list, safe to keep while the store changes."""
         return list(self._apart.values())
 
     def get_apart(self, id: DatumId, crc: int) -> Datum | None:
-        """One content that is kept apart, or None."""
+        """One second content, or None."""
         if (id, crc) not in self._apart:
             return None
         datum = self._changes.apart.get((id, crc)) or self._in_flight().apart.get((id, crc))
@@ -360,7 +362,7 @@ class SqliteStore:
     def held(self) -> Iterator[StoredInfo]:
         """What is stored, least recently stored first.
 
-        Streams from the disk, without payloads. What is put or removed while it runs may be told or not.
+        Streams from the disk, without payloads. Data that are put or removed while it runs may be included or not.
         """
         in_memory = {**self._in_flight().followed_by(self._changes).puts}
         aged = self._aged
@@ -394,8 +396,8 @@ class SqliteStore:
         return dict(self._counters)
 
     def _in_flight(self) -> Changes:
-        """The changes that were handed out and are not known to be durable. Reads of the disk come after this: what is
-        not in here any more is in the database then."""
+        """The changes that were returned by `take` and are not known to be durable. Read the disk after this: what is
+        no longer in here is then in the database."""
         if self._out is None:
             return _NOTHING
         if self._out.state is BatchState.WRITTEN:
@@ -408,10 +410,10 @@ class SqliteStore:
     def take(self, *, force: bool = False) -> Batch | None:
         """What has to be written now, or None.
 
-        Removals and counters alone wait for something that is told to others (`Changes.urgent`), unless `force` is set
-        or `MAX_WAITING_REMOVALS` removals have come together. A batch whose write has failed is handed out
-        again, together with the changes since. RuntimeError while the last batch is neither written nor given back.
-        Where nothing can be written there is never anything to write.
+        Removals and counters alone wait for changes that other nodes will hear about (`Changes.urgent`), unless `force`
+        is set or there are `MAX_WAITING_REMOVALS` removals. A batch whose write has failed is returned again, together
+        with the changes since. RuntimeError while the last batch is neither written nor restored. Where nothing can be
+        written, always None.
         """
         if self._committer is None:
             return None
@@ -430,36 +432,36 @@ class SqliteStore:
         return self._out
 
     def restore(self, batch: object) -> None:
-        """Put a batch that was not written back in front of the buffer.
+        """Put a batch that was not written back at the front of the buffer.
 
         On the thread of the store's owner. Needed only if `write` was never called for it: after a failed write, `take`
         does it.
         """
         out = self._checked(batch)
         if out.state not in (BatchState.TAKEN, BatchState.FAILED):
-            raise RuntimeError(f"a batch that is {out.state.value} cannot be given back")
+            raise RuntimeError(f"a batch that is {out.state.value} cannot be restored")
         self._changes = out.changes.followed_by(self._changes)
         self._buffered = self._changes.bytes
         self._out = None
 
     def roll_back(self) -> None:
-        """Forget what has changed since the last `take`; what that handed out stays, however far it has come.
+        """Forget what has changed since the last `take`; what that returned stays, however far it has come.
 
-        Reads what is stored anew, as `open` does; raises `StoreError` if that cannot be read.
+        Reads the stored data again, as `open` does; raises `StoreError` if they cannot be read.
         """
-        # Before the disk is read: what is written meanwhile is the same, and said in absolute values.
+        # Before reading the disk: what is written meanwhile is the same, in absolute values.
         waiting = self._in_flight()
-        # That the data may be older than they say was known before anything changed.
+        # That the data may be older than recorded was known before anything changed.
         self._changes = Changes(aged=self._changes.aged)
         self._buffered = 0
-        with explained(self._path, "reading what is stored"):
+        with explained(self._path, "reading the stored data"):
             self._load(waiting)
 
     def write(self, batch: object) -> None:
         """Make a batch durable: one transaction, one fsync. Blocking; on any thread, one call at a time.
 
         Raises `StoreFullError` on a full disk, `StoreDamagedError` for a damaged database, `StoreError` for other
-        trouble. The batch is not lost then, and may be given to `write` once more, or left to the next `take`.
+        trouble. The batch is not lost then. Pass it to `write` again, or leave it to the next `take`.
         """
         with self._writing:
             out = self._checked(batch)
@@ -483,10 +485,10 @@ class SqliteStore:
             raise RuntimeError("not the batch that was taken last")
         return out
 
-    # -- the end -------------------------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Write what is buffered and release the files, also if writing fails. Waits for a write in flight."""
+        """Write buffered changes and release the files, also if writing fails. Waits for a write in flight."""
         if self._closed:
             return
         clean = False
@@ -503,7 +505,7 @@ class SqliteStore:
             self._release_files(clean=clean)
 
     def abandon(self) -> None:
-        """Release the files and forget what is buffered, as a crash would. Waits for a write in flight."""
+        """Release the files and forget buffered changes, as a crash would. Waits for a write in flight."""
         self._release_files(clean=False)
 
     def _release_files(self, *, clean: bool) -> None:
@@ -511,7 +513,7 @@ class SqliteStore:
             return
         self._closed = True
         with self._writing:
-            # The writer last: the last one to go cleans up the write-ahead log, which the reader may not.
+            # The writer last: the last one to close cleans up the write-ahead log, which the reader may not.
             self._reader.close()
             if self._committer is not None:
                 self._committer.close(clean=clean)

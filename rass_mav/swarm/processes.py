@@ -1,15 +1,18 @@
 """The mock swarm as real processes in real time: one `rass-mav run` a node, one for the radio, UDP between them.
 
-docs/simulation-udp.md says what this shows that virtual time cannot, and how each figure is obtained.
+docs/simulation-udp.md describes what this shows that virtual time cannot, and how each figure is obtained.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
+import os
 import random
 import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,25 +23,39 @@ import msgspec
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.app.client import ControlClient
 from rass_mav.app.clock import Clock
-from rass_mav.app.config import AutopilotSection, ControlSection, NodeSection, RunConfig, RunStoreSettings
+from rass_mav.app.config import (
+    MAX_SOCKET_PATH,
+    AutopilotSection,
+    ControlSection,
+    NodeSection,
+    RunConfig,
+    RunStoreSettings,
+)
 from rass_mav.app.payloads import parse_name
 from rass_mav.config.loading import dump_yaml
 from rass_mav.core.datum import DatumId
-from rass_mav.errors import ConfigError, ControlError, SwarmError, os_errors_as
+from rass_mav.errors import ConfigError, ControlError, SwarmError
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
-from rass_mav.swarm.children import Child, Children, orderly_end
+from rass_mav.swarm.children import Child, Children
 from rass_mav.swarm.loops import count_loops
+from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.stopwatch import Stopwatch
 from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.workplace import workplace
 
 log = logging.getLogger(__name__)
 
-#: More processes than this are no test of anything but the machine.
+#: More processes than this test nothing but the machine.
 MAX_NODES = 64
-#: After the scenario's steps, data that are on their way get at least so long to arrive, seconds.
+#: Kept configurations listen on ports from here on, below those that systems assign themselves.
+KEPT_PORT = 14600
+# Each directory has one of so many ranges of `MAX_NODES` ports.
+_KEPT_RANGES = 128
+#: The time that data in transit get to arrive after the scenario's steps, seconds, at least.
 DRAIN_S = 10.0
 # Further steps for each node: with loss, a hop takes more than one.
 _DRAIN_STEPS_A_NODE = 5
@@ -47,7 +64,7 @@ START_S = 20.0
 _START_EACH_S = 2.0
 # Seconds between two looks at the drones' stores and next hops.
 _SAMPLE_S = 1.0
-# An answer of a node may take so long, seconds.
+# The longest time that an answer of a node may take, seconds.
 _ANSWER_S = 5.0
 # Looks at the bases' stores take at most this part of the time.
 _LOOK_SHARE = 0.1
@@ -55,25 +72,19 @@ _LOOK_SHARE = 0.1
 P = TypeVar("P", bound=Ports)
 
 
-class NodeProcess:
-    """One node: its files, its process, and what it said of itself last."""
+class NodeProcess(RunningNode):
+    """One node of a scenario: its orders, and its last status."""
 
     def __init__(self, node_id: int, directory: Path, socket: Path) -> None:
         """`directory`: for configuration, store and log. `socket`: of the control socket, at most 107 bytes."""
-        self.node_id = node_id
-        self.name = f"node {node_id}"
-        self.config = directory / f"node-{node_id}.yaml"
-        self.store = directory / f"node-{node_id}.db"
-        self.log = directory / f"node-{node_id}.log"
-        self.socket = socket
+        super().__init__(node_id, directory, socket, f"node-{node_id}")
         self.until_step = 0
-        """Steps in which this life of the node makes data."""
-        self.ready = False
+        """Steps in which this life of the node creates data."""
         self.status: dict[str, Any] = {}
         """Last answer to `status` in this life."""
         self.earlier = {"malformed": 0, "skipped_steps": 0}
-        """Sums over earlier lives, as far as they were asked."""
-        self.child: Child
+        """Sums over earlier lives, as far as they were read."""
+        self._config: RunConfig
         self._client: ControlClient | None = None
 
     def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
@@ -81,7 +92,7 @@ class NodeProcess:
         settings = scenario.agent_settings(self.node_id)
         self.until_step = until_step
         vehicle, link = self._wiring(settings, ports)
-        config = RunConfig(
+        self._config = RunConfig(
             node=NodeSection(
                 id=self.node_id,
                 role="base" if settings.base else "drone",
@@ -99,29 +110,34 @@ class NodeProcess:
             mavlink=settings.mavlink,
             control=ControlSection(socket=str(self.socket)),
         )
-        config.check()
-        self.config.write_text(dump_yaml(config), encoding="utf-8")
+        self._write_config()
+
+    def _write_config(self) -> None:
+        self._config.check()
+        self.config.write_text(dump_yaml(self._config), encoding="utf-8")
+
+    def bequeath(self, ports: range) -> None:
+        """Write a configuration with which the node can be run again later, when there is neither radio nor autopilot.
+
+        It hears all nodes of the swarm, which are listened to on these ports by node id.
+        """
+        peers = [PeerSection(address=f"127.0.0.1:{port}", id=n) for n, port in enumerate(ports)]
+        listen = peers.pop(self.node_id).address
+        links = (LinkSection(listen=listen, peers=tuple(peers)),) if peers else ()
+        socket = self.store.with_suffix(".sock")
+        if len(os.fsencode(socket)) > MAX_SOCKET_PATH:
+            socket = Path(tempfile.gettempdir(), f"rass-{listen.rpartition(':')[2]}.sock")
+        self._config = replace(
+            self._config, autopilot=AutopilotSection(), links=links, control=ControlSection(socket=str(socket))
+        )
+        self._write_config()
 
     def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
         """The autopilot's URL, and the link to the neighbours."""
-        # The node speaks first, from any free port: so the radio learns where it is, and no port can be in use.
+        # The node sends first, from any free port: so the radio learns its address, and no port can be in use.
         radio = PeerSection(address=f"127.0.0.1:{ports.air[self.node_id]}")
         link = LinkSection(listen="127.0.0.1:0", peers=(radio,))
         return f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}", link
-
-    def start(self, children: Children) -> None:
-        """Begin a life. It is under way when `ready`."""
-        self.ready = False
-        arguments = ["-m", "rass_mav.swarm.tether", "run", str(self.config), "--json"]
-        self.child = children.start(self.name, arguments, self.log, self.heard)
-
-    def heard(self) -> None:
-        """There is something on its stdout: the line that says it is ready, or the end. Raises `SwarmError`."""
-        self.child.read()
-        line = self.child.next_line()
-        if line is not None:
-            # If it could not start, it says why on stderr too, and the end of its output follows.
-            self.ready = "error" not in msgspec.json.decode(line)
 
     def ask(self) -> int | None:
         """Ask for its status. Returns its next hop. Raises `SwarmError`, also if a frame hit a fault in the node."""
@@ -133,7 +149,7 @@ class NodeProcess:
         return next_hop
 
     def ask_held(self) -> list[DatumId]:
-        """Ask for what it holds. Raises `SwarmError`."""
+        """Ask for the data it holds. Raises `SwarmError`."""
         names = [parse_name(entry["id"]) for page in self._ask("ls") for entry in page["data"]]
         return [id for id, apart in names if apart is None]
 
@@ -151,16 +167,16 @@ class NodeProcess:
 
     @property
     def creates(self) -> bool:
-        """Whether it may still make data, as far as it was asked."""
+        """Whether it may still create data, as of its last status."""
         return not self.status or bool(self.status["steps"] < self.until_step)
 
     @property
     def empty(self) -> bool:
-        """Whether it held nothing when it was asked last."""
+        """Whether it held nothing at its last status."""
         return bool(self.status) and not self.status["store"]["items"]
 
     def hang_up(self) -> None:
-        """End the conversation: the life is over."""
+        """End the connection: the life is over."""
         for key in self.earlier:
             self.earlier[key] = self.total(key)
         self.status = {}
@@ -170,7 +186,7 @@ class NodeProcess:
 
 
 class ProcessSwarm:
-    """A swarm of processes from start to end. `run` does it all; see there."""
+    """A swarm of processes from start to end. `run` does everything; see there."""
 
     _figures_kind: type[Figures] = Figures
 
@@ -187,10 +203,11 @@ class ProcessSwarm:
         self._kill_rng = random.Random(f"{scenario.seed}:kills")
         self._radio: Child
         self._world: Child
-        """Which process makes the world go on."""
+        """The process that advances the world."""
         self._ports: Ports
         self._begun = 0.0
         self._next_look = self._next_sample = 0.0
+        self._next_kill = math.inf
         self._loops = 0
         self.kills = 0
         """Processes killed with SIGKILL and started again."""
@@ -201,7 +218,7 @@ class ProcessSwarm:
     # -- the phases ----------------------------------------------------------------------------------------------------
 
     def start(self, record: Path | None) -> None:
-        """Start the radio, then the nodes; returns when all are ready and the world turns."""
+        """Start the radio, then the nodes; returns when all are ready and the world runs."""
         self._surround(None if record is None else str(record.absolute()))
         until = self._until_step()
         for node in self._nodes:
@@ -210,30 +227,40 @@ class ProcessSwarm:
         self._await(
             lambda: [node.name for node in self._nodes if not node.ready], START_S + _START_EACH_S * len(self._nodes)
         )
-        self._world.tell("start")
+        self._set_off()
         self._begun = time.monotonic()
 
+    def _set_off(self) -> None:
+        """Let the world begin; returns when it has."""
+        self._world.tell("start")
+
     def _surround(self, record: str | None) -> None:
-        """Start what the nodes are to find. `record`: see `AirOrder`."""
+        """Start what the nodes need. `record`: see `AirOrder`."""
         self._ports = self._start_radio("rass_mav.swarm.mock_air", AirOrder(self._scenario, record), Ports)
         self._world = self._radio
 
     def fly(self, progress: Callable[[int], None] | None) -> None:
-        """The scenario's steps, in real time, with its failures."""
+        """Run the scenario's steps, in real time, with its failures."""
         every = self._scenario.failures.kill_every_s
         end = self._begun + self._scenario.steps * self._step_s
-        next_kill = self._begun + every if every is not None and self._drones else end
+        if every is not None and self._drones:
+            self._next_kill = self._begun + every
         while (now := time.monotonic()) < end:
-            if now >= next_kill:
-                self._kill(self._kill_rng.choice(self._drones))
-                next_kill += every or 0.0
+            next_failure = self._fail(now)
             self._look(now)
             if progress is not None:
                 progress(int((now - self._begun) / self._step_s))
-            self._children.wait(min(end, next_kill, self._next_look))
+            self._children.wait(min(end, next_failure, self._next_look))
+
+    def _fail(self, now: float) -> float:
+        """Let happen what is due of the scenario's failures. Returns when to come again; infinity: never."""
+        if now >= self._next_kill:
+            self._kill(self._kill_rng.choice(self._drones))
+            self._next_kill += self._scenario.failures.kill_every_s or 0.0
+        return self._next_kill
 
     def drain(self) -> None:
-        """Let arrive what is on its way, until all has or nothing is left; at most `DRAIN_S` and some steps."""
+        """Let data in transit arrive, until all have or nothing is left; at most `DRAIN_S` and some steps."""
         deadline = time.monotonic() + DRAIN_S + _DRAIN_STEPS_A_NODE * self._scenario.nodes * self._step_s
         complete = 0
         # Twice in a row: what was created in the last step may not have been durable yet at the first look.
@@ -247,7 +274,8 @@ class ProcessSwarm:
             self._children.wait(min(deadline, now + max(self._step_s, 0.1)))
 
     def stop(self) -> Figures:
-        """End the nodes with SIGTERM, then the radio, and read the ledger. Raises `SwarmError` for who does not."""
+        """End the nodes with SIGTERM, then the radio, and read the ledger. Raises `SwarmError` for a node that does not
+        end."""
         self._ask_all()
         self.hang_up()
         for node in self._nodes:
@@ -261,14 +289,22 @@ class ProcessSwarm:
         return figures
 
     def hang_up(self) -> None:
-        """End all conversations with nodes."""
+        """Close all connections to nodes."""
         for node in self._nodes:
             node.hang_up()
+
+    def bequeath(self) -> None:
+        """Leave configurations that can be run again, of all nodes that have had one."""
+        # Swarms that were kept in two directories can be run at the same time.
+        begin = KEPT_PORT + zlib.crc32(os.fsencode(self._directory)) % _KEPT_RANGES * MAX_NODES
+        for node in self._nodes:
+            if node.config.exists():
+                node.bequeath(range(begin, begin + len(self._nodes)))
 
     # -- meanwhile -----------------------------------------------------------------------------------------------------
 
     def _process(self, name: str, module: str, order: msgspec.Struct, heard: Callable[[], None] | None = None) -> Child:
-        """Start a module that takes its order from a file; `heard`: see `Children.start`."""
+        """Start a module that reads its order from a file; `heard`: see `Children.start`."""
         path = self._directory / f"{name}.json"
         path.write_bytes(msgspec.json.encode(order))
         return self._children.start(name, ["-m", module, str(path)], self._directory / f"{name}.log", heard)
@@ -278,7 +314,7 @@ class ProcessSwarm:
         return msgspec.json.decode(self._radio.wait_line(START_S), type=kind)
 
     def _await(self, missing: Callable[[], list[str]], within_s: float) -> None:
-        """Wait until nobody is missing. Raises `SwarmError` that names who still is."""
+        """Wait until nothing is missing. Raises `SwarmError` that names what still is."""
         deadline = time.monotonic() + within_s
         while names := missing():
             if time.monotonic() > deadline:
@@ -295,14 +331,14 @@ class ProcessSwarm:
         self._children.kill(node.child)
         node.hang_up()
         self._radio.tell(f"off {node.node_id}")
-        # The new life counts its steps from 0 again; it makes data as long as the others do.
+        # The new life counts its steps from 0 again; it creates data as long as the others do.
         gone = int((time.monotonic() - self._begun) / self._step_s)
         node.configure(self._scenario, self._ports, max(0, self._until_step() - gone))
         node.start(self._children)
         self.kills += 1
 
     def _look(self, now: float) -> None:
-        """At the bases' stores about once a step; at the drones and their next hops about once a second."""
+        """Check the bases' stores about once a step, and the drones and their next hops about once a second."""
         if now < self._next_look:
             return
         if now >= self._next_sample:
@@ -319,18 +355,19 @@ class ProcessSwarm:
         )
         before = self._ask_all()
         if count_loops(before):
-            # Not all were asked at the same moment. A next hop that is the same after as before was so in between.
+            # Not all were asked at the same moment. A next hop that is the same before and after was the same in
+            # between.
             after = self._ask_all()
             self._loops += count_loops([b if b == a else None for b, a in zip(before, after, strict=True)])
 
     def _ask_all(self) -> list[int | None]:
-        """Ask all nodes for their status. Returns their next hops; None also for who is just starting."""
+        """Ask all nodes for their status. Returns their next hops; None also for a node that is just starting."""
         return [node.ask() if node.ready else None for node in self._nodes]
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def summary(self, radio: Figures) -> dict[str, Any]:
-        """What `swarm --json` prints, but for the wall times (docs/simulation-udp.md)."""
+        """What `swarm --json` prints, except the wall times (docs/simulation-udp.md)."""
         scenario, census = self._scenario, self._census
         created = census.created
         lost = census.losses()
@@ -397,8 +434,8 @@ def run(
     if scenario.nodes > MAX_NODES:
         raise ConfigError(f"nodes: expected at most {MAX_NODES} with transport udp, got {scenario.nodes}")
     for key in scenario.failures.of_robots:
-        raise ConfigError(f"failures.{key}: needs transport loopback; udp knows failures.kill_every_s only")
-    Surroundings(scenario)  # says here, and not in the radio process, what cannot be placed
+        raise ConfigError(f"failures.{key}: needs transport loopback; udp supports only failures.kill_every_s")
+    Surroundings(scenario)  # `Surroundings(scenario)` reports here, and not in the radio process, what cannot be placed
     return conduct(scenario, lambda *where: ProcessSwarm(scenario, *where), keep, record, progress)
 
 
@@ -409,31 +446,20 @@ def conduct(
     record: Path | None,
     progress: Callable[[int], None] | None,
 ) -> dict[str, Any]:
-    """Start a swarm of processes, let it run, and end it whatever comes. The rest as in `run`.
+    """Start a swarm of processes, let it run, and end it in any case. The rest as in `run`.
 
-    `make`: the swarm, by its directory, the one of its control sockets, and its children.
+    `make`: creates the swarm from its directory, that of its control sockets, and its children.
     """
-    if keep is not None:
-        _prepare(keep)
-    begin = time.perf_counter()
+    watch = Stopwatch()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(orderly_end())
-        # Always a short path: a unix socket's may have 107 bytes.
-        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
-        children = stack.enter_context(Children())
-        swarm = make((keep or sockets).absolute(), sockets, children)
+        directory, sockets, children = stack.enter_context(workplace(keep))
+        swarm = make(directory, sockets, children)
+        if keep is not None:
+            stack.callback(swarm.bequeath)
         stack.callback(swarm.hang_up)
         swarm.start(record)
         swarm.fly(progress)
         swarm.drain()
         summary = swarm.summary(swarm.stop())
-    wall = time.perf_counter() - begin
-    return {**summary, "wall_s": round(wall, 3), "robot_steps_per_s": round(scenario.nodes * scenario.steps / wall)}
-
-
-def _prepare(directory: Path) -> None:
-    with os_errors_as(ConfigError, directory):
-        directory.mkdir(parents=True, exist_ok=True)
-        used = any(directory.iterdir())
-    if used:
-        raise ConfigError(f"{directory}: expected a new or an empty directory")
+    # All processes have ended, so that their time is known.
+    return {**summary, **watch.figures(scenario.nodes * scenario.steps)}

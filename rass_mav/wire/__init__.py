@@ -1,4 +1,4 @@
-"""TUNNEL payloads <-> core's messages. The format is stated in docs/protocol.md, with golden vectors."""
+"""TUNNEL payloads <-> core's messages. docs/protocol.md describes the format, with golden vectors."""
 
 from .codec import INLINE_BYTES, MAX_TUNNEL, decode, encode, target_of
 

@@ -1,7 +1,7 @@
 """Encoding and decoding of TUNNEL payloads (docs/protocol.md). Little-endian, version in the first four bits.
 
-Fields appended at the end are ignored; another major version, and a type that is not known, raise `ForeignError`, so
-that they can be counted apart from garbage. Times travel as ages.
+Fields appended at the end are ignored. Another major version or an unknown type raises `ForeignError`, so that it can
+be counted separately from garbage. Times travel as ages.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ VERSION = 2
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
 GIVEN = 14
 
-# A beacon without its checksum, which stands at `_SEAL`, and covers all before and behind it.
+# A beacon without its checksum, which is at `_SEAL` and covers all bytes before and after it.
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
 _BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
 _SEAL = 37
@@ -79,24 +79,24 @@ CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
 
 _POLL = 0x8000
 _SPARE = 0x80
-# Of an age: the datum is at least so old. And the largest one, which means as much.
+# In an age: the datum is at least this old. And the largest age, which means the same.
 _AT_LEAST = 0x80000000
 _OLDEST = 0x7FFFFFFF
-# Bytes that stay free behind answers that end custody or speak of copies: for a message authentication code.
+# Bytes that stay free after answers that end custody or are about copies: for a message authentication code.
 _MAC = 12
-# The types in which, whatever the version, the node id of the sender stands behind the head.
+# The types in which, in every version, the node id of the sender follows the head.
 _WITH_SENDER = frozenset((BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS))
 
 
 class ForeignError(MalformedError):
-    """Another major version, or a message type of a later one: not garbage, but nothing for us."""
+    """Another major version, or a message type of a later one: not garbage, but not for us."""
 
     def __init__(self, text: str, version: int, sender: int | None = None) -> None:
         super().__init__(text)
         self.version = version
         """Major version of the message, 0..15."""
         self.sender = sender
-        """Node id of who sent a message of another version; None: it does not say."""
+        """Node id of the sender of a message of another version; None: the message has none."""
 
 
 def _head(type_: int) -> int:
@@ -104,7 +104,7 @@ def _head(type_: int) -> int:
 
 
 def _age(created: float, now: float, at_least: bool) -> int:
-    """Milliseconds, and the bit for "at least so old". A reader takes that from `_OLDEST` too, with or without it."""
+    """Milliseconds, and the bit for "at least this old". A reader takes that from `_OLDEST` too, with or without it."""
     age = int((now - created) * 1000.0 + 0.5)
     if age >= _OLDEST:
         return _AT_LEAST | _OLDEST
@@ -115,9 +115,9 @@ def _age(created: float, now: float, at_least: bool) -> int:
 
 
 def encode(message: Message, now: float) -> list[bytes]:
-    """The TUNNEL payloads of a message, mostly one; data and answers that do not fit one frame fill several.
+    """The TUNNEL payloads of a message: usually one; data and answers that do not fit one frame fill several.
 
-    `now`: seconds on the sender's timeline, for ages. ValueError or struct.error: a message that breaks its bounds,
+    `now`: seconds on the sender's timeline, for ages. ValueError or struct.error: a message that exceeds its bounds,
     which is our bug.
     """
     return _ENCODERS[type(message)](message, now)
@@ -140,7 +140,7 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
         size = _DATUM.size + len(payload)
         if size > room:
             if size > MAX_TUNNEL - _TO.size:
-                raise ValueError(f"a datum of {len(payload)} bytes does not go whole")
+                raise ValueError(f"a datum of {len(payload)} bytes does not fit one frame")
             frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
             parts = []
             room = MAX_TUNNEL - _TO.size
@@ -206,7 +206,7 @@ def _encode_given(m: Given, now: float) -> list[bytes]:
 def _encode_rows(
     type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0
 ) -> list[bytes]:
-    """As many frames as it takes, at least one; `free`: bytes that stay free at the end of each."""
+    """As many frames as necessary, at least one; `free`: bytes that stay free at the end of each."""
     each = (MAX_TUNNEL - _TO.size - free) // row.size
     frames = []
     for start in range(0, len(rows) or 1, each):
@@ -227,7 +227,7 @@ def _encode_put(m: Put, now: float) -> list[bytes]:
         len(d.payload),
     )  # fmt: skip
     if len(head) + len(d.payload) > MAX_TUNNEL:
-        raise ValueError(f"an entry of {len(d.payload)} bytes does not go whole")
+        raise ValueError(f"an entry of {len(d.payload)} bytes does not fit one frame")
     return [head + d.payload]
 
 
@@ -249,11 +249,11 @@ def _encode_words(m: Words, now: float) -> list[bytes]:
 
 
 def target_of(payload: bytes) -> int:
-    """The node id that a TUNNEL payload names; BROADCAST: it names none, or is no message of ours."""
+    """The node id that a TUNNEL payload names; BROADCAST: it names none, or is not a message of ours."""
     return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
 
 
-# In a mock swarm all who hear a frame come one behind the other.
+# In a mock swarm all nodes that hear a frame decode it one after the other.
 @lru_cache(maxsize=16)
 def decode(payload: bytes, now: float) -> Message:
     """The message in a TUNNEL payload. Raises `MalformedError`, and nothing else, whatever the bytes.
@@ -281,7 +281,7 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
     rest = p[:_SEAL] + p[_SEAL + 4 :]
     fields = _BEACON_FIELDS.unpack_from(rest)
     if (crc32(rest),) != _NUMBER.unpack_from(p, _SEAL):
-        raise MalformedError("a beacon whose checksum does not fit")
+        raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
@@ -348,12 +348,12 @@ def _decode_receipt(p: bytes, now: float) -> Receipt:
         entry, at = _decode_receipt_entry(p, at)
         entries.append(entry)
     if receipt_crc(base, life, serial, entries) != crc:
-        raise MalformedError("a receipt whose checksum does not fit")
+        raise MalformedError("a receipt with a wrong checksum")
     return Receipt(base, life, serial, crc, tuple(entries))
 
 
 def _decode_receipt_entry(p: bytes, at: int) -> tuple[ReceiptEntry, int]:
-    """An entry, and where the next one begins. There is one way only to say what it says."""
+    """An entry, and where the next one begins. Each content has exactly one encoding."""
     origin, epoch = _PAIR.unpack_from(p, at)
     first, at = _decode_varint(p, at + _PAIR.size)
     run, at = _decode_varint(p, at)
@@ -380,13 +380,13 @@ def _decode_varint(p: bytes, at: int) -> tuple[int, int]:
             if not byte and shift:
                 break
             return number, at
-    raise MalformedError("a number that is longer than it need be")
+    raise MalformedError("a number in a longer form than necessary")
 
 
 def _decode_given(p: bytes, now: float) -> Given:
     given = Given._make(_GIVEN.unpack_from(p)[1:])
     if given_crc(*given[:3]) != given.crc:
-        raise MalformedError("a word on numbers given whose checksum does not fit")
+        raise MalformedError("a Given with a wrong checksum")
     return given
 
 
@@ -430,7 +430,7 @@ def _decode_words(p: bytes, now: float) -> Words:
 
 
 class Format(NamedTuple):
-    """How a kind of message travels."""
+    """How a kind of message is encoded."""
 
     number: int
     """Its type, the low four bits of the first byte."""
@@ -457,5 +457,5 @@ FORMATS: dict[type, Format] = {
 _ENCODERS = {kind: format.encode for kind, format in FORMATS.items()}
 # By first byte.
 _DECODERS = {_head(format.number): format.decode for format in FORMATS.values()}
-#: First bytes of messages whose target node id stands in bytes 3 and 4.
+#: First bytes of messages whose target node id is in bytes 3 and 4.
 _TARGETED = frozenset(_head(FORMATS[kind].number) for kind, about in KINDS.items() if about.target is Target.NAMED)

@@ -1,4 +1,4 @@
-"""The payload of a datum of kind MEASUREMENT: where, and what the sensor said (docs/protocol.md)."""
+"""The payload of a datum of kind MEASUREMENT: a position and a reading (docs/protocol.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Measurement(NamedTuple):
     altitude: float | None
     """Metres above mean sea level, resolution 1 mm; None: no position fix."""
     reading: float | None
-    """As the sensor gave it, in its own unit (32-bit float); None: unknown."""
+    """As the sensor sent it, in its own unit (32-bit float); None: unknown."""
     risk: float
     """Local risk at that time, 0..1, resolution 1/65535."""
     local: tuple[float, float, float] | None = None
@@ -62,7 +62,7 @@ def _millimetres(metres: float) -> int:
 
 
 def decode_measurement(payload: bytes) -> Measurement:
-    """A measurement; bytes behind it are padding. Raises `MalformedError`."""
+    """A measurement; bytes after it are padding. Raises `MalformedError`."""
     try:
         version, flags, lat, lon, alt, reading, risk = _MEASUREMENT.unpack_from(payload)
     except struct.error as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.outgoing import Way
 from rass_mav.mavlink import component as mav
-from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     COMMAND_ACK,
@@ -82,10 +83,35 @@ def test_a_ping_comes_back_to_who_sent_it_and_an_answer_does_not() -> None:
     assert c.hear() == []
 
 
+def open_file(system: int, component: int) -> MavlinkMessage:
+    """What MAVProxy asks first on `param fetch`."""
+    name = b"@PARAM/param.pck?withdefaults=1"
+    request = struct.pack("<HBBBBBBI", 8, 2, common.MAV_FTP_OPCODE_OPENFILERO, len(name), 0, 0, 0, 0) + name
+    return common.MAVLink_file_transfer_protocol_message(0, system, component, request.ljust(251, b"\0"))
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_a_file_transfer_is_refused_at_once(direct: bool) -> None:
+    c = Conversation()
+    c.ask(open_file(7, 191), direct=direct)
+    [answer] = c.hear(0.1, direct=direct)
+    assert (answer.target_system, answer.target_component) == GCS
+    header = struct.unpack_from("<HBBBBBBIB", bytes(answer.payload))
+    assert header == (9, 2, common.MAV_FTP_OPCODE_NAK, 1, 4, 0, 0, 0, common.MAV_FTP_ERR_UNKNOWNCOMMAND)
+
+
+@pytest.mark.parametrize("target", [(0, 0), (7, 0), (7, 1), (8, 191)])
+def test_a_file_transfer_with_somebody_else_is_left_alone(target: tuple[int, int]) -> None:
+    c = Conversation()
+    c.ask(open_file(*target))
+    assert c.hear() == []
+
+
 @given(st.binary(max_size=300), st.booleans())
 def test_any_bytes_from_the_ground_do_no_harm(data: bytes, direct: bool) -> None:
     c = Conversation()
-    for message_id in (mav.PARAM_SET, mav.PARAM_REQUEST_READ, mav.PING, 76, mav.COMMAND_INT):
+    asked = (mav.PARAM_SET, mav.PARAM_REQUEST_READ, mav.PING, 76, mav.COMMAND_INT, mav.FILE_TRANSFER_PROTOCOL)
+    for message_id in asked:
         frame = c.gcs.frame(message_id, data[:250] or b"\0")
         if direct:
             c.ground.receive(frame, 0.0)

@@ -76,12 +76,12 @@ def test_custody_does_not_end_on_the_word_of_another_version() -> None:
 def test_each_node_of_another_version_is_told_of_once() -> None:
     agent = make(2)
     hears(agent, VERSION_1["beacon-drone"], 0.0)
-    assert "".join(texts(agent, 0.0)) == f"RASS: node 3 speaks version 1, this one {VERSION}: update node 3"
+    assert "".join(texts(agent, 0.0)) == f"RASS: node 3 uses version 1, this one {VERSION}: update node 3"
     for t in range(1, 100):
         hears(agent, VERSION_1["beacon-drone"], float(t))
         assert texts(agent, float(t)) == []
     hears(agent, beacon_of(VERSION + 1, 7), 100.0)
-    assert "".join(texts(agent, 100.0)) == f"RASS: node 7 speaks version 3, this one {VERSION}: update node 2"
+    assert "".join(texts(agent, 100.0)) == f"RASS: node 7 uses version 3, this one {VERSION}: update node 2"
 
 
 def test_who_has_spoken_another_version_long_ago_is_not_told_of() -> None:
@@ -150,6 +150,9 @@ def test_the_status_names_them() -> None:
         "node_id": 2, "role": "base", "life": "1", "epoch": "1", "uptime_s": 1.0, "steps": 1, "reading": None,
         "sensor": None, "position": None, "store": {"items": 0, "capacity_items": None, "bytes": 0}, "neighbours": [],
         "ground": None, "links": [], "vehicle": None, "ledger": {}, "malformed": 0, "foreign": 9, "rivals": [],
+        "shared_system_ids": [{"system_id": 3, "node_ids": [4, 9]}],
         "commits": {"failed": 0}, "faults": None, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
-    assert "WARNING: node 7 speaks version 1 of the wire format, heard 3 s ago" in list(status_lines(status))
+    lines = list(status_lines(status))
+    assert "WARNING: node 7 uses version 1 of the wire format, heard 3 s ago" in lines
+    assert "WARNING: nodes 4, 9 share system id 3, a ground station sees one vehicle" in lines

@@ -198,8 +198,8 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.Monke
         "node.yaml: links[2].broadcast: expected host:port (IPv4 address or name), got '10.0.0.255'",
         "node.yaml: autopilot.url: expected udpin:host:port, udpout:host:port, tcp:host:port or serial:device:baud "
         "(for example udpin:0.0.0.0:14550 or serial:/dev/ttyAMA0:921600), got 'ttyAMA0'",
-        "node.yaml: autopilot.messages: NOT_THIS: no message of the common dialect",
-        "node.yaml: autopilot.messages: NOR_THIS: no message of the common dialect",
+        "node.yaml: autopilot.messages: NOT_THIS: not a message of the common dialect",
+        "node.yaml: autopilot.messages: NOR_THIS: not a message of the common dialect",
         "node.yaml: sensor.baud: has no effect with sensor.type autopilot, got 9600",
         "node.yaml: sensor.path: has no effect with sensor.type autopilot, got 'a.LOG'",
     ]

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from rass_mav.agent.parameters import INDEX
+from tests.patience import PATIENCE_S
 
-from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_nodes import RunningNode, free_ports
 from .app_relay import autopilot
 
 SYSTEM, COMPANION = 12, 191
@@ -36,7 +37,7 @@ class MavProxy:
         # MAVProxy looks for its start-up files at home.
         home = {**os.environ, "HOME": str(directory), "PYTHONUNBUFFERED": "1", "PYTHONWARNINGS": "ignore"}
         command = [sys.executable, "-m", "MAVProxy.mavproxy", f"--master=udpin:127.0.0.1:{port}"]
-        command += ["--default-modules=param,misc,cmdlong", f"--state-basedir={directory}", "--logfile=mav.tlog"]
+        command += ["--default-modules=param,misc,cmdlong,ftp", f"--state-basedir={directory}", "--logfile=mav.tlog"]
         self._process = subprocess.Popen(
             command, cwd=directory, env=home, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
@@ -49,7 +50,7 @@ class MavProxy:
     def until(self, pattern: str) -> re.Match[str]:
         """Wait for text behind what has been waited for before."""
         assert self._process.stdout is not None
-        deadline = time.monotonic() + DEADLINE_S
+        deadline = time.monotonic() + PATIENCE_S
         while True:
             found = re.compile(pattern).search(self.text, self._read)
             if found:
@@ -95,6 +96,8 @@ def test_mavproxy_lists_reads_and_sets_our_parameters(proxy: MavProxy) -> None:
     proxy.type(f"vehicle {SYSTEM}:{COMPANION}")
     proxy.until("Set vehicle")
     proxy.type("param fetch")
+    # It asks by file transfer first, and as soon as that is refused, by PARAM_REQUEST_LIST.
+    proxy.until(r"Requested parameter list \(ftp\)")
     proxy.until(f"Received {len(INDEX)} parameters")
     proxy.type("param show RASS_*")
     for name in sorted(INDEX):

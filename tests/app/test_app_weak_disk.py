@@ -25,7 +25,7 @@ except (subprocess.CalledProcessError, FileNotFoundError):
     sys.exit(77)
 config = disk / "n1.yaml"
 config.write_text("node: {id: 1, role: base, step_s: 0.1}\\nstore: {path: " + str(disk / "n1.db") + "}\\nlinks: []\\n")
-mount("-o", "remount,ro", str(disk))
+mount("-t", "tmpfs", "-o", "remount,ro,size=512k", "tmpfs", str(disk))
 command = [sys.executable, "-m", "rass_mav", "run", str(config)]
 node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 for line in node.stderr:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 
 import pytest
@@ -15,6 +14,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.spares.mirrors import Mirrors
 from rass_mav.errors import StoreFullError
 from rass_mav.wire import decode, encode, target_of
+from tests.extent import extents
 
 from .books import records
 from .build import make_node
@@ -180,10 +180,10 @@ class Storm:
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_notes_reach_the_base_and_never_cost_a_datum(mirror: bool) -> None:
-    """RASS_NOTE_STORMS: how many."""
+@pytest.mark.parametrize("storms", extents(40, 2_000))
+def test_notes_reach_the_base_and_never_cost_a_datum(storms: int, mirror: bool) -> None:
     told = rescued = 0
-    for seed in range(60, 60 + int(os.environ.get("RASS_NOTE_STORMS", "60"))):
+    for seed in range(60, 60 + storms):
         storm = Storm(seed, mirror=mirror)
         storm.turn(0.0)
         storm.turn(0.0)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import pwd
-import socket
 import sys
 import time
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +19,9 @@ from rass_mav.doctor.finding import Finding
 from rass_mav.errors import ServiceError
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.store.sqlite import SqliteStore
+from tests.namespaces import DOWN, JOINED, NOT_JOINED, in_namespace
 from tests.ptys import SerialDevice
+from tests.users import ordinary_user
 
 NOW = 1_790_000_000.0
 
@@ -128,18 +129,9 @@ def test_a_console_on_the_port(file: str, device: SerialDevice, tmp_path: Path) 
 
 
 def test_a_port_of_another_group(device: SerialDevice, tmp_path: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("needs root, to be somebody else for a moment")
-    nobody = pwd.getpwnam("nobody").pw_uid
-    device.path.resolve().chmod(0o600)
-    # pytest's folders are closed to others.
-    for folder in (tmp_path, *(f for f in tmp_path.parents if f.name.startswith(("pytest-", "popen-")))):
-        folder.chmod(0o755)
-    os.seteuid(nobody)
-    try:
+    device.path.resolve().chmod(0)
+    with ordinary_user(tmp_path):
         closed = sound(ports.serial_port(port(device), tmp_path))
-    finally:
-        os.seteuid(0)
     assert closed.level == "fail"
     assert "may not open it" in closed.text
     assert "sudo usermod -aG" in closed.remedy
@@ -147,7 +139,7 @@ def test_a_port_of_another_group(device: SerialDevice, tmp_path: Path) -> None:
 
 def test_the_mini_uart_is_too_slow(tmp_path: Path) -> None:
     shared = Path("/dev/ttyS0")
-    if not shared.exists():
+    if not os.access(shared, os.R_OK | os.W_OK):
         # A device under that name, on a disk of its own: any character device will do.
         shared = tmp_path / "ttyS0"
         shared.symlink_to("/dev/null")
@@ -160,40 +152,59 @@ def test_the_mini_uart_is_too_slow(tmp_path: Path) -> None:
     assert slow.level == "pass"
 
 
-WLAN = network.Interface("wlan0", "192.168.4.7", "192.168.4.255")
-WIRE = network.Interface("eth0", "10.0.0.7", "10.0.0.255")
-LOOP = network.Interface("lo", "127.0.0.1", "0.0.0.0")
-
-
-def test_interfaces_are_those_of_this_computer() -> None:
-    known = {interface.name: interface for interface in network.interfaces()}
-    assert known["lo"].address == "127.0.0.1"
-    assert set(known) <= {name for _, name in socket.if_nameindex()}
+WLAN = "wlan0 192.168.4.7 with broadcast 192.168.4.255"
+DEFAULT = "route add default via 192.168.4.1"
+TWO_NETWORKS = (
+    DEFAULT, "link add eth0 type veth peer name wall", "link set eth0 up", "link set wall up",
+    "addr add 10.0.0.7/24 dev eth0",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("link", "known", "level", "said"),
+    ("link", "setup", "level", "said"),
     [
-        (LinkSection(broadcast="192.168.4.255:1"), [LOOP, WLAN], "pass", "broadcast to 192.168.4.255 on wlan0"),
-        (LinkSection(broadcast="192.168.5.255:1"), [LOOP, WLAN], "fail", "of no interface"),
-        (LinkSection(broadcast="192.168.4.255:1"), [], "fail", "there are none"),
-        (LinkSection(broadcast="255.255.255.255:1"), [LOOP, WLAN], "pass", "broadcast to 255.255.255.255"),
-        (LinkSection(broadcast="255.255.255.255:1"), [LOOP, WLAN, WIRE], "warn", "on one of 2 networks only"),
-        (LinkSection(multicast="239.255.82.83:1", interface="127.0.0.1"), [LOOP], "pass", "group 239.255.82.83"),
-        (
-            LinkSection(multicast="239.255.82.83:1", interface="203.0.113.9"),
-            [LOOP],
-            "fail",
-            "203.0.113.9 is no address",
-        ),
-        (LinkSection(listen="203.0.113.9:1", broadcast="192.168.4.255:1"), [WLAN], "fail", "is no address"),
-        (LinkSection(peers=(PeerSection(address="127.0.0.1:1"),)), [LOOP], "pass", "1 peers"),
-        (LinkSection(peers=(PeerSection(address="no-such-host.invalid:1"),)), [LOOP], "fail", "is not known"),
+        ({"broadcast": "192.168.4.255:1"}, JOINED, "pass", "broadcast to 192.168.4.255 on wlan0"),
+        ({"broadcast": "192.168.4.255:1"}, NOT_JOINED, "fail", "wlan0 has no carrier"),
+        ({"broadcast": "192.168.4.255:1"}, DOWN, "fail", "wlan0 is down"),
+        ({"broadcast": "192.168.5.255:1"}, JOINED, "fail", "of no interface (there is lo 127.0.0.1 with broadcast"),
+        ({"broadcast": "192.168.5.255:1"}, [*JOINED, DEFAULT], "fail", WLAN),
+        ({"broadcast": "192.168.4.255:1"}, [], "fail", "there are none"),
+        ({"broadcast": "localhost:1"}, JOINED, "fail", "127.0.0.1 is the broadcast address of no interface"),
+        ({"broadcast": "255.255.255.255:1"}, [*JOINED, DEFAULT], "pass", "broadcast to 255.255.255.255 on wlan0"),
+        ({"broadcast": "255.255.255.255:1"}, JOINED, "fail", "leaves on no interface"),
+        ({"broadcast": "255.255.255.255:1"}, [*JOINED, *TWO_NETWORKS], "warn", "on wlan0 only, one of 2 networks"),
+        ({"broadcast": "255.255.255.255:1", "interface": "wlan0"}, JOINED, "pass", "on wlan0"),
+        ({"broadcast": "255.255.255.255:1", "interface": "192.168.4.7"}, [*JOINED, *TWO_NETWORKS], "pass", "on wlan0"),
+        ({"broadcast": "255.255.255.255:1", "interface": "wlan0"}, NOT_JOINED, "fail", "wlan0 has no carrier"),
+        ({"broadcast": "255.255.255.255:1", "interface": "wlan0"}, DOWN, "fail", "wlan0 is down"),
+        ({"broadcast": "255.255.255.255:1", "interface": "wlan1"}, JOINED, "fail", "there is no interface wlan1"),
+        ({"broadcast": "255.255.255.255:1", "interface": "air"}, JOINED, "fail", "air has no IPv4 address yet"),
+        ({"multicast": "239.255.82.83:1", "interface": "127.0.0.1"}, JOINED, "pass", "group 239.255.82.83:1 on lo"),
+        ({"multicast": "239.255.82.83:1", "interface": "wlan0"}, JOINED, "pass", "group 239.255.82.83:1 on wlan0"),
+        ({"multicast": "239.255.82.83:1", "interface": "wlan0"}, DOWN, "fail", "wlan0 is down"),
+        ({"multicast": "239.255.82.83:1"}, JOINED, "fail", "leaves on no interface"),
+        ({"multicast": "239.255.82.83:1"}, [*JOINED, DEFAULT], "pass", "on wlan0"),
+        ({"multicast": "239.255.82.83:1", "interface": "203.0.113.9"}, JOINED, "fail", "203.0.113.9 is no address"),
+        ({"broadcast": "192.168.4.255:1", "listen": "203.0.113.9:1"}, JOINED, "fail", "203.0.113.9 is no address"),
+        ({"peers": ["127.0.0.1:1"]}, JOINED, "pass", "1 peers on lo"),
+        ({"peers": ["192.168.4.9:1", "192.168.4.8:1"]}, DOWN, "fail", "wlan0 is down"),
+        ({"peers": ["127.0.0.1:1", "192.168.4.8:1"]}, DOWN, "warn", "wlan0 is down"),
+        ({"peers": ["no-such-host.invalid:1"]}, JOINED, "fail", "is not known"),
     ],
-)
-def test_addresses_of_links(link: LinkSection, known: list[network.Interface], level: str, said: str) -> None:
-    found = sound(network.link_address(0, link, known))
+)  # fmt: skip
+def test_addresses_of_links(link: dict[str, Any], setup: list[str], level: str, said: str) -> None:
+    peers = tuple(PeerSection(address=address) for address in link.pop("peers", ()))
+    section = LinkSection(**link, peers=peers)
+    found = sound(in_namespace(setup, lambda: network.link_address(0, section)))
     assert (found.level, said in found.text) == (level, True), found
+
+
+def test_what_to_do_about_an_interface_that_carries_nothing() -> None:
+    section = LinkSection(broadcast="192.168.4.255:1")
+    down = in_namespace(DOWN, lambda: network.link_address(0, section))
+    assert down.remedy == "sudo ip link set wlan0 up"
+    # A veth is a cable; a Wi-Fi interface is told to join.
+    assert "cable" in in_namespace(NOT_JOINED, lambda: network.link_address(0, section)).remedy
 
 
 def test_a_name_service_that_hangs_does_not_hold_us_up() -> None:
@@ -219,14 +230,9 @@ def test_a_store(tmp_path: Path) -> None:
     path.write_bytes(b"no database, for sure" * 100)
     damaged = sound(storage.store(path))
     assert (damaged.level, "set it aside" in damaged.remedy) == ("warn", True)
-    if os.geteuid() == 0:
-        for folder in (tmp_path, *(f for f in tmp_path.parents if f.name.startswith(("pytest-", "popen-")))):
-            folder.chmod(0o755)
-        os.seteuid(pwd.getpwnam("nobody").pw_uid)
-        try:
-            assert "may not be written" in sound(storage.store(path)).text
-        finally:
-            os.seteuid(0)
+    path.chmod(0o400)
+    with ordinary_user(tmp_path):
+        assert "may not be written" in sound(storage.store(path)).text
 
 
 def test_the_services_configuration_has_its_store_in_the_services_folder(tmp_path: Path) -> None:

@@ -22,10 +22,12 @@ from tests.app.app_nodes import free_ports
 
 Change = Callable[[Any], None]
 AUTOPILOT = {
-    "system_id": 3, "type": 3, "heartbeat_age_s": 0.2, "armed": False, "reboots": 0, "no_fix_age_s": None,
+    "system_id": 3, "type": 3, "version": [4, 6, 3], "signed": False, "heartbeat_age_s": 0.2, "armed": False,
+    "reboots": 0, "no_fix_age_s": None,
 }  # fmt: skip
 NEIGHBOUR = {
-    "node_id": 4, "base": False, "hops": 1, "risk": 0.0, "cost": 0.1, "free_items": 9, "same_policy": True, "age_s": 1,
+    "node_id": 4, "system_id": 4, "base": False, "hops": 1, "risk": 0.0, "cost": 0.1, "free_items": 9,
+    "same_policy": True, "age_s": 1,
 }  # fmt: skip
 
 
@@ -100,7 +102,10 @@ def test_commits_that_failed_long_ago(scene: tuple[RunConfig, Evidence]) -> None
 @pytest.mark.parametrize(
     ("change", "level", "said"),
     [
-        (nothing, "pass", "ArduPilot, system 3, disarmed"),
+        (nothing, "pass", "ArduPilot 4.6.3, system 3, disarmed"),
+        (put("autopilot.version", None), "pass", "ArduPilot, system 3, disarmed"),
+        (put("autopilot.signed", True), "pass", "heartbeats/s, signed"),
+        (lambda s: s["autopilot"].update(signed=True, version=None), "fail", "MAVLink signing is on"),
         (put("autopilot.reboots", 2), "warn", "has restarted 2 times"),
         (put("autopilot.heartbeat_age_s", 30.0), "fail", "nothing heard"),
         (put("autopilot", None), "fail", "nothing heard"),
@@ -191,9 +196,9 @@ def other(node_id: int, version: int, age_s: float = 1.0) -> dict[str, Any]:
     ("others", "level", "said", "remedy"),
     [
         ([], "pass", "no other than 2", ""),
-        ([other(4, 1)], "warn", "node 4 speaks version 1, this one 2", "on node 4 "),
-        ([other(4, 3)], "warn", "node 4 speaks version 3", "on node 7 "),
-        ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 speaks version 3", "on node 4, 7 "),
+        ([other(4, 1)], "warn", "node 4 uses version 1, this one 2", "on node 4 "),
+        ([other(4, 3)], "warn", "node 4 uses version 3", "on node 7 "),
+        ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 uses version 3", "on node 4, 7 "),
         ([other(4, 1, 121.0)], "pass", "no other than 2", ""),
     ],
 )
@@ -210,12 +215,28 @@ def test_who_has_to_be_updated(
     [
         (nothing, "pass", "open"),
         (put("links.0.trouble", "No such device"), "fail", "no such device"),
-        (put("links.0.dropped_out", 50), "warn", "50 could not be sent"),
+        (put("links.0.trouble", "wlanA is down"), "fail", "wlanA is down"),
+        (put("links.0.dropped_out", 50), "warn", "50 could not be sent and 0 could"),
     ],
 )
 def test_a_link(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
     found = neighbours.link(scene[0], 0, evidence(scene, change))
     assert (found.level, said in found.text) == (level, True), found
+
+
+def test_a_link_that_dropped_much_long_ago_and_one_that_has_sent_much_before(
+    scene: tuple[RunConfig, Evidence],
+) -> None:
+    def counted(sent: int, dropped: int) -> dict[str, Any]:
+        sample = copy.deepcopy(dict(scene[1].last))
+        sample["links"][0].update(sent=sent, dropped_out=dropped)
+        return sample
+
+    recovered = Evidence(True, [counted(10, 9000), counted(20, 9000)], opened=[0])
+    assert neighbours.link(scene[0], 0, recovered).level == "pass"
+    lost_now = Evidence(True, [counted(9000, 0), counted(9001, 10)], opened=[0])
+    found = neighbours.link(scene[0], 0, lost_now)
+    assert (found.level, "10 could not be sent and 1 could" in found.text) == ("warn", True)
 
 
 @pytest.mark.parametrize(
@@ -231,5 +252,166 @@ def test_which_file_of_parameters_fits(scene: tuple[RunConfig, Evidence]) -> Non
     found = vehicle.parameters(scene[0], seen, "drone.yaml")
     assert found is not None
     assert "with the node stopped, rass-mav params check firmware_params/px4.params --live drone.yaml" in found.text
-    # The version of ArduPilot is not known of a running node.
-    assert vehicle.parameters(scene[0], evidence(scene, nothing), "drone.yaml") is None
+    found = vehicle.parameters(scene[0], evidence(scene, nothing), "drone.yaml")
+    assert found is not None
+    assert "ardupilot-4.6.parm" in found.text
+    assert vehicle.parameters(scene[0], evidence(scene, put("autopilot.version", None)), "drone.yaml") is None
+
+
+def told(scene: tuple[RunConfig, Evidence], change: Change, parameters: dict[str, float]) -> Evidence:
+    """A trial that read these parameters."""
+    seen = evidence(scene, change, running=False)
+    seen.ear = Ear(frames=9, parameters=parameters)
+    return seen
+
+
+def firmware(type: int, *version: int) -> Change:
+    def change(status: dict[str, Any]) -> None:
+        status["autopilot"].update(type=type, version=list(version) or None)
+
+    return change
+
+
+MAVLINK_PORTS = {"SERIAL0_PROTOCOL": 2, "SERIAL1_PROTOCOL": 2, "SERIAL2_PROTOCOL": 2, "SERIAL3_PROTOCOL": 5}
+#: What closes a port: firmware, parameters; how it is named, and what opens it.
+CLOSED: list[tuple[Change, dict[str, float], str, str]] = [
+    (firmware(3, 4, 6, 3), {"SERIAL2_OPTIONS": 1024}, "SERIAL2 (SERIAL2_OPTIONS 1024)", "set SERIAL2_OPTIONS 0,"),
+    (firmware(3, 4, 6, 3), {"SERIAL1_OPTIONS": 1025}, "SERIAL1 (SERIAL1_OPTIONS 1025)", "set SERIAL1_OPTIONS 1,"),
+    (firmware(3, 4, 7, 0), {"MAV3_OPTIONS": 3}, "SERIAL2 (MAV3_OPTIONS 3)", "set MAV3_OPTIONS 1,"),
+    (firmware(12, 1, 15, 0), {"MAV_1_CONFIG": 102, "MAV_1_FORWARD": 0}, "TELEM2 (MAV_1_FORWARD 0)", "MAV_1_FORWARD 1,"),
+]
+#: What does not: another protocol, another version's bit, an instance that is off.
+OPEN: list[tuple[Change, dict[str, float]]] = [
+    (firmware(3, 4, 6, 3), {"SERIAL2_OPTIONS": 0}),
+    (firmware(3, 4, 6, 3), {"SERIAL3_OPTIONS": 1024}),
+    (firmware(3, 4, 7, 0), {"SERIAL2_OPTIONS": 1024}),
+    (firmware(12, 1, 15, 0), {"MAV_1_CONFIG": 0, "MAV_1_FORWARD": 0}),
+]
+
+
+@pytest.fixture(scope="module")
+def behind(scene: tuple[RunConfig, Evidence], tmp_path_factory: pytest.TempPathFactory) -> RunConfig:
+    """The same drone, whose swarm is reached through the autopilot."""
+    path: Path = tmp_path_factory.mktemp("behind") / "n7.yaml"
+    path.write_text(
+        f"node: {{id: 7}}\nautopilot: {{url: '{scene[0].autopilot.url}'}}\nmavlink: {{autopilot_id: 3}}\n"
+        "links: [{type: autopilot}]\n"
+    )
+    return load_config(path)
+
+
+@pytest.mark.parametrize(("change", "parameters", "port", "remedy"), CLOSED)
+def test_forwarding_that_is_off(
+    scene: tuple[RunConfig, Evidence], behind: RunConfig, change: Change, parameters: dict[str, float], port: str,
+    remedy: str,
+) -> None:  # fmt: skip
+    seen = told(scene, change, MAVLINK_PORTS | parameters)
+    found = vehicle.forwarding(behind, seen)
+    assert found is not None
+    assert (found.level, f"off on {port}" in found.text, remedy in found.remedy) == ("fail", True, True), found
+    # One fault, one remedy.
+    lonely = neighbours.neighbours(behind, seen)
+    assert lonely is not None
+    assert (lonely.level, lonely.text) == ("skip", "not checked: the autopilot passes nothing on")
+    # Another port than those between the node and the swarm.
+    seen.samples[-1]["neighbours"].append(NEIGHBOUR)
+    heard = vehicle.forwarding(behind, seen)
+    assert heard is not None
+    assert heard.level == "pass"
+    # With a radio of its own the swarm does not need it.
+    beside = vehicle.forwarding(scene[0], told(scene, change, MAVLINK_PORTS | parameters))
+    assert beside is not None
+    assert (beside.level, port in beside.text) == ("pass", True)
+
+
+@pytest.mark.parametrize(("change", "parameters"), OPEN)
+def test_forwarding_that_is_on(
+    scene: tuple[RunConfig, Evidence], behind: RunConfig, change: Change, parameters: dict[str, float]
+) -> None:
+    found = vehicle.forwarding(behind, told(scene, change, MAVLINK_PORTS | parameters))
+    assert found is not None
+    assert (found.level, found.text) == ("pass", "no MAVLink port of the autopilot has it switched off")
+
+
+def test_the_parameters_of_a_running_node_are_not_read(scene: tuple[RunConfig, Evidence], behind: RunConfig) -> None:
+    found = vehicle.forwarding(behind, evidence(scene, nothing))
+    assert found is not None
+    assert (found.level, "stop it" in found.text) == ("skip", True)
+
+
+@pytest.mark.parametrize(
+    ("change", "parameters", "why", "remedy"),
+    [
+        (firmware(12, 1, 15, 0), {}, "", "connect the counter to this computer, and set sensor.type"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 0}, "runs no scripts", "SCR_ENABLE 1 and reboot"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1}, "but not rass_rad.lua", "APM/scripts"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 0}, "RADS_SOURCE is 0", "set RADS_SOURCE"),
+        (
+            firmware(3, 4, 6, 3),
+            {"SCR_ENABLE": 1, "RADS_SOURCE": 1},
+            "no port has SERIALn_PROTOCOL 28",
+            "SERIALn_PROTOCOL 28",
+        ),
+        (
+            firmware(3, 4, 6, 3),
+            {"SCR_ENABLE": 1, "RADS_SOURCE": 1, "SERIAL4_PROTOCOL": 28},
+            "sends nothing before it hears the counter",
+            "RADS_BAUD",
+        ),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 2}, "pulses on a pin", "RADS_PIN"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 3}, "once there is a position", "wait"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 7}, "does not know", "1, 2 or 3"),
+    ],
+)
+def test_why_the_autopilot_sends_no_readings(
+    scene: tuple[RunConfig, Evidence], change: Change, parameters: dict[str, float], why: str, remedy: str
+) -> None:
+    found = vehicle.reading(scene[0], told(scene, change, parameters))
+    assert (found.level, why in found.text, remedy in found.remedy) == ("fail", True, True), found
+    assert ("script" in found.remedy) <= (why != ""), "PX4 has none"
+
+
+def test_an_autopilot_that_wants_signatures_is_the_only_fault(
+    scene: tuple[RunConfig, Evidence], behind: RunConfig
+) -> None:
+    seen = evidence(scene, lambda status: status["autopilot"].update(signed=True, version=None))
+    found = vehicle.autopilot(behind, seen)
+    assert (found.level, "bit 0 of its MAVn_OPTIONS" in found.remedy) == ("fail", True)
+    others = [
+        vehicle.position(behind, seen), vehicle.reading(behind, seen), neighbours.neighbours(behind, seen),
+    ]  # fmt: skip
+    assert [finding and finding.level for finding in others] == 3 * ["skip"]
+    assert vehicle.forwarding(behind, seen) is vehicle.parameters(behind, seen, "drone.yaml") is None
+    px4 = evidence(scene, lambda status: status["autopilot"].update(signed=True, version=None, type=12))
+    assert "turn signing off" in vehicle.autopilot(behind, px4).remedy
+
+
+@pytest.mark.parametrize(
+    ("change", "remedy"),
+    [
+        (firmware(3, 4, 6, 3), "SR2_POSITION on"), (firmware(3, 4, 7, 0), "MAV3_POSITION"),
+        (firmware(3), "SR2_POSITION or MAV3_POSITION"), (firmware(12), "MAV_1_MODE 2"),
+        (firmware(0), "autopilot.messages"),
+    ],
+)  # fmt: skip
+def test_what_positions_need_depends_on_the_firmware(
+    scene: tuple[RunConfig, Evidence], change: Change, remedy: str
+) -> None:
+    found = vehicle.position(scene[0], evidence(scene, change))
+    assert found is not None
+    assert remedy in found.remedy
+
+
+def test_a_system_id_that_waits_for_a_reboot(scene: tuple[RunConfig, Evidence]) -> None:
+    found = vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 8}))
+    assert (found.level, "SYSID_THISMAV is 8, but not used yet" in found.text) == ("warn", True)
+    assert vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 3})).level == "pass"
+
+
+def test_system_ids_that_several_use(scene: tuple[RunConfig, Evidence]) -> None:
+    assert neighbours.system_ids(evidence(scene, nothing)).level == "pass"
+    shared = [{"system_id": 3, "node_ids": [4, 7]}, {"system_id": 9, "node_ids": [11, 12]}]
+    found = neighbours.system_ids(evidence(scene, put("shared_system_ids", shared)))
+    assert found.level == "warn"
+    assert found.text.startswith("nodes 4, 7 all use system id 3; nodes 11, 12 all use system id 9")
+    assert "its own SYSID_THISMAV (" in found.remedy

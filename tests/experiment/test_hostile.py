@@ -28,7 +28,7 @@ def test_what_a_sinkhole_takes_is_healed_from_spares_and_told_where_there_are_no
 ) -> None:
     summary = asked(
         capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
-        "survival", "--jobs", "1",
+        "survival", "--jobs", "1", "--steps", "420",
     )  # fmt: skip
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")

@@ -20,6 +20,7 @@ from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runner import Outcome, run_all
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 from rass_mav.swarm.catalogue import load_scenario
+from tests.patience import PATIENCE_S
 
 SMALL = ("nodes=9", "arena_m=6")
 
@@ -179,18 +180,21 @@ def test_a_result_survives_being_written_and_read() -> None:
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_command_that_is_interrupted_ends_at_once_and_goes_on_later(tmp_path: Path) -> None:
     command = [
-        sys.executable, "-m", "rass_mav", "experiment", "five-drones", "--out", str(tmp_path), "--runs", "60",
-        "--policy", "rass", "--steps", "400", "--jobs", "2", "--json",
+        sys.executable, "-m", "rass_mav", "experiment", "five-drones", "--out", str(tmp_path), "--policy", "rass",
+        "--steps", "400", "--jobs", "2", "--json", "--runs",
     ]  # fmt: skip
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([*command, "1000"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not list(tmp_path.glob("runs/*.json")):
         pass
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err) == (130, "", "")
-    kept = len(list(tmp_path.glob("runs/*.json")))
-    assert 0 < kept < 60
-    assert len(list(tmp_path.glob("runs/*"))) == kept
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    kept = [json.loads(path.read_bytes())["seed"] for path in tmp_path.glob("runs/*.json")]
+    assert 0 < len(kept) < 1000
+    assert len(list(tmp_path.glob("runs/*"))) == len(kept)
+    all_and_one_more = max(kept) + 2
+    done = subprocess.run(
+        [*command, str(all_and_one_more)], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
     summary = json.loads(done.stdout)
-    assert (summary["reused"], summary["done"]) == (kept, 60 - kept)
+    assert (summary["reused"], summary["done"]) == (len(kept), all_and_one_more - len(kept))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import pytest
@@ -33,6 +34,28 @@ def test_an_acknowledgement_and_a_ping_name_who_asked() -> None:
     assert (ack.command, ack.result, ack.target_system, ack.target_component) == (512, mav.DENIED, 255, 190)
     ping = heard(mav.PING, mav.ping(123456789012, 5, target_system=255, target_component=190))
     assert (ping.time_usec, ping.seq, ping.target_system, ping.target_component) == (123456789012, 5, 255, 190)
+
+
+def file_transfer(sequence: int, session: int, opcode: int, name: bytes = b"") -> bytes:
+    """The payload of a request, as https://mavlink.io/en/services/ftp.html has it."""
+    return struct.pack("<HBBBBBBI", sequence, session, opcode, len(name), 0, 0, 0, 0) + name.ljust(239, b"\0")
+
+
+def test_a_refused_file_transfer_says_which_request_it_answers() -> None:
+    request = file_transfer(0xFFFF, 3, common.MAV_FTP_OPCODE_OPENFILERO, b"@PARAM/param.pck")
+    payload = mav.file_transfer_refusal(request, target_system=255, target_component=190)
+    assert payload is not None
+    message = heard(mav.FILE_TRANSFER_PROTOCOL, payload)
+    assert (message.target_network, message.target_system, message.target_component) == (0, 255, 190)
+    said = bytes(message.payload)
+    # The next number, the same session, one byte of data: the error.
+    assert struct.unpack_from("<HBBBBBBI", said) == (0, 3, common.MAV_FTP_OPCODE_NAK, 1, 4, 0, 0, 0)
+    assert said[12:] == bytes([common.MAV_FTP_ERR_UNKNOWNCOMMAND]).ljust(239, b"\0")
+
+
+@pytest.mark.parametrize("opcode", [common.MAV_FTP_OPCODE_ACK, common.MAV_FTP_OPCODE_NAK])
+def test_an_answer_of_a_file_transfer_is_not_refused(opcode: int) -> None:
+    assert mav.file_transfer_refusal(file_transfer(1, 0, opcode), target_system=255, target_component=190) is None
 
 
 @pytest.mark.skipif(mav.PARAM_ERROR is None, reason="this pymavlink has no PARAM_ERROR")

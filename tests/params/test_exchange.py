@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from rass_mav.errors import MalformedError
+from rass_mav.mavlink.firmware import ARDUPILOT, PX4
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.vehicle_parameters import (
-    ARDUPILOT,
-    PX4,
     ParameterValue,
     fits,
     is_bytewise,
@@ -105,7 +104,7 @@ def test_introduction_waits_for_the_autopilot_that_is_meant() -> None:
     assert (talk.autopilot, talk.others) == (None, {2})
     talk.hear(frame_of(autopilot_heartbeat(armed=True), 3), 0.3)
     assert talk.autopilot is not None
-    assert (talk.autopilot.system_id, talk.autopilot.firmware, talk.autopilot.armed) == (3, ARDUPILOT, True)
+    assert (talk.autopilot.system_id, talk.autopilot.type, talk.autopilot.armed) == (3, ARDUPILOT, True)
     assert [question.message_id for question in talk.say(0.3)] == [COMMAND_LONG]
     number = int.from_bytes([4, 7, 1, 255], "big")
     rest = (0, 0, 0, bytes(8), bytes(8), bytes(8), 0, 0, 0)

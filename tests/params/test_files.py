@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import ConfigError
-from rass_mav.mavlink.vehicle_parameters import ARDUPILOT, PX4
+from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 from rass_mav.params.files import parse_text, read_file
 from rass_mav.params.names import fitting_file, made_for, other_name
 
@@ -20,7 +20,7 @@ SHIPPED = sorted(path for path in FOLDER.iterdir() if path.suffix in (".parm", "
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 def test_the_files_that_ship(path: Path) -> None:
     file = read_file(path)
-    assert len(file.entries) >= 10
+    assert len(file.entries) >= 9
     px4 = path.suffix == ".params"
     assert file.format == ("qgroundcontrol" if px4 else "ardupilot")
     assert {entry.kind for entry in file.entries} == {6 if px4 else None}
@@ -64,6 +64,11 @@ def test_what_is_refused_says_where_and_what_was_expected(text: str, said: str) 
     with pytest.raises(ConfigError) as refused:
         parse_text(text)
     assert str(refused.value).startswith(said)
+
+
+def test_what_counts_after_a_reboot_is_known_without_a_comment() -> None:
+    text = "SERIAL3_OPTIONS 0\nSYSID_THISMAV 2\nMAV_1_FORWARD 1\nRADS_SOURCE 2\nRADS_EDGES 2\nTELEM_DELAY 0\n"
+    assert [entry.reboot for entry in parse_text(text).entries] == [True] * 4 + [False] * 2
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
@@ -118,6 +123,6 @@ def test_names_before_and_since_4_7_lead_to_each_other() -> None:
 def test_which_file_fits(
     firmware: int, version: tuple[int, int, int], names: tuple[str, ...], file: str | None
 ) -> None:
-    assert fitting_file(firmware, version, frozenset(names)) == file
+    assert fitting_file(Firmware(firmware, version), frozenset(names)) == file
     if file is not None:
         assert (FOLDER / file).exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import socket
 import sys
 from collections.abc import Callable
@@ -213,11 +214,74 @@ def test_the_system_id_changes_under_our_feet(
     vehicle = ardupilot()
     vehicle.id_changes = at_once
     with vehicle.on_udp(port):
-        text = FILE.replace("SYSID_THISMAV 1", "SYSID_THISMAV 12")
-        assert params(tmp_path, "write", text, "--live", path, "--yes") == 0
+        assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--sysid", "12") == 0
     assert vehicle.sets == ["SERIAL2_PROTOCOL", "SYSID_THISMAV"]
     assert vehicle.system_id == (12 if at_once else 1)
-    assert "  SYSID_THISMAV    written: 12\n" in capsys.readouterr().out
+    reboot = "" if at_once else ", needs a reboot"
+    assert f"  SYSID_THISMAV    written: 12{reboot}\n" in capsys.readouterr().out
+
+
+def test_a_system_id_that_waits_for_a_reboot(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = ardupilot(SERIAL2_PROTOCOL=(2, INT8), SYSID_THISMAV=(12, INT16))
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "check", FILE, "--live", path, "--sysid", "12") == 0
+    still = "  SYSID_THISMAV    12, but the vehicle still uses 1: reboot it\n"
+    assert still in capsys.readouterr().out
+
+
+def test_a_system_id_is_not_set_unasked(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    with MockVehicle(3).on_udp(port) as vehicle:
+        vehicle.parameters = ardupilot(SYSID_THISMAV=(3, INT16)).parameters
+        assert params(tmp_path, "check", FILE, "--live", path) == 1
+        assert params(tmp_path, "write", FILE, "--live", path, "--yes", "--json") == 1
+        assert vehicle.sets == ["SERIAL2_PROTOCOL"]
+    said = capsys.readouterr()
+    line = "  SYSID_THISMAV    kept: 3, not 1: only --sysid sets a system id\n"
+    assert line in said.out
+    assert line in said.err
+    (entry,) = [p for p in json.loads(said.out.splitlines()[-1])["parameters"] if p["name"] == "SYSID_THISMAV"]
+    assert (entry["state"], entry["vehicle"], entry["file"]) == ("kept", 3, 1)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "name", "kind"),
+    [
+        (MockVehicle(version=(4, 7, 0)), "MAV_SYSID", INT16),
+        (MockVehicle(firmware=PX4, version=(1, 15, 2)), "MAV_SYS_ID", INT32),
+    ],
+    ids=["ArduPilot 4.7", "PX4"],
+)
+def test_each_firmware_calls_its_system_id_otherwise(
+    vehicle: MockVehicle, name: str, kind: int, tmp_path: Path, config: tuple[str, int], capsys: Capture
+) -> None:
+    path, port = config
+    vehicle.parameters = {name: (1, kind), "X": (1, kind)}
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "write", "X 1\n", "--live", path, "--yes", "--sysid", "9") == 0
+    assert vehicle.parameters[name] == (9, kind)
+    assert f"  {name:16} 1 -> 9" in capsys.readouterr().out
+
+
+def test_a_firmware_whose_system_id_nobody_knows(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = MockVehicle(firmware=0)
+    vehicle.parameters = {"X": (2, INT16)}
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "write", "X 1\n", "--live", path, "--yes", "--sysid", "9") == 1
+    assert vehicle.sets == []
+    assert "nobody knows what this firmware calls its system id" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", ["0", "256", "two", "1.0"])
+def test_what_is_no_system_id(number: str, tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as ended:
+        params(tmp_path, "write", FILE, "--live", config[0], "--sysid", number)
+    assert ended.value.code == 2
+    assert "expected a system id, 1 to 255" in capsys.readouterr().err
+    assert params(tmp_path, "check", FILE, "--sysid", "7") == 2
+    assert capsys.readouterr().err == "--sysid: only with --live\n"
 
 
 def test_an_armed_vehicle_is_left_alone(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
@@ -247,7 +311,7 @@ def test_a_file_of_another_version_says_which_to_use_and_is_not_written(
     with vehicle.on_udp(port):
         assert main(["params", "write", str(FOLDER / "ardupilot-4.6.parm"), "--live", path, "--yes"]) == 1
     out = capsys.readouterr().out
-    assert "  SYSID_THISMAV    missing: this firmware calls it MAV_SYSID\n" in out
+    assert "  SYSID_MYGCS      missing: this firmware calls it MAV_GCS_SYSID\n" in out
     assert "  SR2_POSITION     missing: this firmware calls it MAV3_POSITION\n" in out
     assert "nothing written: the file is for another version of ArduPilot; use ardupilot-4.7.parm\n" in out
     assert vehicle.sets == []
@@ -318,7 +382,8 @@ def test_nobody_there_is_one_line(tmp_path: Path, config: tuple[str, int], capsy
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", port))
         assert params(tmp_path, "check", FILE, "--live", path) == 1
-    assert capsys.readouterr().err == f"udpin:127.0.0.1:{port}: address already in use\n"
+    said = capsys.readouterr().err
+    assert said.startswith(f"udpin:127.0.0.1:{port}: address already in use by process {os.getpid()} (")
     quiet = tmp_path / "quiet.yaml"
     quiet.write_text("node: {id: 7, role: base}\n")
     assert params(tmp_path, "check", FILE, "--live", str(quiet)) == 2
@@ -335,10 +400,9 @@ def test_the_node_that_has_the_port_is_named(tmp_path: Path, config: tuple[str, 
         assert params(tmp_path, "check", FILE, "--live", path) == 1
     finally:
         node.end()
-    assert capsys.readouterr().err == (
-        f"udpin:127.0.0.1:{port}: address already in use; the node of {path} runs and has the autopilot's port: "
-        "stop it first\n"
-    )
+    said = capsys.readouterr().err
+    assert said.startswith(f"udpin:127.0.0.1:{port}: address already in use by process ")
+    assert said.endswith(f"); the node of {path} runs and has the autopilot's port: stop it first\n")
 
 
 def test_another_autopilot_than_the_configured_one(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:

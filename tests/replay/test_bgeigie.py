@@ -23,7 +23,7 @@ from .logs import START, vehicle, write
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "data" / "bgeigie"
 needs_samples = pytest.mark.skipif(
-    not SAMPLES.exists(), reason="needs Safecast's logs in ../shared/data/bgeigie, which are not part of the repository"
+    not SAMPLES.exists(), reason="needs ../shared/data/bgeigie, which is not part of the repository"
 )
 
 

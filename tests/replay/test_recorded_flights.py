@@ -20,7 +20,7 @@ THREE = str(SITL / "copter-3-vehicles.tlog")
 
 pytestmark = pytest.mark.skipif(
     not all(Path(path).exists() for path in [*FLIGHT, THREE]),
-    reason="needs the recordings of real autopilots in ../shared/data/sitl, which are not part of the repository",
+    reason="needs ../shared/data/sitl, which is not part of the repository",
 )
 
 

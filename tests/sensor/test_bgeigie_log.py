@@ -179,9 +179,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         load_bgeigie(str(path))
 
 
-@pytest.mark.skipif(
-    not SAMPLES.exists(), reason="needs Safecast's logs in ../shared/data/bgeigie, which are not part of the repository"
-)
+@pytest.mark.skipif(not SAMPLES.exists(), reason="needs ../shared/data/bgeigie, which is not part of the repository")
 @pytest.mark.parametrize(
     ("name", "read", "used", "without_rate", "without_place"),
     [("flight-204-part1.LOG", 3998, 3998, 8, 0), ("bgeigie.log", 23, 23, 11, 23)],
@@ -193,9 +191,7 @@ def test_real_logs(name: str, read: int, used: int, without_rate: int, without_p
     assert sum(record.place is None for record in log.records) == without_place
 
 
-@pytest.mark.skipif(
-    not SAMPLES.exists(), reason="needs Safecast's logs in ../shared/data/bgeigie, which are not part of the repository"
-)
+@pytest.mark.skipif(not SAMPLES.exists(), reason="needs ../shared/data/bgeigie, which is not part of the repository")
 def test_a_real_log_with_signs_before_its_coordinates() -> None:
     log = load_bgeigie(str(SAMPLES / "bgeigie_with_tinygps_bug.log"))
     assert (log.read, len(log.records)) == (29, 29)

@@ -13,6 +13,7 @@ import pytest
 from rass_mav.core.datum import Fate
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.store import OpenReport, SqliteReader, SqliteStore
+from tests.users import ordinary_user
 
 from .store_helpers import ROOT, commit, datum, open_store
 
@@ -156,22 +157,22 @@ def test_paths_that_cannot_be(tmp_path: Path) -> None:
         assert str(tmp_path / path) in str(error.value)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_without_permission_to_write(path: Path) -> None:
-    with open_store(path) as store:
-        store.put(datum(1))
-    path.chmod(0o400)
-    with open_store(path) as store:
-        assert store.report.unwritable == "permission denied"
-        assert store.get(datum(1).id) == datum(1)
-        assert not store.accepting
-    path.parent.chmod(0o500)
-    with SqliteReader(path) as reader:
-        assert reader.get(datum(1).id) == datum(1)
-    with open_store(path.with_name("other.db")) as store:
-        assert store.report.unwritable == "permission denied"
-        assert list(store.ids()) == []
-    path.parent.chmod(0o700)
+    with ordinary_user(path.parent):
+        with open_store(path) as store:
+            store.put(datum(1))
+        path.chmod(0o400)
+        with open_store(path) as store:
+            assert store.report.unwritable == "permission denied"
+            assert store.get(datum(1).id) == datum(1)
+            assert not store.accepting
+        path.parent.chmod(0o500)
+        with SqliteReader(path) as reader:
+            assert reader.get(datum(1).id) == datum(1)
+        with open_store(path.with_name("other.db")) as store:
+            assert store.report.unwritable == "permission denied"
+            assert list(store.ids()) == []
+        path.parent.chmod(0o700)
 
 
 def test_where_there_is_no_write_ahead_mode_no_store_is_made(tmp_path: Path) -> None:

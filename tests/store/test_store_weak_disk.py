@@ -146,7 +146,7 @@ if "full" in how:
         except OSError:
             pass
 else:
-    mount("-o", "remount,ro", disk)
+    mount("-t", "tmpfs", "-o", "remount,ro,size=512k", "tmpfs", disk)
 with open_store(path) as store:
     print(store.report.unwritable, store.accepting, len(list(store.ids())))
 """

@@ -14,7 +14,7 @@ from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
-from tests.extent import examples
+from tests.extent import examples, extents
 from tests.nodes import node_of
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
@@ -216,9 +216,10 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
     assert lost(world) == {"died": 1}
 
 
-def test_with_custody_nothing_vanishes_however_many_answers_are_lost() -> None:
-    world = World(scenario(nodes=36, steps=150, seed=2, radio={"loss": 0.3}, custody={"retry_steps": 3}))
-    world.run(150, after=check)
+@pytest.mark.parametrize("nodes", extents(25, 100))
+def test_with_custody_nothing_vanishes_however_many_answers_are_lost(nodes: int) -> None:
+    world = World(scenario(nodes=nodes, steps=4 * nodes, seed=2, radio={"loss": 0.3}, custody={"retry_steps": 3}))
+    world.run(4 * nodes, after=check)
     summary = world.statistics.summary()
     assert summary["lost"]["corrupted"] > 0
     assert summary["lost"]["vanished"] == 0

@@ -78,7 +78,7 @@ def test_in_one_world_it_agrees_with_an_independent_simulator(policy: str) -> No
 def differences_from_an_independent_simulator(policy: str, worlds: int, seeds: int) -> list[float]:
     """Of reliability, world by world."""
     if not PARITY.exists():
-        pytest.skip(f"the reference figures are not here: {PARITY.name} beside the project in shared/data/paper")
+        pytest.skip("needs ../shared/data/paper, which is not part of the repository")
     parity = json.loads(PARITY.read_text())
     expected = parity["expect"][policy]["reliability"]
     assert len(expected) == len(parity["sources"]) >= worlds

@@ -13,13 +13,15 @@ import pytest
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import CMD_RETURN, CMD_SPEED, CMD_TAKEOFF, CMD_WAYPOINT
 from rass_mav.swarm.autopilot import to_earth
+from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.sitl import guard
 from rass_mav.swarm.sitl.air import FlightPorts
 from rass_mav.swarm.sitl.firmware import arducopter_parameters, find_firmware, made_up_readings, prepare
-from rass_mav.swarm.sitl.mock_copter import NO_FORWARD, read_defaults
+from rass_mav.swarm.sitl.mock_copter import NO_FORWARD, mode_after_boot, read_defaults
 from rass_mav.swarm.sitl.mock_flight import GUIDED
 from rass_mav.swarm.sitl.pilot import need_mavsdk
 from rass_mav.swarm.sitl.scenario import FlightScenario, load_flight
+from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 FILE = str(ROOT / "sitl" / "three-copters.yaml")
@@ -32,7 +34,6 @@ PORTS = FlightPorts(
     station=[0] * 4,
 )
 LUA = next((found for name in ("lua5.3", "lua53", "lua5.4", "lua") if (found := shutil.which(name))), None)
-PATIENCE_S = 20.0
 
 
 @pytest.fixture
@@ -96,15 +97,21 @@ def test_arducopter_is_started_with_its_home_ports_and_parameters(programs: Path
     assert (directory / "scripts" / "rass_rad.lua").is_file()
 
 
+def parameters() -> dict[str, float]:
+    lines = arducopter_parameters(5, scripted=False).splitlines()
+    return {name: float(value) for name, value in (line.split() for line in lines)}
+
+
+def test_motors_start_in_a_mode_that_needs_a_position() -> None:
+    """The simulated radio control has a mode switch; with it the vehicle would be armed before it can fly a mission."""
+    assert mode_after_boot(parameters()) == GUIDED
+
+
 def test_the_ground_station_is_not_on_the_air() -> None:
-    values = {
-        name: float(value)
-        for name, value in (line.split() for line in arducopter_parameters(5, scripted=False).splitlines())
-    }
+    values = parameters()
     # Before 4.7, and since.
     assert int(values["SERIAL0_OPTIONS"]) & NO_FORWARD
     assert int(values["MAV1_OPTIONS"]) & 2
-    assert values["INITIAL_MODE"] == GUIDED
     assert values["SCR_ENABLE"] == 0
     assert all(len(name) <= 16 for name in values)
 
@@ -178,6 +185,8 @@ def test_drones_without_a_mission_stay_where_they_are() -> None:
 def test_fewer_vehicles_are_the_first_ones() -> None:
     scenario = load_flight(FILE, vehicles=1)
     assert (scenario.nodes, len(scenario.places), len(scenario.flight.missions)) == (2, 2, 1)
+    some = load_flight(FILE, assignments=["failures.kill_autopilots=[[1, 5], [3, 9]]"], vehicles=2)
+    assert some.failures.kill_autopilots == ((1, 5.0),)
     with pytest.raises(ConfigError, match=r"--vehicles: expected 1..3"):
         load_flight(FILE, vehicles=4)
 
@@ -188,6 +197,8 @@ def test_fewer_vehicles_are_the_first_ones() -> None:
         ("topology=grid", "topology: expected positions"),
         ("flight.missions=[[[1]]]", "flight.missions"),
         ("flight.missions=[[], [], [], []]", "at most one for each of 3 drones"),
+        ("failures.kill_autopilots=[[0, 5]]", "failures.kill_autopilots: expected drones, 1..3, got 0"),
+        ("failures.kill_autopilots=[[4, 5]]", "failures.kill_autopilots: expected drones, 1..3, got 4"),
         ("flight.speed_m_s=0", "flight.speed_m_s: expected a number > 0"),
         ("radiation.drift=1", "sources that stay"),
         ("flight.height=3", "flight.height"),
@@ -199,6 +210,14 @@ def test_what_cannot_be_flown_is_said_in_one_line(assignment: str, expected: str
         load_flight(FILE, assignments=[assignment])
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_the_last_of_six_vehicles_is_four_hops_from_the_base() -> None:
+    scenario = load_flight(str(ROOT / "sitl" / "six-copters.yaml"))
+    flown = [scenario.waypoints(n)[0] for n in range(1, 7)]
+    graph = RangeGraph([scenario.places[0], *((x, y) for x, y, _ in flown)], scenario.radio.range_m)
+    # Two lanes, 1 and 3, and 2 and 4: without either of them there is still a way.
+    assert graph.neighbours == [[1, 2], [0, 2, 3], [0, 1, 4], [1, 4, 5], [2, 3, 5], [3, 4, 6], [5]]
 
 
 def test_levels_count_the_height_in() -> None:

@@ -20,12 +20,13 @@ import pytest
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel
+from tests.patience import PATIENCE_S
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
 
 ROOT = Path(__file__).parents[2]
 THREE = str(ROOT / "sitl" / "three-copters.yaml")
-DEADLINE_S = 90.0
+SIX = str(ROOT / "sitl" / "six-copters.yaml")
 #: With real firmware: until its GPS is believed, the flight, and the rest.
 REAL_DEADLINE_S = 420.0
 #: A base, a relay that hovers, and a vehicle that flies out of the base's range and back; small and quick.
@@ -60,7 +61,7 @@ def environment(path: str | None = None) -> dict[str, str]:
     return variables
 
 
-def fly(*arguments: str, deadline_s: float = DEADLINE_S, path: str | None = None) -> tuple[dict[str, Any], str]:
+def fly(*arguments: str, deadline_s: float = PATIENCE_S, path: str | None = None) -> tuple[dict[str, Any], str]:
     """The summary, and what was said on stderr."""
     done = subprocess.run(
         command(*arguments, "--json"),
@@ -82,11 +83,15 @@ def quick(tmp_path: Path) -> str:
     return str(path)
 
 
+def rows(directory: Path) -> list[dict[str, str]]:
+    with (directory / "track.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def track(directory: Path) -> dict[int, list[tuple[float, float]]]:
     places = defaultdict(list)
-    with (directory / "track.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            places[int(row["node"])].append((float(row["x"]), float(row["y"])))
+    for row in rows(directory):
+        places[int(row["node"])].append((float(row["x"]), float(row["y"])))
     return places
 
 
@@ -110,7 +115,7 @@ def test_the_mock_flies_its_mission_beside_the_autopilots(quick: str, tmp_path: 
     check_delivery(summary)
     flight = summary["sitl"]
     assert (flight["firmware"], flight["wiring"], flight["readings"]) == ("mock", "beside-autopilots", "injected")
-    assert [vehicle["finished"] for vehicle in flight["vehicles"]] == [True, True]
+    assert flight["missions"] == {"finished": [1, 2], "unfinished": [], "not_flown": []}
     # Out of range of the base: over the relay.
     assert summary["hops"]["p95"] == 2
     assert summary["routing"]["max_hop_count"] >= 2
@@ -124,6 +129,8 @@ def test_the_mock_flies_its_mission_beside_the_autopilots(quick: str, tmp_path: 
     # A position is at most a second old, at 20 m/s; and a look at the truth 0.2 s.
     assert flight["measurements"]["error_m"]["max"] < 20 * 1.5
     assert flight["measurements"]["largest_reading"] > 20
+    # What a vehicle says to people is in its log.
+    assert "Arming motors" in (kept / "vehicle-1.log").read_text()
     # Everything on the tape is a node's own.
     frames = FrameReader().feed(tape.read_bytes())
     assert len(frames) == summary["frames"]["sent"]
@@ -152,7 +159,7 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     flight = summary["sitl"]
     assert (flight["firmware"], flight["wiring"]) == ("arducopter", "through-autopilots")
     assert summary["hops"]["p95"] == 2
-    assert [vehicle["finished"] for vehicle in flight["vehicles"]] == [True, True]
+    assert flight["missions"] == {"finished": [1, 2], "unfinished": [], "not_flown": []}
     # What the autopilots send by themselves is on the air too, and what nodes say is passed on verbatim.
     frames = FrameReader().feed(tape.read_bytes())
     ours = [frame for frame in frames if frame.message_id == TUNNEL]
@@ -175,10 +182,25 @@ def test_without_a_binary_it_says_how_to_get_one_and_flies_mock_ones(quick: str,
     assert len(summary["sitl"]["vehicles"]) == 1
 
 
-def test_a_node_that_is_killed_in_flight_comes_back(quick: str) -> None:
-    summary, _ = fly(quick, "--mock", "--set", "failures.kill_every_s=3")
-    check_delivery(summary)
+def test_a_node_that_is_killed_comes_back_and_an_autopilot_does_not(quick: str, tmp_path: Path) -> None:
+    """The relay's autopilot dies when it is above its place: its node relays on, and the other vehicle flies on."""
+    failures = "failures={kill_every_s: 3, kill_autopilots: [[2, 4]]}"
+    summary, _ = fly(quick, "--mock", "--set", failures, "--keep", str(tmp_path / "kept"))
+    assert summary["created"] == summary["delivered"] + summary["held"] > 0
+    assert summary["reliability"] == 1.0
     assert summary["transport"]["kills"] == 3
+    flight = summary["sitl"]
+    assert flight["missions"] == {"finished": [1], "unfinished": [2], "not_flown": []}
+    flier, relay = flight["vehicles"]
+    assert flier["killed_s"] is None
+    assert flier["farthest_m"] == pytest.approx(67, abs=0.2)
+    assert 4 <= relay["killed_s"] < 10
+    # Its wreck lies under the place where it was.
+    last = [row for row in rows(tmp_path / "kept") if row["node"] == "2"][-1]
+    assert float(last["x"]) > 30
+    assert float(last["height"]) == 0
+    assert relay["true_positions"] < flier["true_positions"]
+    assert summary["hops"]["p95"] == 2
 
 
 @pytest.mark.parametrize(
@@ -199,7 +221,7 @@ def test_what_cannot_be_flown_is_one_line(quick: str, tmp_path: Path, arguments:
         command(*(quick if word == "QUICK" else word for word in arguments)),
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
         env=environment(str(tmp_path)),
     )
@@ -216,7 +238,7 @@ def test_a_vehicle_that_ends_fails_the_run_with_what_it_said(quick: str, tmp_pat
         command(quick, "--binary", str(binary)),
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
         env=environment(),
     )
@@ -244,8 +266,8 @@ def test_no_process_outlives_the_command(quick: str, number: int, code: int) -> 
         # Radio, pilot, two vehicles, three nodes.
         assert len(children) == 7
         process.send_signal(number)
-        assert process.wait(DEADLINE_S) == code
-        _, alive = psutil.wait_procs(children, DEADLINE_S)
+        assert process.wait(PATIENCE_S) == code
+        _, alive = psutil.wait_procs(children, PATIENCE_S)
         assert not alive
     finally:
         process.kill()
@@ -269,8 +291,22 @@ def test_three_arducopters_deliver_readings_through_the_autopilots(tmp_path: Pat
     flight = summary["sitl"]
     assert (flight["firmware"], flight["readings"]) == ("arducopter", "script")
     assert summary["hops"]["p95"] == 2
+    assert flight["missions"] == {"finished": [1, 2, 3], "unfinished": [], "not_flown": []}
     assert all(vehicle["highest_m"] > 10 for vehicle in flight["vehicles"])
     assert flight["vehicles"][0]["farthest_m"] > 60
+
+
+@pytest.mark.skipif(
+    shutil.which("arducopter") is None, reason="no arducopter on PATH (docs/sitl.md says how to get it)"
+)
+def test_five_of_six_arducopters_fly_on_when_an_autopilot_dies() -> None:
+    killed = "failures.kill_autopilots=[[3, 45]]"
+    summary, _ = fly(SIX, "--firmware", "arducopter", "--set", killed, deadline_s=REAL_DEADLINE_S)
+    check_delivery(summary)
+    flight = summary["sitl"]
+    assert flight["missions"] == {"finished": [1, 2, 4, 5, 6], "unfinished": [3], "not_flown": []}
+    assert [vehicle["node_id"] for vehicle in flight["vehicles"] if vehicle["killed_s"] is not None] == [3]
+    assert summary["routing"]["max_hop_count"] >= 4
 
 
 @pytest.mark.skipif(shutil.which("px4") is None, reason="no px4 on PATH (docs/sitl.md says how to get it)")

@@ -17,7 +17,7 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
-from tests.extent import examples
+from tests.extent import examples, extents
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
 pytestmark = pytest.mark.no_cover
@@ -36,13 +36,16 @@ def run(**keys: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("forward", ["step", "immediate"])
 @pytest.mark.parametrize("custody", [PASSED_ON, RECEIPT], ids=["passed-on", "receipt"])
 @pytest.mark.parametrize("policy", ["rass", "hop-count", "survival"])
-def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(policy: str, custody: Any, forward: str) -> None:
+@pytest.mark.parametrize("nodes", extents(16, 49))
+def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(
+    nodes: int, policy: str, custody: Any, forward: str
+) -> None:
     found = run(
-        nodes=25, steps=220, seed=3, topology="grid", policy={"name": policy}, custody=custody,
+        nodes=nodes, steps=10 * nodes, seed=3, topology="grid", policy={"name": policy}, custody=custody,
         node={"forward": forward}, radio={"loss": 0.3, "duplicate": 0.1, "reorder": 0.2},
         radiation={"corruption": False}, data={"until_step": 60}, store={"capacity_items": 5000},
     )  # fmt: skip
-    assert found["delivered"] == found["created"] > 100
+    assert found["delivered"] == found["created"] == 6 * (nodes - 1)
     assert sum(found["lost"].values()) == found["altered"] == 0
 
 
@@ -59,9 +62,10 @@ def test_mirrors_save_most_of_what_radiation_takes() -> None:
 
 
 @pytest.mark.parametrize(("custody", "forward"), [(PASSED_ON, "step"), (RECEIPT, "immediate")])
-def test_an_island_keeps_its_data_until_it_is_back(custody: Any, forward: str) -> None:
+@pytest.mark.parametrize("nodes", extents(25, 100))
+def test_an_island_keeps_its_data_until_it_is_back(nodes: int, custody: Any, forward: str) -> None:
     found = run(
-        nodes=49, steps=260, topology="islands", policy={"name": "survival"}, custody=custody,
+        nodes=nodes, steps=260, topology="islands", policy={"name": "survival"}, custody=custody,
         node={"forward": forward}, mobility={"split_step": 40, "rejoin_step": 180},
         data={"interval_steps": 40, "until_step": 170},
     )  # fmt: skip
@@ -99,9 +103,10 @@ def test_the_invariants_hold_whatever_is_set(
     assert found["altered"] == 0
 
 
-def test_where_drones_come_and_go_more_copies_save_more() -> None:
+@pytest.mark.parametrize(("nodes", "steps"), [(40, 120), pytest.param(60, 400, marks=pytest.mark.soak)])
+def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int) -> None:
     base: dict[str, Any] = {
-        "nodes": 60, "steps": 200, "seed": 3, "topology": "random-walk", "policy": {"name": "survival"},
+        "nodes": nodes, "steps": steps, "seed": 3, "topology": "random-walk", "policy": {"name": "survival"},
         "node": {"forward": "immediate"}, "radiation": {"random_sources": 3, "noise": 0.05},
     }  # fmt: skip
     one = run(**base, custody={**RECEIPT, "copies": 1})
@@ -125,7 +130,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
             env={**os.environ, "PYTHONHASHSEED": hash_seed}, capture_output=True, text=True, check=True,
         )  # fmt: skip
         summary = json.loads(done.stdout)
-        del summary["wall_s"], summary["robot_steps_per_s"]
+        del summary["wall_s"], summary["cpu_s"], summary["robot_steps_per_s"]
         found.append(summary)
     assert found[0] == found[1]
 

@@ -36,7 +36,7 @@ from rass_mav.mavlink.mission import (
     true_place,
 )
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.swarm.sitl.mock_copter import FIX_S, MAX_ROUTES, MockCopter, SerialPort, read_defaults
+from rass_mav.swarm.sitl.mock_copter import FIX_S, MAX_ROUTES, MockCopter, SerialPort, mode_after_boot, read_defaults
 from rass_mav.swarm.sitl.mock_flight import AUTO, CLIMB_M_S, GUIDED, LOITER, STABILIZE, MockFlight
 
 HOME = (45.0, -73.0, 100.0)
@@ -322,6 +322,40 @@ def test_garbage_does_no_harm(desk: Callable[..., tuple[MockCopter, list[Far]]])
     assert ground.heard() == []
     copter.tick(math.nextafter(1.0, 2.0))
     assert HEARTBEAT in {frame.message_id for frame in companion.heard()}
+
+
+def test_without_a_position_a_mission_does_not_begin(desk: Callable[..., tuple[MockCopter, list[Far]]]) -> None:
+    copter, (ground, _, _) = desk()
+    copter.flight.load(ITEMS)
+    assert copter.flight.set_mode(STABILIZE)
+    for command, params, result in [
+        (CMD_SET_MODE, (1, AUTO), REJECTED),
+        (CMD_SET_MODE, (1, GUIDED), REJECTED),
+        (CMD_SET_MODE, (1, STABILIZE), ACCEPTED),
+        (CMD_ARM, (1,), ACCEPTED),
+        (CMD_START, (), REJECTED),
+    ]:
+        ground.command(command, *params)
+        listen(copter)
+        assert ground.answers() == [(command, result)]
+    copter.tick(FIX_S)
+    ground.command(CMD_START)
+    listen(copter)
+    assert (CMD_START, ACCEPTED) in ground.answers()
+
+
+@pytest.mark.parametrize(
+    ("values", "mode"),
+    [
+        ({}, STABILIZE),
+        # The switch of the simulated radio control.
+        ({"INITIAL_MODE": GUIDED}, STABILIZE),
+        ({"INITIAL_MODE": GUIDED, "FLTMODE_CH": 5}, STABILIZE),
+        ({"INITIAL_MODE": GUIDED, "FLTMODE_CH": 0}, GUIDED),
+    ],
+)
+def test_the_mode_switch_overrules_the_mode_after_power_up(values: dict[str, float], mode: int) -> None:
+    assert mode_after_boot(values) == mode
 
 
 def test_the_defaults_file(tmp_path: object) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import psutil
 import pytest
 
+from rass_mav.app.config import load_config
 from rass_mav.errors import ConfigError, SwarmError
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.reader import SqliteReader
@@ -19,8 +21,7 @@ from rass_mav.swarm.children import Children
 from rass_mav.swarm.processes import MAX_NODES, NodeProcess, run
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
-
-PATIENCE_S = 30.0
+from tests.patience import PATIENCE_S
 
 
 def line(*assignments: str) -> Scenario:
@@ -69,6 +70,45 @@ def test_data_hop_to_the_base_over_a_lossy_radio_and_nothing_is_lost_to_kill_9(t
     assert len(reader.feed(tape)) == summary["frames"]["sent"]
 
 
+def test_kept_nodes_run_again_and_hear_each_other(tmp_path: Path) -> None:
+    # However long the directory's name.
+    keep = tmp_path / ("kept" * 30)
+    run(line("nodes=2", "steps=2"), keep=keep)
+    with Children() as children:
+        nodes = [NodeProcess(n, keep, load_config(keep / f"node-{n}.yaml").socket_path) for n in range(2)]
+        for node in nodes:
+            node.start(children)
+        for node in nodes:
+            until_ready(node)
+        deadline = time.monotonic() + PATIENCE_S
+        while not all(node.status and node.status["neighbours"] for node in nodes):
+            assert time.monotonic() < deadline
+            children.wait(time.monotonic() + 0.05)
+            for node in nodes:
+                node.ask()
+        for node in nodes:
+            node.hang_up()
+            node.socket.unlink()
+    assert no_children()
+
+
+def test_kept_nodes_of_a_run_that_failed_run_again_too(tmp_path: Path) -> None:
+    def interrupt(step: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(line("nodes=2"), keep=tmp_path / "kept", progress=interrupt)
+    assert no_children()
+    assert load_config(tmp_path / "kept" / "node-1.yaml").socket_path == tmp_path / "kept" / "node-1.sock"
+
+
+def test_a_base_alone_can_be_kept(tmp_path: Path) -> None:
+    base = NodeProcess(0, tmp_path, tmp_path / "0.sock")
+    base.configure(line("nodes=1"), Ports([9], [9]), until_step=10)
+    base.bequeath(range(14600, 14601))
+    assert load_config(base.config).links == ()
+
+
 def test_the_summary_has_the_keys_of_virtual_time() -> None:
     scenario = line("nodes=3", "steps=10")
     virtual = World(scenario)
@@ -76,7 +116,9 @@ def test_the_summary_has_the_keys_of_virtual_time() -> None:
     expected = virtual.statistics.summary()
     summary = run(scenario)
     assert no_children()
-    assert {*expected, "wall_s", "robot_steps_per_s", "transport"} == summary.keys()
+    assert {*expected, "wall_s", "cpu_s", "robot_steps_per_s", "transport"} == summary.keys()
+    # The processes' time is counted, with the start of their interpreters: by far more than this process needs.
+    assert summary["cpu_s"] > 0.2
     for key in ("lost", "delay_steps", "hops", "frames", "routing"):
         assert summary[key].keys() == expected[key].keys()
     # The same nodes make the same data; nobody was killed.
@@ -96,6 +138,24 @@ def test_a_node_that_dies_unasked_fails_the_run_with_its_name() -> None:
     with pytest.raises(SwarmError, match=r"^node 2: killed by SIGKILL"):
         run(line(), progress=kill_node_2)
     assert no_children()
+
+
+def test_a_child_that_dies_is_remembered_by_its_last_words(tmp_path: Path) -> None:
+    """And not by a line that it said many times when it started, as ArduCopter does for each list of defaults."""
+    code = "import sys; print('Loaded defaults from a file\\n' * 20, file=sys.stderr, flush=True); input(); sys.exit(5)"
+    with Children() as children:
+        child = children.start("vehicle 1", ["-c", code], tmp_path / "vehicle-1.log")
+        # What it says over MAVLink.
+        for text in ("Arming motors", "Crash: Disarming", "Hit ground at 7.1 m/s"):
+            child.note(text)
+        child.tell("go")
+        with pytest.raises(SwarmError) as caught:
+            children.wait(time.monotonic() + PATIENCE_S)
+    words = str(caught.value).split(": ", 2)
+    assert words[:2] == ["vehicle 1", "ended with exit code 5"]
+    assert sorted(words[2].split(" | ")) == sorted(
+        ["Loaded defaults from a file", "Arming motors", "Crash: Disarming", "Hit ground at 7.1 m/s"]
+    )
 
 
 def test_what_cannot_start_fails_the_run_with_its_own_words(tmp_path: Path) -> None:
@@ -162,7 +222,7 @@ def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -
     with pytest.raises(ConfigError, match=f"^nodes: expected at most {MAX_NODES} with transport udp, got 65$"):
         run(line("nodes=65"))
     (tmp_path / "mine").touch()
-    with pytest.raises(ConfigError, match="expected a new or an empty directory"):
+    with pytest.raises(ConfigError, match="expected a new or empty directory"):
         run(line(), keep=tmp_path)
     with pytest.raises(ConfigError, match=r"^radiation\.drift: expected"):
         run(line("radiation.drift=1e9"))

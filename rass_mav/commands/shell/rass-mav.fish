@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --arena --attacker --base --binary --capacity --config --dask --drain --drift --duplicate --failures --firmware --group --jobs --keep --line --live --loss --name --nodes --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --topology --transport --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --arena --attacker --base --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --for --group --jobs --keep --line --live --loss --name --nodes --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -62,6 +62,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -
 complete -c rass-mav -n '_shtab_rass_mav_using run' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using run' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using run' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using run' -s q -l quiet -d 'do not say on a terminal (stderr) what the node sees'
 complete -c rass-mav -n '_shtab_rass_mav_using run' -l set -x -d 'override a key of the file; the value as YAML; may be given more than once'
 complete -c rass-mav -n '_shtab_rass_mav_using run; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a check -d 'Say what is wrong with a configuration.'
@@ -110,12 +111,14 @@ complete -c rass-mav -n '_shtab_rass_mav_using params check' -s h -l help -d 'sh
 complete -c rass-mav -n '_shtab_rass_mav_using params check' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using params check' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using params check' -l live -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration: its autopilot'
+complete -c rass-mav -n '_shtab_rass_mav_using params check' -l sysid -x -d 'the system id that the vehicle is to have; else it is left'
 complete -c rass-mav -n '_shtab_rass_mav_using params check; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'parameters: .parm (NAME VALUE) or .params (QGroundControl)'
 complete -c rass-mav -n '_shtab_rass_mav_using params; and test $_shtab_rass_mav_npos -eq 0' -a write -d 'Set on the vehicle what differs from a file, after asking.'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l live -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration: its autopilot'
+complete -c rass-mav -n '_shtab_rass_mav_using params write' -l sysid -x -d 'the system id that the vehicle is to have; else it is left'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l yes -d 'do not ask'
 complete -c rass-mav -n '_shtab_rass_mav_using params write; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'parameters: .parm (NAME VALUE) or .params (QGroundControl)'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a service -d 'A node that systemd starts at boot and again when it fails.'
@@ -144,6 +147,13 @@ complete -c rass-mav -n '_shtab_rass_mav_using service status' -s v -l verbose -
 complete -c rass-mav -n '_shtab_rass_mav_using service status' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using service status' -l name -x -d 'of the service (rass-mav), for a second node'
 complete -c rass-mav -n '_shtab_rass_mav_using service status' -l root -xka "(__fish_complete_directories)" -d 'a system that does not run, such as a mounted card'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a try -d 'Run a drone with a mock vehicle and a base on this machine, until Ctrl-C.'
+complete -c rass-mav -n '_shtab_rass_mav_using try' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using try' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using try' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using try' -l drones -x -d 'how many drones (1)'
+complete -c rass-mav -n '_shtab_rass_mav_using try' -l for -x -d 'stop by itself after so long'
+complete -c rass-mav -n '_shtab_rass_mav_using try' -l keep -xka "(__fish_complete_directories)" -d 'keep configurations, stores and logs here'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a swarm -d 'Run a mock swarm: real nodes and real MAVLink bytes, over a simulated radio.'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -s v -l verbose -d 'logs on stderr; -vv for more'

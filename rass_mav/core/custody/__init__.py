@@ -1,1 +1,1 @@
-"""The duty to keep data: what is held, hand-overs, what leaves in a step."""
+"""The responsibility for data: what is held, hand-overs, what leaves in a step."""

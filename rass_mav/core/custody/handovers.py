@@ -1,16 +1,16 @@
 """The numbers of hand-overs: those that a node draws, and those that it has accepted.
 
-The giver keeps a datum until the receiver has it on disk and says COMMITTED with the number of that very hand-over.
-A number is drawn for one hand-over and never used again. Accepting a datum that one is handing over at this moment
-cancels that hand-over, and a late answer to its number is ignored; therefore two nodes can never both delete a datum on
-the word of each other.
+The giver keeps a datum until the receiver has it on disk and sends COMMITTED with the number of that hand-over. A
+number is drawn for one hand-over and never used again. A node that accepts a datum which it is handing over itself
+cancels its own hand-over, and ignores a late answer to that number. Therefore two nodes can never both delete a datum
+because of each other's answer.
 
-The receiver remembers the numbers it has accepted (bounded). A retransmission of a number that it has accepted is
-answered COMMITTED even when the datum has been passed on since, if it has the checksum of the datum that was accepted:
-the giver acts on it only while that number is still pending, that is while it has not taken the datum back. Without
-this memory each lost answer on a lossy link makes a second copy at each hop. It is a memory of hand-overs, not of data:
-the same datum offered under another number is accepted like any other. Entries of a datum whose copy is found corrupt
-are forgotten, so that it can be sent again.
+The receiver remembers the numbers it has accepted (bounded). It answers the retransmission of an accepted number with
+COMMITTED even when the datum has been passed on since, if the checksum is that of the accepted datum. The giver acts on
+it only while that number is still pending, that is while it has not taken the datum back. Without this memory each lost
+answer on a lossy link creates a second copy at each hop. It is a memory of hand-overs, not of data: the same datum
+offered under another number is accepted like any other. If a copy is found corrupt, the entries of its datum are
+forgotten, so that it can be sent again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class HandoverNumbers:
     __slots__ = ("_accepted", "_next", "_of")
 
     def __init__(self, first: int) -> None:
-        """`first`: 32 bits drawn at random, for an answer to a hand-over of an earlier life must name none of this."""
+        """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life."""
         self._next = first
         self._accepted: dict[tuple[int, int], tuple[DatumId, int]] = {}
         """What was accepted, and its checksum, by giver and number, the oldest first."""
@@ -40,7 +40,7 @@ class HandoverNumbers:
         return self._next
 
     def accept(self, giver: int, number: int, id: DatumId, crc: int) -> None:
-        """Remember that this hand-over was accepted, of a datum with this checksum."""
+        """Remember that this hand-over of a datum with this checksum was accepted."""
         key = (giver, number)
         # A restarted giver may draw a number again.
         self._drop(key)
@@ -58,10 +58,10 @@ class HandoverNumbers:
                 del self._of[id]
 
     def has_accepted(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
-        """Whether this very hand-over was accepted before."""
+        """Whether this same hand-over was accepted before."""
         return self._accepted.get((giver, number)) == (id, crc)
 
     def forget(self, id: DatumId) -> None:
-        """A copy was found corrupt or has expired: it is not true any more that it was taken."""
+        """A copy was found corrupt or has expired: it no longer counts as accepted."""
         for key in self._of.pop(id, ()):
             del self._accepted[key]

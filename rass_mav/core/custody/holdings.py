@@ -1,11 +1,11 @@
-"""What a node holds: one record a datum, in memory; the bytes lie in the store.
+"""What a node holds: one record for each datum, in memory; the bytes are in the store.
 
-A record says all that the node knows of its copy: whether the datum is in its custody or a spare, who its partner is,
-to whom it is being handed over, and what is offered. The indexes follow from that, and only `Holdings` changes it, so
-they cannot contradict the records. Others set times: when a hand-over was sent, when a spare may be offered next.
+A record holds all that the node knows of its copy: whether the datum is in its custody or a spare, its partner, the
+pending hand-over, and the offers. The indexes follow from that, and only `Holdings` changes it, so they cannot
+contradict the records. Other modules set times: when a hand-over was sent, when a spare may be offered next.
 
-Custody comes first. Spares lie in the room that custody leaves, and count as free: whoever takes a datum into custody
-first lets go of spares, `crowded` and `yielding` tell when and which.
+Custody comes first. Spares use the space that custody leaves, and count as free. Before a datum comes into custody, the
+caller drops spares; `crowded` and `yielding` determine when and which.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ class State(enum.Enum):
     SPARE = "spare"
     """The partner has custody, and counts on this copy."""
     PASSED_ON = "passed on"
-    """A spare that nobody counts on, for custody has passed on from the partner, or to a base."""
+    """A spare that no node counts on, because the partner has passed custody on, or a base took it."""
 
 
-#: What a copy may become, and by what; None: there is no copy. docs/protocol.md draws it.
+#: The possible changes of a copy's state, and their causes; None: there is no copy. docs/protocol.md draws it.
 CHANGES: dict[tuple[State | None, State | None], str] = {
     (None, State.CUSTODY): "created here, handed over to this node, or found at the start",
     (None, State.SPARE): "a custodian sends a spare copy",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
-    (State.SPARE, State.PASSED_ON): "the partner says that it has passed the datum on",
+    (State.SPARE, State.PASSED_ON): "the partner reports that it has passed the datum on",
     (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
     (
         State.SPARE,
         State.CUSTODY,
-    ): "the partner is gone, or a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
+    ): "the partner is gone, or a custodian asks for it; or it is offered, reported lost, or long without a receipt",
     (
         State.PASSED_ON,
         State.CUSTODY,
-    ): "a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
-    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no room",
+    ): "a custodian asks for it; or it is offered, reported lost, or long without a receipt",
+    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no space",
     (
         State.SPARE,
         None,
-    ): "arrived, corrupt, expired, or no room; or passed on by the partner (`mirror_until: passed-on`)",
-    (State.PASSED_ON, None): "arrived, corrupt, expired, or no room",
+    ): "arrived, corrupt, expired, or no space; or passed on by the partner (`mirror_until: passed-on`)",
+    (State.PASSED_ON, None): "arrived, corrupt, expired, or no space",
 }
 
 
@@ -66,7 +66,7 @@ class Pending:
         self.number = number
         self.neighbour = neighbour
         self.sending = sending
-        """The transfer, if the datum goes in chunks."""
+        """The transfer, if the datum is sent in chunks."""
         self.sent = now
         """When it was last sent, seconds."""
         self.tries = 1
@@ -84,11 +84,11 @@ class Partner:
         self.heard = heard
         """When it was last known to be there, seconds."""
         self.lifetime_s = lifetime_s
-        """A neighbour like this is gone when it is silent for longer: it grows with the turn that its beacons tell."""
+        """A neighbour like this is gone when it is silent for longer. It grows with the turn in its beacons."""
         self.spares: dict[DatumId, Holding] = {}
-        """Data in its custody that this node has a spare of."""
+        """Data in its custody of which this node has a spare."""
         self.backed: dict[DatumId, Holding] = {}
-        """Data in own custody that it has a spare of."""
+        """Data in custody here of which it has a spare."""
 
 
 class Holding:
@@ -108,23 +108,23 @@ class Holding:
         """Bytes of payload."""
         self.state = state
         self.partner: Partner | None = None
-        """In custody: the backer, who keeps a spare. Spare: the custodian."""
+        """In custody: the backer, which keeps a spare. Spare: the custodian."""
         self.pending: Pending | None = None
         """The hand-over that is under way; in custody only."""
         self.offers: dict[int, int] = {}
-        """Spares on offer: by number, to whom. In custody only."""
+        """Spares on offer: target by number. In custody only."""
         self.offer_at: float | None = None
         """In custody without a backer: when a spare may be offered next, seconds. None: it needs no spare."""
         self.asked = 0.0
-        """Spare: when the custodian told of it or was asked for it last, seconds."""
+        """Spare: when the custodian last reported it or was asked for it, seconds."""
         self.given_to: int | None = None
-        """Spare: who took custody last, or offered this copy."""
+        """Spare: the node that took custody last, or offered this copy."""
         self.given = 0.0
-        """When that was: since then a receipt is waited for, seconds."""
+        """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
-        """How long it is waited for."""
+        """How long to wait for it, seconds."""
         self.resent = 0
-        """How often it was sent again for want of a receipt."""
+        """How often it was sent again for lack of a receipt."""
 
 
 class Holdings:
@@ -137,8 +137,8 @@ class Holdings:
     )  # fmt: skip
 
     def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
-        """`load`: take over what the store holds from an earlier life. All of it counts as custody: nobody remembers
-        what was a spare, and a copy too many is allowed."""
+        """`load`: take over what the store holds from an earlier life. All of it counts as custody: it is not recorded
+        which copies were spares, and one copy too many is allowed."""
         self._store = store
         self.capacity_items = settings.capacity_items
         self._capacity_bytes = settings.capacity_bytes
@@ -147,28 +147,28 @@ class Holdings:
         self._small_bytes = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
-        """What is in custody, least recently used first (the paper's LRU eviction)."""
+        """Data in custody, least recently used first (the paper's LRU eviction)."""
         self.spare: dict[DatumId, Holding] = {}
         """Spares that a partner counts on, the oldest first."""
         self.passed_on: dict[DatumId, Holding] = {}
-        """Spares that nobody counts on any more, the oldest first."""
+        """Spares that no node counts on any more, the oldest first."""
         self.custody_bytes = 0
         """Bytes of payload in custody."""
         self.spare_bytes = 0
         """Bytes of payload of the spares of both kinds."""
         self._looked_at = 0
         self.reserved = 0
-        """Places kept for items that are to come back."""
+        """Places reserved for items that should come back."""
         self.bare: dict[DatumId, Holding] = {}
-        """Small data in custody without a backer, the longest first."""
+        """Small data in custody without a backer, those without one for longest first."""
         self.asked: dict[DatumId, Holding] = {}
         """Spares that a partner counts on, those asked for the longest ago first."""
         self.pending: dict[int, Holding] = {}
-        """What is being handed over, by number, the oldest first."""
+        """Data that are being handed over, by number, the oldest first."""
         self.large: dict[int, Holding] = {}
-        """What is being handed over in chunks, by neighbour."""
+        """Data that are being handed over in chunks, by neighbour."""
         self.offers: dict[int, Holding] = {}
-        """What spares are offered of, by number."""
+        """Data whose spares are on offer, by number."""
         self.partners: dict[int, Partner] = {}
         """By node id; each with at least one datum."""
         for info in store.held() if load else ():
@@ -190,7 +190,7 @@ class Holdings:
         """The record of a datum; None: no copy is here."""
         return self._all.get(id)
 
-    # -- room ----------------------------------------------------------------------------------------------------------
+    # -- capacity ------------------------------------------------------------------------------------------------------
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
@@ -216,7 +216,7 @@ class Holdings:
         return self._capacity_bytes is None or self.custody_bytes + growth <= self._capacity_bytes
 
     def crowded(self, size: int) -> bool:
-        """Whether a datum of `size` bytes of payload does not fit beside all that is here, spares included."""
+        """Whether a datum of `size` bytes of payload does not fit beside all copies here, spares included."""
         if self.capacity_items is not None and len(self._all) + self.reserved >= self.capacity_items:
             return True
         if self._capacity_bytes is not None and self.custody_bytes + self.spare_bytes + size > self._capacity_bytes:
@@ -224,7 +224,7 @@ class Holdings:
         return not self._store.room_for(size)
 
     def yielding(self, *, counted_on: bool) -> Holding | None:
-        """The spare that goes first: the oldest that nobody counts on; then, with `counted_on`, the oldest other."""
+        """The spare to drop first: the oldest that no node counts on; then, with `counted_on`, the oldest other."""
         for holding in self.passed_on.values():
             return holding
         if counted_on:
@@ -237,7 +237,7 @@ class Holdings:
         return [self._all[id] for id in self if self._all[id].created < than]
 
     def damaged(self, limit: int | None) -> list[Holding]:
-        """Copies whose bytes do not fit their checksum any more, of `limit` of them, going round; None: of all."""
+        """Copies whose bytes no longer match their checksum, among `limit` of them, in rotation; None: among all."""
         if limit is None or limit >= len(self._all):
             found = self._store.corrupt(self)
         else:
@@ -250,7 +250,7 @@ class Holdings:
     # -- changes -------------------------------------------------------------------------------------------------------
 
     def add(self, datum: Datum, state: State = State.CUSTODY) -> Holding:
-        """Take in a copy as the most recently used one. Raises `StoreFullError` over the store's quota."""
+        """Add a copy as the most recently used one. Raises `StoreFullError` over the store's quota."""
         self._store.put(datum)
         old = self._all.get(datum.id)
         if old is not None:
@@ -258,19 +258,19 @@ class Holdings:
         return self._enter(Holding(datum, len(datum.payload), state))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
-        """Let go of a copy."""
+        """Drop a copy."""
         self._leave(holding)
         self._store.remove(holding.id, fate)
 
     def change(self, holding: Holding, state: State) -> None:
-        """A copy becomes something else to its holder: one of `CHANGES`. It has no partner afterwards."""
+        """Change the state of a copy: one of `CHANGES`. It has no partner afterwards."""
         assert (holding.state, state) in CHANGES
         self._leave(holding)
         holding.state = state
         self._enter(holding)
 
     def pair(self, holding: Holding, partner: Partner, now: float) -> None:
-        """From now on this is the datum's partner, and nobody else. It needs no more spares."""
+        """From now on this is the datum's only partner. It needs no more spares."""
         self.unpair(holding)
         self.partners[partner.id] = partner
         holding.partner = partner
@@ -285,20 +285,21 @@ class Holdings:
             self.ask(holding, now)
 
     def unpair(self, holding: Holding) -> Partner | None:
-        """A datum has no partner any more. Returns who it was."""
+        """A datum has no partner any more. Returns the former one."""
         partner = self._part(holding)
         if partner is not None and holding.state is State.CUSTODY:
             self._lay_bare(holding)
         return partner
 
     def ask(self, holding: Holding, now: float) -> None:
-        """The custodian of a spare has just told of it, or is asked for it."""
+        """The custodian of a spare has just reported it, or is asked for it."""
         self.asked.pop(holding.id, None)
         self.asked[holding.id] = holding
         holding.asked = now
 
     def give(self, holding: Holding, pending: Pending) -> None:
-        """Begin a hand-over; one that was under way is cancelled. What does not fit one frame goes in chunks."""
+        """Begin a hand-over, and cancel one that was under way. A datum that does not fit one frame is sent in
+        chunks."""
         assert pending.sending is not None or holding.size <= self._small_bytes
         self.cancel(holding)
         holding.pending = pending
@@ -315,30 +316,30 @@ class Holdings:
                 del self.large[pending.neighbour]
 
     def answered(self, number: int, neighbour: int) -> Holding | None:
-        """What is being handed over to this neighbour under this number; None: nothing."""
+        """The datum that is being handed over to this neighbour under this number; None: none."""
         holding = self.pending.get(number)
         if holding is None or holding.pending is None or holding.pending.neighbour != neighbour:
             return None
         return holding
 
     def offer(self, holding: Holding, number: int, neighbour: int) -> None:
-        """A spare is offered to a neighbour, beside those offered before."""
+        """Offer a spare to a neighbour, in addition to earlier offers."""
         holding.offers[number] = neighbour
         self.offers[number] = holding
 
     def offered(self, number: int, neighbour: int) -> Holding | None:
-        """What a spare is offered of to this neighbour under this number; None: nothing."""
+        """The datum whose spare is offered to this neighbour under this number; None: none."""
         holding = self.offers.get(number)
         return holding if holding is not None and holding.offers[number] == neighbour else None
 
     def withdraw(self, holding: Holding) -> None:
-        """Spares of a datum are not offered any more: answers will be ignored."""
+        """Spares of a datum are not on offer any more: answers will be ignored."""
         for number in holding.offers:
             del self.offers[number]
         holding.offers.clear()
 
     def want_none(self, holding: Holding) -> None:
-        """No spares of a datum in custody are offered any more, for as long as it stays what it is to its holder."""
+        """Offer no more spares of a datum in custody, as long as the state of its copy does not change."""
         self.withdraw(holding)
         if holding.offer_at is not None:
             holding.offer_at = inf

@@ -1,4 +1,4 @@
-"""What a node holds and answers for: taking data in, verifying them, letting go of them."""
+"""What a node holds and is responsible for: accepting data, verifying them, releasing them."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
-#: What is dropped for one of these reasons is gone, as far as this node knows.
+#: Data dropped for one of these reasons are gone, as far as this node knows.
 _BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
-#: Ages of one datum may differ by so much among honest nodes, seconds.
+#: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
 
 class Keeper:
-    """The keeping half of a drone."""
+    """The storing half of a drone."""
 
     __slots__ = (
         "alarms", "arrived", "corrupt_received", "holdings", "notes", "numbers", "observer", "receipts", "refused",
@@ -36,7 +36,7 @@ class Keeper:
         self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, notes: NoLossNotes,
         observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
-        """`receipts`: what bases say has arrived. `notes`: word of lost data, on its way to a base."""
+        """`receipts`: what bases report as arrived. `notes`: loss notes that wait to be handed over."""
         self.alarms = alarms
         self.settings = settings
         self.store = store
@@ -45,24 +45,24 @@ class Keeper:
         self.notes = notes
         self.observer = observer
         self.spares = NoSpares()
-        """Spare copies; whoever keeps them for this node sets itself here."""
+        """Spare copies; the object that keeps them for this node sets itself here."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""
         self.holdings = self._take_up()
         self.refused = 0
-        """Hand-overs refused for want of room."""
+        """Hand-overs refused for lack of space."""
         self.corrupt_received = 0
-        """Data that came in with a checksum that does not fit."""
+        """Data that came in with a checksum that does not match."""
         self.stirred = False
-        """Whether something came into custody that `Node.forward` has not looked at."""
+        """Whether a datum came into custody that `Node.forward` has not looked at."""
 
     def _take_up(self) -> Holdings:
         return Holdings(self.store, self.settings)
 
-    # -- taking in -----------------------------------------------------------------------------------------------------
+    # -- accepting data ------------------------------------------------------------------------------------------------
 
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
-        """Accept a datum that arrived whole and intact. False: no room, the giver keeps it."""
+        """Accept a datum that arrived complete and intact. False: no space, the giver keeps it."""
         id = datum.id
         if self.is_squatted(id):
             self.refused += 1
@@ -88,7 +88,8 @@ class Keeper:
         return kept
 
     def is_squatted(self, id: DatumId) -> bool:
-        """Whether somebody made up a datum under a number that this node has yet to give; then it rings."""
+        """Whether another node created a datum under a number that this node has not assigned yet; this raises an
+        alarm."""
         origin, epoch, sequence = id
         if origin != self.settings.node_id or epoch != self.store.epoch or sequence < self.store.given:
             return False
@@ -96,15 +97,15 @@ class Keeper:
         return True
 
     def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
-        """Whether a datum on offer needs no taking: it is here, or this offer was taken. A receipt does not count: with
-        what it says that has arrived, the giver goes to the base.
+        """Whether a datum on offer need not be stored: it is here, or this offer was accepted. A receipt does not
+        count: the giver takes a datum that has arrived to the base all the same.
 
         False while something is held under `id`: that is another datum, so the offer is refused.
         """
         holding = self.holdings.get(id)
         accepted = number != 0 and self.numbers.has_accepted(giver, number, id, crc)
         if holding is not None:
-            # The giver will delete its copy on our word, so ours must be good at this moment; a bad one is dropped.
+            # The giver will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
             if self.load(holding) is None or holding.crc != crc:
                 return False
             if not accepted:
@@ -117,8 +118,8 @@ class Keeper:
         return True
 
     def _comes_round(self, holding: Holding, giver: int, number: int) -> None:
-        """A datum is offered that is here already: this copy is what the giver may rely on from now on."""
-        # Whatever we offered of it, nobody's answer may delete it any more.
+        """A datum is offered that is here already: from now on the giver may rely on this copy."""
+        # Whatever we offered of it, no answer may delete it any more.
         self.holdings.cancel(holding)
         if number:
             self.numbers.accept(giver, number, holding.id, holding.crc)
@@ -126,8 +127,9 @@ class Keeper:
         self.spares.took(holding, giver)
 
     def rejuvenate(self, id: DatumId, created: float, *, at_least: bool) -> None:
-        """Custody of a datum was taken that is here already. No checksum covers its age, and the giver lets go of its
-        copy: what somebody made out to be older must not expire here sooner than it would have there."""
+        """This node accepted custody of a datum that is here already. No checksum covers its age, and the giver drops
+        its copy. If some node overstated the age of the copy here, it must not expire sooner than the giver's would
+        have."""
         holding = self.holdings.get(id)
         if self.settings.lifetime_s is None or holding is None or created <= holding.created + _AGES_DIFFER_S:
             return
@@ -137,18 +139,19 @@ class Keeper:
             holding.created = created
 
     def room_for(self, size: int, *, own: bool) -> bool:
-        """Whether another datum of `size` bytes of payload can be stored, if need be in place of spares.
+        """Whether another datum of `size` bytes of payload can be stored, if necessary in place of spares.
 
-        `own`: a measurement of this node."""
+        `own`: a measurement of this node.
+        """
         holdings = self.holdings
         return holdings.room_for(size, own=own) and self.store.room_for(size - holdings.spare_bytes)
 
     def may_accept(self, size: int) -> bool:
-        """Whether custody of a datum of `size` bytes of payload can be taken over."""
+        """Whether this node can take custody of a datum of `size` bytes of payload."""
         return self.store.accepting and self.room_for(size, own=False)
 
     def make_room(self, size: int, *, own: bool) -> bool:
-        """With `drop_oldest`: let go of the least recently used data until `size` bytes of payload fit."""
+        """With `drop_oldest`: drop the least recently used data until `size` bytes of payload fit."""
         if not self.settings.drop_oldest or not self.store.accepting:
             return False
         custody = self.holdings.custody
@@ -159,7 +162,7 @@ class Keeper:
         return True
 
     def keep(self, datum: Datum, giver: int | None = None) -> None:
-        """Store a datum in own custody. `giver`: who handed it over; None: it was made here."""
+        """Store a datum in custody here. `giver`: the node that handed it over; None: it was created here."""
         self.spares.make_way(len(datum.payload))
         holding = self.holdings.add(datum)
         self.notes.forget(datum.id)
@@ -167,7 +170,7 @@ class Keeper:
         self.spares.took(holding, giver)
         self.observer.gained(datum)
 
-    # -- letting go ----------------------------------------------------------------------------------------------------
+    # -- releasing data ------------------------------------------------------------------------------------------------
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
@@ -175,11 +178,11 @@ class Keeper:
             self.drop(holding, Fate.PASSED_ON)
 
     def drop(self, holding: Holding, fate: Fate) -> None:
-        """Let go of a datum in custody, or of a spare."""
+        """Drop a datum in custody, or a spare."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
             self.spares.let_go(holding, missing=fate in (Fate.CORRUPTED, Fate.OVERFLOW))
-            # No loss to be noted here: custody lies elsewhere.
+            # Not a loss that is recorded here: another node has custody.
             noted = Fate.PASSED_ON
         else:
             if fate in (Fate.CORRUPTED, Fate.EXPIRED):
@@ -197,44 +200,45 @@ class Keeper:
             self.notes.make(id, noted)
 
     def beyond_repair(self, id: DatumId, fate: Fate) -> None:
-        """A datum whose copy here is gone already cannot be had from its backer either: it is lost."""
+        """A datum whose copy here is already gone is not to be had from its backer either: it is lost."""
         self.store.count(fate.value)
         self.notes.give_up(id, fate)
 
     # -- receipts and loss notes ---------------------------------------------------------------------------------------
 
     def heed(self, changed: set[Pair]) -> None:
-        """Receipts told something new of these (origin, epoch) pairs: it is the end of spares, but not of custody."""
+        """Receipts brought news about these (origin, epoch) pairs: it ends spares, but not custody."""
         receipts, holdings = self.receipts, self.holdings
         for spares in (holdings.spare, holdings.passed_on):
             for id in [id for id in spares if id[:2] in changed]:
                 if id in receipts:
                     self.drop(spares[id], Fate.DELIVERED)
                 elif receipts.told_lost(id):
-                    # Whoever had custody thought it the last copy.
+                    # The node that had custody believed it was the last copy.
                     self.spares.rescue(spares[id])
 
     @property
     def takes_notes(self) -> bool:
-        """Whether loss notes are taken; if not they are not answered, so they are not lost."""
+        """Whether loss notes are accepted. If not, they are not answered, so they are not lost."""
         return self.notes.told
 
     def take_note(self, id: DatumId, note: Note) -> bool:
-        """A neighbour hands on the note that a datum is lost. False: there is no room for it."""
+        """A neighbour hands over the note that a datum is lost. False: there is no space for it."""
         if self.is_squatted(id):
-            # A note of what was never made goes no further: if it were refused, it would be offered for ever.
+            # A note about a datum that was never created is not relayed. If it were refused, it would be offered
+            # indefinitely.
             return True
         holding = None if fate_of(note.reason) in WOUNDS else self.holdings.get(id)
         if holding is not None and self.load(holding) is not None:
-            # It is not: a good copy is here.
+            # It is not lost: a good copy is here.
             self.spares.take_back(holding)
             return True
         return self.notes.take(id, note)
 
-    # -- care of what is held ------------------------------------------------------------------------------------------
+    # -- checking data -------------------------------------------------------------------------------------------------
 
     def load(self, holding: Holding) -> Datum | None:
-        """A datum in custody, or a spare, as it may be sent. None: its bytes are corrupt, and it has been dropped."""
+        """A datum in custody, or a spare, ready to send. None: its bytes are corrupt, and it has been dropped."""
         datum = self.store.get(holding.id)
         if datum is not None and datum.intact:
             return datum
@@ -242,18 +246,18 @@ class Keeper:
         return None
 
     def scrub(self) -> None:
-        """Verify checksums of what is held, spares too, `scrub_items` of them, going round."""
+        """Verify the checksums of `scrub_items` of the copies held, spares too, in rotation."""
         for holding in self.holdings.damaged(self.settings.scrub_items):
             self.drop(holding, Fate.CORRUPTED)
 
     def expire(self, before: float) -> None:
-        """Let go of what was created before a moment, seconds."""
+        """Drop data that were created before a moment, seconds."""
         for holding in self.holdings.older(before):
             self.drop(holding, Fate.EXPIRED)
 
 
 class Sink(Keeper):
-    """The keeping half of a base: what comes here has arrived for good."""
+    """The storing half of a base: data that reach it have arrived for good."""
 
     __slots__ = ("_alarms", "archive")
 
@@ -268,7 +272,7 @@ class Sink(Keeper):
         self._alarms = alarms
 
     def _take_up(self) -> Holdings:
-        # What has arrived is the archive's.
+        # Data that have arrived are in the archive.
         return Holdings(self.store, replace(self.settings, capacity_items=None, capacity_bytes=None), load=False)
 
     def room_for(self, size: int, *, own: bool) -> bool:
@@ -276,16 +280,17 @@ class Sink(Keeper):
         return self.store.room_for(size)
 
     def make_room(self, size: int, *, own: bool) -> bool:
-        """Nothing that has arrived makes room."""
+        """A base drops no data that have arrived."""
         return False
 
     def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
-        """Whether this very datum has arrived. The giver may delete the last copy on this, so the store is asked."""
+        """Whether this very datum has arrived. The giver may delete the last copy because of this, so check the
+        store."""
         stored = self.store.get(id)
         return stored is not None and stored.crc == crc and stored.intact
 
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
-        """A datum arrives. False: no room, the giver keeps it. Of two contents under one id both are kept."""
+        """A datum arrives. False: no space, the giver keeps it. If two contents have one id, both are kept."""
         stored = self.store.get(datum.id)
         if stored is None or not stored.intact:
             return super().take_custody(giver, number, datum)
@@ -312,15 +317,15 @@ class Sink(Keeper):
         return self.take_custody(giver, number, datum)
 
     def heed(self, changed: set[Pair]) -> None:
-        """Nothing is held here that receipts are about."""
+        """Nothing that receipts are about is held here."""
 
     @property
     def takes_notes(self) -> bool:
-        """Whether bases speak of arrivals and losses at all."""
+        """Whether bases report arrivals and losses at all."""
         return self.receipts.told
 
     def take_note(self, id: DatumId, note: Note) -> bool:
-        """A neighbour says that a datum is lost, or a store damaged. False: there is no room for the note."""
+        """A neighbour reports that a datum is lost, or a store damaged. False: there is no space for the note."""
         archive, fate = self.archive, fate_of(note.reason)
         if self.is_squatted(id) or (id in archive.wounds if fate in WOUNDS else archive.is_lost(id) or self.has(id)):
             return True
@@ -334,6 +339,6 @@ class Sink(Keeper):
         return True
 
     def has(self, id: DatumId) -> bool:
-        """Whether a good copy has arrived: not what the index in memory says, but what the store has."""
+        """Whether a good copy has arrived, by the store, not by the index in memory."""
         stored = self.store.get(id)
         return stored is not None and stored.intact

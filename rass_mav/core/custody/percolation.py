@@ -17,7 +17,8 @@ from rass_mav.core.routes.table import RoutingTable
 
 
 class Percolation:
-    """Retransmissions first, then what goes another way than before, what the policy plans, spares of what rests."""
+    """The order is: retransmissions, data that take another route than before, the policy's plan, spares of resting
+    data."""
 
     __slots__ = ("_batches", "_id", "_keeper", "_pace", "_risk", "_rng", "_routing", "_transfers", "policy")
 
@@ -34,7 +35,7 @@ class Percolation:
         self._risk = risk
         self._rng = rng
         self._batches: dict[int, list[Handover]] = {}
-        """What goes to each neighbour, until it is said."""
+        """The hand-overs to each neighbour, until they are sent."""
 
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
@@ -60,7 +61,7 @@ class Percolation:
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
         keeper, transfers, pace, routing = self._keeper, self._transfers, self._pace, self._routing
         neighbours = routing.neighbours
-        # A neighbour whose last beacon is missing may have moved away: only if nobody else is fit is it tried.
+        # A neighbour whose last beacon is missing may have moved away: it is tried only if no other is fit.
         view = View(
             [n for n in neighbours.values() if n.heard >= now - 1.5 * n.turn_s],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
@@ -77,7 +78,7 @@ class Percolation:
                 self._hand_over(holding, target, now, out)
 
     def _hand_over(self, holding: Holding, target: int, now: float, out: list[Message]) -> None:
-        """Hand a datum over to a neighbour; a large one to one that is free for it."""
+        """Hand a datum over to a neighbour; a large one only to a neighbour that is free for a transfer."""
         keeper = self._keeper
         datum = keeper.load(holding)
         if datum is None:
@@ -98,9 +99,9 @@ class Percolation:
         self._batches.setdefault(target, []).append(Handover(number, datum))
 
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
-        """Held data that can be handed to a neighbour now, least recently used first.
+        """Held data that can be handed over to a neighbour now, least recently used first.
 
-        Large data wait while a transfer to it is under way, without holding up the small ones behind them.
+        Large data wait while a transfer to the neighbour is under way. Small data behind them do not wait.
         """
         holdings = self._keeper.holdings
         if not self._transfers.free(neighbour):
@@ -111,7 +112,7 @@ class Percolation:
         return iter(holdings.custody)
 
     def _retry(self, now: float, out: list[Message]) -> None:
-        """Send unanswered hand-overs again; give up on neighbours that are gone or stay silent."""
+        """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
         keeper, pace = self._keeper, self._pace
         due = now - (keeper.settings.retry_steps - 0.5) * pace.turn_s
         for holding in list(keeper.holdings.pending.values()):
@@ -123,12 +124,12 @@ class Percolation:
                 self._send_again(holding, pending, now, out)
 
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
-        """Whether another neighbour is to be tried: this one is gone, or silent."""
+        """Whether to try another neighbour: this one is gone, or silent."""
         neighbour = self._routing.neighbours.get(pending.neighbour)
         if neighbour is None or pending.tries >= self._keeper.settings.max_tries:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
-        # two must be missing: it may have the datum already, and another one would make a second copy.
+        # two must be missing: it may have the datum already, and another neighbour would create a second copy.
         return neighbour.heard < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
 
     def _send_again(self, holding: Holding, pending: Pending, now: float, out: list[Message]) -> None:

@@ -1,8 +1,8 @@
-"""Chunked transfers: data too large for one frame, one transfer a neighbour in each direction.
+"""Chunked transfers: data too large for one frame, one transfer for each neighbour and direction.
 
-The giver offers, the receiver accepts and names the transfer with a handle, chunks follow in a fixed window, and
-selective acknowledgements say what is missing. The offer is also the probe: after a step without any answer it is sent
-again, and the answer tells where to go on. There is no congestion control: the window is a constant.
+The giver offers. The receiver accepts and names the transfer with a handle. Chunks follow in a fixed window, and
+selective acknowledgements report what is missing. The offer is also the probe: after a step without any answer it is
+repeated, and the answer says where to continue. There is no congestion control: the window is a constant.
 
 The other side is not trusted. An answer about chunks that were never sent is ignored, and a transfer counts as alive
 only while more is acknowledged than ever before.
@@ -13,9 +13,9 @@ from __future__ import annotations
 from rass_mav.core.datum import Datum, DatumId, datum_crc
 from rass_mav.core.messages import Accept, Chunk, Offer, Sack
 
-#: Chunks that may be on their way, unacknowledged.
+#: Chunks that may be unacknowledged.
 WINDOW = 32
-#: The receiver acknowledges after so many chunks, when asked, and at the end.
+#: Chunks after which the receiver acknowledges. It also does so on request, and at the end.
 SACK_EVERY = 8
 #: A chunk counts as lost when one sent this much later has arrived.
 REORDER_MARGIN = 3
@@ -39,12 +39,12 @@ class Sending:
         """Number of chunks."""
         self.handle: int | None = None
         self.moved = False
-        """Whether more is acknowledged than ever before, since the last probe."""
+        """Whether more has been acknowledged than ever before, since the last probe."""
         self._most = -1
-        """Chunks that were acknowledged at most; -1: no answer yet."""
+        """The most chunks that were ever acknowledged; -1: no answer yet."""
         self._acked: set[int] = set()
         self._sent = 0
-        """The next chunk to be sent for the first time, or once more after an interruption."""
+        """The next chunk to be sent for the first time, or again after an interruption."""
         self._highest = 0
         """Chunks below this one may be known to the receiver."""
         self._resent: dict[int, int] = {}
@@ -58,7 +58,7 @@ class Sending:
         )  # fmt: skip
 
     def on_accept(self, accept: Accept) -> list[Chunk]:
-        """Begin, or go on after an interruption. Nothing follows if that is beyond what the receiver can have."""
+        """Start, or continue after an interruption. Returns nothing if that is beyond what the receiver can have."""
         next_index = accept.next_index
         if next_index >= self.count:
             return []
@@ -70,7 +70,7 @@ class Sending:
         elif next_index > self._highest:
             return []
         if next_index in self._acked:
-            # What was said before was not so.
+            # The earlier acknowledgement was wrong.
             self._acked.clear()
         self._acked.update(range(next_index))
         self._resent.clear()
@@ -84,7 +84,7 @@ class Sending:
             self.moved = True
 
     def on_sack(self, sack: Sack) -> list[Chunk]:
-        """Send again what is missing, and more. A sack of what was never sent is ignored."""
+        """Resend what is missing, and send more. A sack of chunks that were never sent is ignored."""
         acked = self._acked
         known = sack.next_index + 1 + sack.bitmap.bit_length() if sack.bitmap else sack.next_index
         if known > self._highest or sack.next_index >= self.count:
@@ -137,7 +137,7 @@ class Receiving:
         self.heard = now
         """When the giver was last heard, seconds."""
         self.moved = now
-        """When a chunk came that was missing, seconds."""
+        """When the last missing chunk came, seconds."""
         self._chunks: dict[int, bytes] = {}
         self._next = 0
         self._since = 0
@@ -152,7 +152,7 @@ class Receiving:
         return Accept(receiver, self.offer.sender, self.offer.number, self.handle, self._next)
 
     def on_chunk(self, chunk: Chunk, now: float) -> bool:
-        """Take a chunk in. Returns whether to acknowledge now. A chunk of a wrong length is ignored."""
+        """Accept a chunk. Returns whether to acknowledge now. A chunk of a wrong length is ignored."""
         index = chunk.position
         self.heard = now
         if index < self.count and index not in self._chunks and len(chunk.data) == self._length(index):
@@ -185,7 +185,7 @@ class Receiving:
         return Sack(receiver, self.offer.sender, self.handle, self._next, bitmap)
 
     def datum(self) -> Datum | None:
-        """The datum as it was offered; None if its checksum does not fit. Only when complete."""
+        """The datum as it was offered; None if its checksum does not match. Only when complete."""
         offer = self.offer
         payload = b"".join(self._chunks[i] for i in range(self.count))
         if datum_crc(offer.id, offer.kind, payload) != offer.crc:

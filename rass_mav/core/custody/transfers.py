@@ -1,4 +1,4 @@
-"""The chunked transfers of one node, out and in: at most one a neighbour in each direction, bounded over all."""
+"""The chunked transfers of one node, out and in: at most one for each neighbour and direction, and bounded in all."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sac
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 
-#: Transfers at a time, each way. Each holds at most one datum (1 MiB) in memory.
+#: Transfers at a time, in each direction. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
-#: How many of those that come in may be data of one origin.
+#: How many incoming transfers may be data of one origin.
 MAX_OF_ONE_ORIGIN = 4
 #: Chunk indexes have 14 bits.
 MAX_CHUNKS = 1 << 14
@@ -36,7 +36,7 @@ class Transfers:
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
 
-    # -- out -----------------------------------------------------------------------------------------------------------
+    # -- outgoing ------------------------------------------------------------------------------------------------------
 
     def free(self, neighbour: int) -> bool:
         """Whether a transfer to this neighbour can begin."""
@@ -52,7 +52,7 @@ class Transfers:
         out.append(sending.offer(self._id))
 
     def probe(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
-        """Offer once more what is being handed over in chunks, when it has come no further since the last time."""
+        """Repeat the offer of a chunked datum if its transfer has made no progress since the last time."""
         pending.sent = now
         if sending.moved:
             pending.tries = 1
@@ -66,14 +66,14 @@ class Transfers:
         return None if holding is None or holding.pending is None else holding.pending.sending
 
     def on_accept(self, accept: Accept, now: float) -> list[Message]:
-        """The neighbour opened a transfer (again): send, from where it says."""
+        """The neighbour opened a transfer (again): send, starting where it asks."""
         sending = self._to(accept.sender)
         if sending is None or sending.number != accept.number:
             return []
         return self._sent(sending.on_accept(accept))
 
     def on_sack(self, sack: Sack, now: float) -> list[Message]:
-        """The neighbour says what it has."""
+        """The neighbour reports the chunks it has."""
         sending = self._to(sack.sender)
         if sending is None or sending.handle != sack.handle:
             return []
@@ -83,7 +83,7 @@ class Transfers:
         self._pace.sent += len(chunks)
         return list(chunks)
 
-    # -- in ------------------------------------------------------------------------------------------------------------
+    # -- incoming ------------------------------------------------------------------------------------------------------
 
     def age(self, now: float) -> None:
         """Give up silent incoming transfers."""
@@ -92,7 +92,7 @@ class Transfers:
                 del self._receiving[handle]
 
     def on_offer(self, offer: Offer, now: float) -> list[Message]:
-        """A neighbour offers a large datum: it is here already, there is no room, or it may come."""
+        """A neighbour offers a large datum: it is here already, there is no space, or it may come."""
         keeper = self._keeper
         if keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
             keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
@@ -118,14 +118,14 @@ class Transfers:
         return (
             offer.size <= MAX_PAYLOAD
             and -(-offer.size // offer.chunk_size) <= MAX_CHUNKS
-            # Names are easily made up, and each would take a place.
+            # Names are easy to invent, and each would take a place.
             and offer.sender in self._routing.neighbours
             and offer.id not in self._keeper.holdings
             and not self._keeper.is_squatted(offer.id)
         )
 
     def _has_place(self, offer: Offer, now: float) -> bool:
-        """Whether one more transfer may come in; those that stand still make place for it, the longest first."""
+        """Whether one more transfer may come in; idle transfers are dropped for it, the longest idle first."""
         receiving, may_accept = self._receiving, self._keeper.may_accept
         idle = sorted((t for t in receiving.values() if now - t.moved > self._pace.turn_s), key=lambda t: t.moved)
         staying = [t for t in receiving.values() if t not in idle]
@@ -141,7 +141,7 @@ class Transfers:
         return False
 
     def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
-        """A piece of a datum; of another's transfer, if the handle is not ours."""
+        """A piece of a datum; if the handle is not ours, it belongs to another node's transfer."""
         transfer = self._receiving.get(chunk.handle)
         if transfer is None:
             return []
@@ -151,7 +151,7 @@ class Transfers:
         del self._receiving[chunk.handle]
         datum, offer = transfer.datum(), transfer.offer
         if datum is None:
-            # Chunks of a stranger with the same handle got mixed in: the giver's next probe starts it afresh.
+            # Chunks of another transfer with the same handle got mixed in: the giver's next probe starts it again.
             self._keeper.corrupt_received += 1
             return []
         taken = self._keeper.take_custody(offer.sender, offer.number, datum)

@@ -1,4 +1,4 @@
-"""A base's index of what has arrived there, and of what it was told is lost."""
+"""A base's index of what has arrived there, and of what was reported lost to it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator
 from rass_mav.core.datum import WOUNDS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 
-#: How many losses a base believes of one origin and epoch, and in all. Nobody proves them, so there must be an end.
+#: How many losses a base accepts for one origin and epoch, and in all. They are not authenticated, so they are limited.
 MAX_LOST_OF_ONE = 4096
 MAX_TOLD_LOST = 32768
 #: Epochs of one origin, and pairs of origin and epoch in all, of which a base knows losses and nothing else.
 MAX_EPOCHS = 64
 MAX_PAIRS = 4096
-#: How many words on damaged stores and unknown numbers a base keeps.
+#: How many reports of damaged stores and unknown numbers a base keeps.
 MAX_WOUNDS = 1024
 
 
@@ -25,37 +25,37 @@ class _Origin:
     def __init__(self) -> None:
         self.arrived = Ranges()
         self.lost = Ranges()
-        """Told lost; some of them may have arrived since."""
+        """Reported lost; some of them may have arrived since."""
         self.told = 0
-        """How many numbers that are."""
+        """How many numbers that is."""
 
 
 class Archive:
-    """What has become of all data, as far as one base knows. As large as what has arrived, in ranges, and bounded for
-    what it was told is lost."""
+    """What has become of all data, as far as one base knows. Its size grows with what has arrived, in ranges; losses
+    are bounded."""
 
     __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "told_lost", "wounds")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
-        """What its store holds, and its table of losses."""
+        """What the store holds, and its table of losses."""
         self._origins: dict[tuple[int, int], _Origin] = {}
         self._losses_only: set[tuple[int, int]] = set()
         """Pairs of which nothing has arrived."""
         self._epochs: dict[int, int] = {}
         """How many of these an origin has."""
         self._told = 0
-        """Data ever told lost."""
+        """Data ever reported lost."""
         self.told_lost = 0
-        """Data told lost that have not arrived."""
+        """Data reported lost that have not arrived."""
         self.wounds: dict[DatumId, Fate] = {}
-        """Words that are about no single datum: of damaged stores, and of numbers that nobody knows of."""
+        """Reports about no single datum: of damaged stores, and of numbers that no node knows of."""
         for id in ids:
             self.add(id)
         for id, fate in losses:
             self.lose(id, fate)
 
     def add(self, id: DatumId) -> bool:
-        """A datum has arrived; if it was told lost, it is lost no longer. False: it had arrived before."""
+        """A datum has arrived; if it was reported lost, it is lost no longer. False: it had arrived before."""
         key = (id.origin, id.epoch)
         origin = self._origins.get(key)
         if origin is None:
@@ -71,7 +71,8 @@ class Archive:
         return True
 
     def lose(self, id: DatumId, fate: Fate) -> bool:
-        """A datum was told lost, or a store damaged. False: that is known, or it has arrived, or there is no room."""
+        """A datum was reported lost, or a store damaged. False: that is known, or it has arrived, or there is no
+        space."""
         if fate in WOUNDS:
             if id in self.wounds or len(self.wounds) >= MAX_WOUNDS:
                 return False
@@ -97,7 +98,7 @@ class Archive:
         return True
 
     def is_lost(self, id: DatumId) -> bool:
-        """Whether a datum was told lost, and has not arrived."""
+        """Whether a datum was reported lost, and has not arrived."""
         origin = self._origins.get((id.origin, id.epoch))
         return origin is not None and id.sequence in origin.lost and id.sequence not in origin.arrived
 
@@ -121,11 +122,11 @@ class Archive:
         return key in self._origins
 
     def end(self, key: tuple[int, int]) -> int:
-        """One behind the highest number of an (origin, epoch) that has arrived; 0: none has."""
+        """One more than the highest number of an (origin, epoch) that has arrived; 0: none has."""
         origin = self._origins.get(key)
         return 0 if origin is None else origin.arrived.end
 
     def ranges(self, key: tuple[int, int], *, lost: bool) -> Ranges:
-        """What has arrived of an (origin, epoch), or was told lost; KeyError if nothing is known of it."""
+        """What has arrived of an (origin, epoch), or was reported lost; KeyError if nothing is known of it."""
         origin = self._origins[key]
         return origin.lost if lost else origin.arrived

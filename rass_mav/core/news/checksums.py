@@ -1,7 +1,8 @@
-"""The checksums of what is told on from node to node: noise on the way and flipped bits in memory do not spread.
+"""The checksums of messages that are relayed from node to node: noise on the air and flipped bits in memory do not
+spread.
 
-Whoever makes a word computes its checksum, and it travels with the word. Entries are packed here as they travel, for
-the checksum is over their bytes.
+The node that creates a statement computes its checksum, which travels with it. Entries are packed here as they travel,
+because the checksum covers their bytes.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from zlib import crc32
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Given, Receipt, ReceiptEntry
 
-#: In the last byte before a bitmap: these numbers were told lost.
+#: In the last byte before a bitmap: these numbers were reported lost.
 TOLD_LOST = 0x80
 
 _pack_head = struct.Struct("<HIIB").pack
@@ -43,7 +44,7 @@ def receipt_crc(base: int, life: int, serial: int, entries: Iterable[ReceiptEntr
 
 
 def is_sound(receipt: Receipt) -> bool:
-    """Whether a statement is still what its base said."""
+    """Whether a statement is unchanged since its base created it."""
     base, life, serial, crc, entries = receipt
     try:
         return receipt_crc(base, life, serial, entries) == crc
@@ -53,7 +54,7 @@ def is_sound(receipt: Receipt) -> bool:
 
 
 def given_crc(origin: int, epoch: int, given: int) -> int:
-    """CRC-32 of an origin's word on its numbers, `<HII`."""
+    """CRC-32 of an origin's report about its numbers, `<HII`."""
     return crc32(_pack_given(origin, epoch, given))
 
 
@@ -63,7 +64,7 @@ def note_crc(id: DatumId, reason: int) -> int:
 
 
 def is_sound_note(id: DatumId, reason: int, crc: int) -> bool:
-    """Whether a loss note is still what its maker wrote."""
+    """Whether a loss note is unchanged since its origin created it."""
     try:
         return note_crc(id, reason) == crc
     except struct.error:
@@ -78,5 +79,5 @@ def make_receipt(base: int, life: int, serial: int, entries: Iterable[ReceiptEnt
 
 
 def make_given(origin: int, epoch: int, given: int) -> Given:
-    """An origin's word with its checksum."""
+    """An origin's report with its checksum."""
     return Given(origin, epoch, given, given_crc(origin, epoch, given))

@@ -1,13 +1,13 @@
-"""Loss notes: word that a datum is lost, on its way to a base.
+"""Loss notes: reports that a datum is lost, in transit to a base.
 
-A node that finds a datum in its custody beyond repair makes a note of it. Notes are handed from node to node along the
-route, with a number and COMMITTED, like data; a node keeps them in its store's table of losses until then. A base that
-takes one knows what has become of the datum. A note is only a belief of its maker: somebody may have a good copy all
-the same. So a note deletes nothing anywhere, and who has a good copy swallows it. A receipt ends no note: notes go to a
-base, which knows.
+A node that finds a datum in its custody beyond repair creates a note. Notes are handed over from node to node along the
+route, with a number and COMMITTED, like data; until then a node keeps them in its store's table of losses. A base that
+accepts one knows what has become of the datum. A note is only its origin's belief: some node may have a good copy all
+the same. So a note deletes nothing anywhere, and a node with a good copy does not relay it. A receipt ends no note:
+notes go to a base, which knows.
 
-Each note has a checksum, made by whoever made the note and carried along. Two kinds are about no single datum
-(`WOUNDS`): a damaged store, and numbers of which nobody knows whether they were given.
+Each note has a checksum, computed by the node that created it and relayed with it. Two kinds are about no single datum
+(`WOUNDS`): a damaged store, and numbers of which no node knows whether they were assigned.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from rass_mav.core.messages import LossNote, LossNoteEntry
 from rass_mav.core.news.checksums import is_sound_note, note_crc
 from rass_mav.core.store import Store
 
-#: Notes a node keeps at most. Its own take the place of others'; others share what is left, by neighbour and by origin.
+#: Most notes of a node. Its own replace others'; others share what is left, by neighbour and by origin.
 MAX_NOTES = 256
-#: Notes in a frame, and on their way unanswered.
+#: Notes in a frame, and unanswered at a time.
 NOTES_IN_FRAME = 6
 
 REASONS = {
@@ -35,59 +35,59 @@ _FATES = {reason: fate for fate, reason in REASONS.items()}
 
 
 def fate_of(reason: int) -> Fate:
-    """What a note says. A reason that is not known counts as `VANISHED`."""
+    """The fate that a note reports. An unknown reason counts as `VANISHED`."""
     return _FATES.get(reason, Fate.VANISHED)
 
 
 class Note(NamedTuple):
-    """What a node knows of a note, beside the id that it is about."""
+    """What a node knows of a note, besides the id that it is about."""
 
     reason: int
     """As it travels."""
     crc: int
     giver: int | None
-    """Who handed it on; None: it is this node's own, or of an earlier run."""
+    """The node that handed it over; None: it is this node's own, or from an earlier run."""
 
 
 class NoLossNotes:
-    """Of a node that makes and takes no notes: a base, or where nobody tells of losses."""
+    """For a node that creates and accepts no notes: a base, or any node where losses are not reported."""
 
     __slots__ = ("_store", "waiting")
 
     told = False
-    """Whether notes are made and taken."""
+    """Whether notes are created and accepted."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
         self.waiting: dict[DatumId, Note] = {}
-        """Notes to hand on, the oldest first."""
+        """Notes to hand over, the oldest first."""
 
     def make(self, id: DatumId, fate: Fate) -> None:
-        """A datum in own custody is beyond repair; the store knows."""
+        """A datum in custody here is beyond repair; the store knows."""
 
     def give_up(self, id: DatumId, fate: Fate) -> None:
-        """A datum that was looked for is beyond repair."""
+        """A datum that this node looked for is beyond repair."""
         self._store.lose(id, fate)
 
     def suspect(self, id: DatumId, fate: Fate) -> None:
-        """The copy in own custody is gone, and another node is asked for the datum: `make` or `forget` follow."""
+        """The copy in custody here is gone, and another node is asked for the datum: `make` or `forget` follow."""
 
     def take(self, id: DatumId, note: Note) -> bool:
-        """A neighbour hands a sound note on. False: there is no room."""
+        """A neighbour hands over a sound note. False: there is no space."""
         return False
 
     def forget(self, id: DatumId) -> None:
-        """There is nothing to be told of a datum (any more)."""
+        """There is nothing (more) to report about a datum."""
 
     def turn(self, sender: int, next_hop: int | None, draw: Callable[[], int]) -> LossNote | None:
-        """What to send, one frame at most: what was not answered again, or the oldest. `draw`: gives numbers."""
+        """What to send, at most one frame: again what was not answered, or the oldest. `draw`: returns a new number."""
         return None
 
     def committed(self, number: int, sender: int) -> None:
-        """A neighbour has taken the note of this number."""
+        """A neighbour has accepted the note of this number."""
 
     def refused(self, number: int, sender: int) -> None:
-        """A neighbour has no room for it: it is offered again, after the others, under a new number."""
+        """A neighbour has no space for it: it is offered again, after the others, under a new number."""
 
 
 class LossNotes(NoLossNotes):
@@ -104,9 +104,9 @@ class LossNotes(NoLossNotes):
         """Notes held back while another node is asked for the datum. On disk too, so that a restart does not lose them.
         Bounded by `repairs.MAX_SEARCHES`."""
         self._numbers: dict[int, DatumId] = {}
-        """Notes that are on their way, by hand-over number."""
+        """Unanswered notes, by hand-over number."""
         self._target = 0
-        """To whom."""
+        """The neighbour they were sent to."""
         self._take_up()
 
     def _take_up(self) -> None:
@@ -135,8 +135,8 @@ class LossNotes(NoLossNotes):
             self._store.count("notes_dropped")
 
     def _superfluous(self) -> DatumId | None:
-        """The latest note of whoever has handed on the most, of the origin that has most of these; None: all are
-        own."""
+        """The latest note from the neighbour that has handed over the most, about the origin that has most of these;
+        None: all are own."""
         givers = Counter(note.giver for note in self.waiting.values() if note.giver is not None)
         if not givers:
             return None
@@ -149,9 +149,9 @@ class LossNotes(NoLossNotes):
         known = self.waiting.get(id)
         if known is not None:
             if (fate_of(known.reason) in WOUNDS) != (fate_of(note.reason) in WOUNDS):
-                # Two words that happen to bear one id: the one has to leave first.
+                # Two different notes happen to have one id: the first has to leave first.
                 return False
-            # It has come round: whatever was offered of it, nobody's answer may delete it any more.
+            # It came back: no answer to an earlier offer may delete it any more.
             self._cancel(id)
             return True
         if len(self.waiting) >= MAX_NOTES:
@@ -166,7 +166,7 @@ class LossNotes(NoLossNotes):
         return True
 
     def _share(self, origin: int, giver: int | None) -> tuple[int, int]:
-        """How many notes are of a giver, and how many of these of an origin."""
+        """How many notes are from a giver, and how many of these are about an origin."""
         theirs = [id for id, note in self.waiting.items() if note.giver == giver]
         return len(theirs), sum(id.origin == origin for id in theirs)
 
@@ -197,7 +197,7 @@ class LossNotes(NoLossNotes):
             reason, crc, _ = self.waiting[id]
             entries.append(LossNoteEntry(number, id, reason, crc))
         if not all(is_sound_note(id, reason, crc) for _, id, reason, crc in entries):
-            # Bits have flipped here. The disk knows better.
+            # Bits have flipped here. The disk has the right ones.
             self._numbers = {}
             self._take_up()
             return None
@@ -211,7 +211,7 @@ class LossNotes(NoLossNotes):
     def refused(self, number: int, sender: int) -> None:
         id = self._numbers.pop(number, None) if sender == self._target else None
         if id is not None:
-            # What finds no room there must not keep the others waiting.
+            # A note that finds no space there must not delay the others.
             self.waiting[id] = self.waiting.pop(id)
 
 

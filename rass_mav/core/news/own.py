@@ -1,7 +1,7 @@
-"""An origin looks after its data: which of them has no base confirmed for long?
+"""An origin watches its data: which of them has no base confirmed for long?
 
-Whoever takes custody may lie, or die. Only a base's statement tells the origin that a datum has arrived; where there is
-no spare copy that could go out again, the ground can at least be told.
+A node that takes custody may be an attacker, or may die. Only a base's statement tells the origin that a datum has
+arrived. Where there is no spare copy that could be sent again, it can at least report this to the ground station.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.store import Store
 
-#: A datum should be confirmed within so many turns in which a base is in reach: data and receipts need a while.
+#: Turns in reach of a base within which a datum should be confirmed: data and receipts need a while.
 CONFIRMED_TURNS = 300
 #: How often it looks, turns.
 LOOK_TURNS = 50
-#: How many numbers it looks at in one look, at most.
+#: The most numbers that it checks in one look.
 MOST_LOOKED_AT = 512
 
 
@@ -34,14 +34,14 @@ class OwnNumbers:
         self._epoch = store.epoch
         self._turns = 0
         self._marks: list[int] = []
-        """How many numbers had been given at each look since the last but `CONFIRMED_TURNS`, the oldest first."""
+        """How many numbers had been assigned at each look of the last `CONFIRMED_TURNS` turns, the oldest first."""
         self._next = 0
         """All numbers below are settled, or missing."""
         self._missing: set[int] = set()
-        """Numbers that were waited for long enough. As many as are looked at in one look, at most."""
+        """Numbers that have been missing for long enough. At most as many as are checked in one look."""
 
     def turn(self, held: Container[DatumId]) -> None:
-        """Once a turn in which a base is in reach. `held`: what this node has a copy of."""
+        """Once a turn in which a base is in reach. `held`: the data of which this node has a copy."""
         self._turns += 1
         if self._turns % LOOK_TURNS:
             return

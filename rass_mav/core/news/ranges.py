@@ -15,8 +15,8 @@ class Ranges:
 
     def __init__(self) -> None:
         self._bounds = array("Q")
-        """The first number of each range and the one behind its last, in turn: what lies behind an odd number of
-        bounds is in the set."""
+        """The first number of each range and its last + 1, in turn: a number with an odd number of bounds at or below
+        it is in the set."""
 
     def __contains__(self, number: int) -> bool:
         return bool(bisect_right(self._bounds, number) & 1)
@@ -26,7 +26,7 @@ class Ranges:
         return len(self._bounds) >> 1
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Each range as (first, one behind the last)."""
+        """Each range as (first, last + 1)."""
         bounds = self._bounds
         return zip(bounds[::2], bounds[1::2], strict=True)
 
@@ -40,7 +40,7 @@ class Ranges:
         bounds = self._bounds
         i, j = bisect_left(bounds, first), bisect_right(bounds, end)
         if i == j == len(bounds):
-            # As most data come: nothing lies behind.
+            # The usual case: nothing comes after.
             bounds.extend((first, end))
             return
         bounds[i:j] = array("Q", ([] if i & 1 else [first]) + ([] if j & 1 else [end]))
@@ -58,7 +58,7 @@ class Ranges:
 
     @property
     def end(self) -> int:
-        """One behind the last number; 0: there is none."""
+        """The last number + 1; 0: there is none."""
         return self._bounds[-1] if self._bounds else 0
 
     @property

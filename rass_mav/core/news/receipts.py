@@ -1,21 +1,22 @@
-"""Receipts: a base's statements of what it has, told on from neighbour to neighbour until all know.
+"""Receipts: a base's statements of what it has, relayed from neighbour to neighbour until all nodes know.
 
 Each node keeps the statements that it has heard (`table`), and announces a digest of them in its beacon. In its turn,
-once in so many steps, it says one statement at most:
+once in so many steps, it sends at most one statement:
 
-- News: what it has heard since, the longest waiting first. What a neighbour has said meanwhile has been heard by most,
-  so it is not said again. To a neighbour that says what is outdated, what replaces it is said. A base speaks for itself
-  in every other turn, or in each while there is no other news.
-- A round: while a neighbour announces another digest, all that is known goes round, the latest heard first. So a node
-  that was away learns what it has missed. While there is news, a round gets one turn in `ROUND_SHARE`.
+- News: what it has heard since, the longest waiting first. What a neighbour has sent meanwhile has been heard by most
+  nodes, so it is not repeated. To a neighbour that sends an outdated statement, the node sends its replacement. A base
+  sends its own statements in every other turn, or in each while there is no other news.
+- A round: while a neighbour announces another digest, the node sends all that it knows, the latest heard first. So a
+  node that was away learns what it has missed. While there is news, a round gets one turn in `ROUND_SHARE`.
 
-It comes to an end. Statements die only of others that say more, so news dies out, and neighbours that hear each other
-end with the same digest. If they cannot (one does not hear the other), each round without anything new learned doubles
-the pause before the next, and after `MAX_ROUNDS` no more follow until something is learned or a new neighbour appears.
-A node that had to forget for want of room would differ for ever: it announces digest 0, which means "do not compare",
-it takes no part in rounds, and what it learns at the price of forgetting is no news unless it replaces something.
+This comes to an end. A statement dies only when another covers it, so news dies out, and neighbours that hear each
+other end with the same digest. If they cannot (one does not hear the other), each round in which nothing is learned
+doubles the pause before the next. After `MAX_ROUNDS` there are no more until something is learned or a new neighbour
+appears. A node that had to forget something for lack of space would differ permanently. It announces digest 0, which
+means "do not compare", and takes no part in rounds. What it learns at the price of forgetting is no news unless it
+replaces something.
 
-What a receipt may end is the keeper's affair: spare copies, and never custody.
+The keeper decides what a receipt ends: spare copies, and never custody.
 """
 
 from __future__ import annotations
@@ -31,66 +32,66 @@ from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Kept, Pair
 from rass_mav.core.news.voice import Serials, Voice
 from rass_mav.core.routes.neighbours import Neighbour
 
-#: While there is news, one turn in so many belongs to a round that is under way.
+#: While there is news, one turn in this many belongs to a round that is under way.
 ROUND_SHARE = 4
-#: Turns that a neighbour's digest must differ before a round begins: news is on its way, mostly.
+#: Turns that a neighbour's digest must differ before a round begins: in most cases news is already in transit.
 PATIENCE = 2
 #: Turns from one round to the next; doubled with each one while nothing is learned.
 PAUSE = 16
-#: So many rounds go without anything learned.
+#: The most rounds in which nothing is learned.
 MAX_ROUNDS = 6
-#: An origin's denial is said in one turn of so many at most.
+#: An origin's denial is sent in at most one turn of this many.
 DENIAL_TURNS = 6
-#: How many denials wait to be said.
+#: How many denials may wait to be sent.
 MAX_DENIALS = 64
-#: For so many turns, longer than a denial may wait to be said, the same one is an old one,
+#: Turns in which a repeated denial counts as outdated; longer than a denial may wait to be sent.
 HEEDED_TURNS = DENIAL_TURNS * MAX_DENIALS
-#: and its origin may have given so many numbers since.
+#: Numbers that its origin may have assigned since.
 GIVEN_SINCE = 1024
 
 
 class NoReceipts:
-    """Of a node that neither says nor hears what has arrived."""
+    """For a node that neither sends nor hears what has arrived."""
 
     __slots__ = ()
 
     told = False
-    """Whether bases say what has arrived."""
+    """Whether bases report what has arrived."""
 
     def __contains__(self, id: object) -> bool:
-        """Whether a base is known to have said that a datum has arrived."""
+        """Whether a base is known to have stated that a datum has arrived."""
         return False
 
     def told_lost(self, id: DatumId) -> bool:
-        """Whether a base was told that a datum is lost, and no base is known to have got it."""
+        """Whether a datum was reported lost to a base, and no base is known to have it."""
         return False
 
     def known(self) -> dict[Pair, Ranges]:
-        """All that bases say has arrived, by (origin, epoch)."""
+        """All that bases state has arrived, by (origin, epoch)."""
         return {}
 
     @property
     def digest(self) -> int:
-        """For the beacon: equal digests, equal knowledge. 0: there is no use in comparing."""
+        """For the beacon: equal digests mean equal knowledge. 0: do not compare."""
         return 0
 
     def arrived(self, id: DatumId) -> None:
-        """At a base: a datum has arrived, the archive has it."""
+        """At a base: a datum has arrived, and the archive has it."""
 
     def lost(self, id: DatumId) -> None:
-        """At a base: a datum was told lost, the archive knows."""
+        """At a base: a datum was reported lost, and the archive knows."""
 
     def learn(self, receipt: Receipt) -> set[Pair]:
-        """Take in what a neighbour says. Returns the pairs of which something new is known."""
+        """Process a neighbour's statement. Returns the pairs about which something new is known."""
         return set()
 
     def contradicts(self, receipt: Receipt) -> bool:
-        """At a base: whether a statement in its name says that something has arrived here that has not."""
+        """At a base: whether a statement in its name covers a datum that has not arrived here."""
         return False
 
     def deny(self, given: Given, *, own: bool = False) -> bool:
-        """An origin says how many numbers it has given. Whether statements are known that name others; they are told
-        no more, and the origin's word is told on. `own`: this node is the origin."""
+        """An origin states how many numbers it has assigned. Returns whether statements are known that name others.
+        These are no longer relayed, and the origin's denial is. `own`: this node is the origin."""
         return False
 
     def due(self, step: int) -> bool:
@@ -98,16 +99,16 @@ class NoReceipts:
         return False
 
     def turn(self, neighbours: Collection[Neighbour]) -> Receipt | None:
-        """What to say, at most one frame's worth; None: nothing."""
+        """What to send, at most one frame's worth; None: nothing."""
         return None
 
     def denial(self) -> Given | None:
-        """An origin's denial that is to be said in this turn; None: there is none."""
+        """An origin's denial to send in this turn; None: there is none."""
         return None
 
 
 class Receipts(NoReceipts):
-    """What one node knows of arrivals, and what it has to say about them."""
+    """What one node knows of arrivals, and what it has to send about them."""
 
     told = True
     __slots__ = (
@@ -119,7 +120,7 @@ class Receipts(NoReceipts):
         self, source: Source = (0, 0), *, archive: Archive | None = None, serials: Serials | None = None,
         period: int = 1, phase: int = 0, max_statements: int = MAX_STATEMENTS,
     ) -> None:  # fmt: skip
-        """At a base, `source`: its (node id, life); `archive`: what has arrived at this very base; `serials`: of its
+        """At a base, `source`: its (node id, life); `archive`: what has arrived at this base; `serials`: of its
         statements. Both None: not a base.
 
         A turn comes every `period` steps, when (step + phase) is a multiple of it.
@@ -130,12 +131,12 @@ class Receipts(NoReceipts):
         if archive is not None and serials is not None:
             self._voice = Voice(source, archive, serials, self.statements)
         self._mine = True
-        """Whether it is the base's own turn."""
+        """Whether it is the turn of the base's own statements."""
         self._turns = 0
         self._news: dict[Identity, None] = {}
-        """What is to be said, the longest waiting first."""
+        """Statements to send, the longest waiting first."""
         self._round: dict[Identity, None] = {}
-        """What has yet to go round, the next one last."""
+        """The rest of the round, the next one last."""
         self._rounds = 0
         """Rounds since something was learned."""
         self._pause = PATIENCE
@@ -145,13 +146,13 @@ class Receipts(NoReceipts):
         self._period = period
         self._phase = phase
         self._denials: dict[Pair, Given] = {}
-        """Of origins, to be said."""
+        """Denials by origins, to be sent."""
         self._heeded: dict[Given, int] = {}
-        """Denials, and the turn from which on each is heeded once more."""
+        """Denials, and the turn from which on each counts in full again."""
         self._hushed = 0
         """Turns before the next denial."""
 
-    # -- what is known -------------------------------------------------------------------------------------------------
+    # -- knowledge -----------------------------------------------------------------------------------------------------
 
     def __contains__(self, id: object) -> bool:
         return isinstance(id, DatumId) and id.sequence in self.statements.sum((id.origin, id.epoch)).arrived
@@ -168,9 +169,9 @@ class Receipts(NoReceipts):
         return 0 if self.statements.forgetful else self.statements.digest or EMPTY
 
     def disagreement(self) -> str:
-        """What is wrong with its own books, for tests; empty: nothing."""
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
         if not (self._news.keys() | self._round.keys()) <= self.statements.of.keys():
-            return "something is to be said that is not known"
+            return "an unknown statement is due to be sent"
         return self.statements.disagreement()
 
     # -- learning ------------------------------------------------------------------------------------------------------
@@ -189,7 +190,7 @@ class Receipts(NoReceipts):
             self._tell(given)
         identity: Identity = receipt[:4]
         if identity in self.statements.of:
-            # Said by somebody: most have heard it.
+            # A neighbour sent it: most nodes have heard it.
             self._news.pop(identity, None)
             self._round.pop(identity, None)
             return set()
@@ -222,7 +223,7 @@ class Receipts(NoReceipts):
 
     def deny(self, given: Given, *, own: bool = False) -> bool:
         heeded = not own and self._turns < self._heeded.get(given, 0)
-        # Else what bases say anew because of it would meet the same word again, without end.
+        # Otherwise the statements that bases send because of it would meet the same denial again, without end.
         since = GIVEN_SINCE if heeded and self._voice is None else 0
         if not self.statements.deny(given, since):
             return False
@@ -243,7 +244,7 @@ class Receipts(NoReceipts):
         if pair in self._denials or len(self._denials) < MAX_DENIALS:
             self._denials[pair] = given
 
-    # -- telling -------------------------------------------------------------------------------------------------------
+    # -- sending -------------------------------------------------------------------------------------------------------
 
     def due(self, step: int) -> bool:
         return (step + self._phase) % self._period == 0
@@ -258,7 +259,7 @@ class Receipts(NoReceipts):
         return self._own() or self._next(going=False)
 
     def _look_round(self, neighbours: Collection[Neighbour]) -> None:
-        """Which bases do beacons name?"""
+        """Note which bases the neighbours' beacons name."""
         named = {(n.beacon.base, n.beacon.base_life) for n in neighbours if n.beacon.hops != NO_ROUTE}
         if self._voice is not None:
             named.add(self._voice.source)
@@ -266,7 +267,7 @@ class Receipts(NoReceipts):
             self.statements.named = named
 
     def _own(self) -> Receipt | None:
-        """At a base: what it says itself."""
+        """At a base: its own statements."""
         if self._voice is None:
             return None
         self._voice.turn()
@@ -277,7 +278,7 @@ class Receipts(NoReceipts):
         return said
 
     def _next(self, *, going: bool) -> Receipt | None:
-        """What others have said. `going`: what goes round comes before the news."""
+        """Others' statements. `going`: the round comes before the news."""
         while self._news or self._round:
             if self._round and (going or not self._news):
                 identity, _ = self._round.popitem()
@@ -289,7 +290,7 @@ class Receipts(NoReceipts):
             kept = self.statements.of[identity]
             if kept.receipt[:4] == identity and is_sound(kept.receipt):
                 return kept.receipt
-            # Neighbours will say it again: the digests differ now.
+            # Neighbours will send it again: the digests differ now.
             self.statements.forget(kept)
             self._clear_up()
         return None
@@ -304,7 +305,7 @@ class Receipts(NoReceipts):
         return self._denials.pop(next(iter(self._denials)))
 
     def _compare(self, neighbours: Collection[Neighbour]) -> None:
-        """Begin a round if a neighbour knows something else, or end it if none does."""
+        """Begin a round if a neighbour's knowledge differs, or end it if none does."""
         met = frozenset([(n.id, n.beacon.life) for n in neighbours])
         if not met <= self._met:
             self._rounds = 0

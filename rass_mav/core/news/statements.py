@@ -1,7 +1,7 @@
-"""What one entry of a receipt says, and how a base finds its words for what it has.
+"""What one entry of a receipt covers, and how a base composes the entries about its data.
 
-A base speaks of blocks of 128 numbers. The entry of a block tells what has arrived of it, and goes as far to the left
-and to the right as numbers follow each other without a hole. So where nothing is missing, one entry tells everything
+A base reports in blocks of 128 numbers. The entry of a block covers what has arrived in it, and extends in both
+directions as far as numbers follow each other without a gap. So where nothing is missing, one entry covers everything
 from 0 on, and a newer entry contains the older ones.
 """
 
@@ -17,7 +17,7 @@ RECEIPT_BITS = 128
 
 
 def blocks(ranges: Ranges) -> Iterator[int]:
-    """Blocks whose entries together tell everything."""
+    """Blocks whose entries together cover everything."""
     last = -1
     for first, end in ranges:
         for block in (first // RECEIPT_BITS, (end - 1) // RECEIPT_BITS):
@@ -27,7 +27,7 @@ def blocks(ranges: Ranges) -> Iterator[int]:
 
 
 def entry_of(origin: int, epoch: int, ranges: Ranges, block: int, *, lost: bool) -> ReceiptEntry | None:
-    """The entry of a block of an origin and epoch; None: there is nothing of it."""
+    """The entry of a block of an origin and epoch; None: there is nothing in it."""
     ahead = ranges.behind(block * RECEIPT_BITS)
     first, end = next(ahead, (0, 0))
     if first >= (block + 1) * RECEIPT_BITS or not end:
@@ -43,7 +43,7 @@ def entry_of(origin: int, epoch: int, ranges: Ranges, block: int, *, lost: bool)
 
 
 def ranges_of(entry: ReceiptEntry) -> Iterator[tuple[int, int]]:
-    """The numbers that an entry means, as (first, one behind the last)."""
+    """The numbers that an entry covers, as (first, last + 1)."""
     _, _, first, run, bitmap, _ = entry
     end = first + run
     yield first, end
@@ -57,12 +57,12 @@ def ranges_of(entry: ReceiptEntry) -> Iterator[tuple[int, int]]:
 
 
 def last_of(entry: ReceiptEntry) -> int:
-    """The highest number that an entry means."""
+    """The highest number that an entry covers."""
     return entry.first + entry.run + entry.bitmap.bit_length() - 1
 
 
 def covers(a: ReceiptEntry, b: ReceiptEntry) -> bool:
-    """Whether an entry means all numbers that another one of the same kind, origin and epoch means."""
+    """Whether an entry covers all numbers that another one of the same kind, origin and epoch covers."""
     _, _, first_a, run_a, bits_a, _ = a
     _, _, first_b, run_b, bits_b, _ = b
     if first_b < first_a:
@@ -70,7 +70,7 @@ def covers(a: ReceiptEntry, b: ReceiptEntry) -> bool:
     end_a = first_a + run_a
     ahead = first_b + run_b - end_a
     if ahead <= 0:
-        # The run of b lies in that of a.
+        # The run of b is within that of a.
         return not bits_b >> -ahead & ~bits_a
     if ahead > RECEIPT_BITS:
         return False

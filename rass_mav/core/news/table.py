@@ -1,13 +1,13 @@
-"""The statements of bases that one node keeps, and what they say together.
+"""The statements of bases that one node keeps, and what they cover together.
 
-A statement is kept as its base said it, to be told on word by word. One of its entries is dead when another entry of
-the same base life about the same data contains it; between two that say the same, that of the higher serial lives. A
-statement without a live entry is forgotten. So what lives depends only on which statements were heard, not on their
-order, and a digest over it tells whether two nodes know the same.
+A statement is kept as its base sent it, to be relayed unchanged. One of its entries is dead when another entry of the
+same base life about the same data contains it; if two cover the same, the one with the higher serial lives. A statement
+without a live entry is forgotten. So what lives depends only on which statements were heard, not on their order, and a
+digest over it shows whether two nodes know the same.
 
-For the node's own use the live entries of all bases are merged. A copy may be deleted on that: it has a check word, and
-is made again from the statements when that does not fit. Statements have their own checksums. So one flipped bit in
-memory is found before anything is deleted or told on because of it.
+For the node's own use the live entries of all bases are merged. A copy may be deleted because of the result. So it has
+a check word, and is computed again from the statements when that does not match. Statements have their own checksums.
+So one flipped bit in memory is found before anything is deleted or relayed because of it.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ EMPTY = 1
 Pair = tuple[int, int]
 #: Node id and life of a base.
 Source = tuple[int, int]
-#: What names a statement: base, its life, serial, checksum.
+#: What identifies a statement: base, its life, serial, checksum.
 Identity = tuple[int, int, int, int]
 
 _pack_identity = struct.Struct("<HIII").pack
 
 
 def mark(identity: Identity) -> int:
-    """32 bits that stand for a statement in the digest."""
+    """32 bits that represent a statement in the digest."""
     # The middle of the square of a CRC. Not the CRC itself: it is linear, so marks could cancel each other.
     x = crc32(_pack_identity(*identity))
     return x * x >> 16 & 0xFFFFFFFF
@@ -58,14 +58,14 @@ class Kept:
 
 
 class Sum:
-    """What all bases together say of an origin and epoch."""
+    """What all bases together state about an origin and epoch."""
 
     __slots__ = ("_check", "arrived", "lost")
 
     def __init__(self) -> None:
         self.arrived = Ranges()
         self.lost = Ranges()
-        """Told lost; some of it may have arrived."""
+        """Reported lost; some of it may have arrived."""
         self._check = self.arrived.check
 
     def add(self, entry: ReceiptEntry) -> None:
@@ -77,12 +77,12 @@ class Sum:
 
     @property
     def sound(self) -> bool:
-        """Whether what has arrived is still what the statements said."""
+        """Whether the arrivals are still those of the statements."""
         return self.arrived.check == self._check
 
 
 class Statements:
-    """What one node knows, statement by statement. Bounded; a base's own archive is another thing."""
+    """What one node knows, statement by statement. Bounded; a base's own archive is separate."""
 
     __slots__ = (
         "_denied", "_live", "_max_statements", "_sources", "_sums", "digest", "forgetful", "gone", "named", "of",
@@ -95,23 +95,23 @@ class Statements:
         self._sources: dict[Source, dict[Identity, Kept]] = {}
         """The same by base life."""
         self._live: dict[tuple[int, int, int, int, bool], dict[ReceiptEntry, Kept]] = {}
-        """Live entries by base, its life, origin, epoch, and whether they tell losses."""
+        """Live entries by base, its life, origin, epoch, and whether they report losses."""
         self._sums: dict[Pair, Sum] = {}
-        """As far as somebody has asked."""
+        """Computed on request."""
         self._denied: dict[tuple[Identity, Pair], Given] = {}
         """Entries that their origin has denied, the oldest first."""
         self.digest = EMPTY
         self.forgetful = False
-        """Whether anything was forgotten or not taken in for want of room."""
+        """Whether anything was forgotten or not accepted for lack of space."""
         self.named: Collection[Source] = ()
-        """Bases that neighbours' beacons name: what others say makes no room for itself at their cost."""
+        """Bases that neighbours' beacons name: statements of other bases do not replace theirs."""
         self.gone: list[Identity] = []
-        """Statements forgotten since somebody emptied this list."""
+        """Statements forgotten since this list was last cleared."""
 
-    # -- what is known -------------------------------------------------------------------------------------------------
+    # -- knowledge -----------------------------------------------------------------------------------------------------
 
     def sum(self, pair: Pair) -> Sum:
-        """What all bases together say of an origin and epoch; sound."""
+        """What all bases together state about an origin and epoch; sound."""
         found = self._sums.get(pair)
         if found is None or not found.sound:
             found = self._make_sum(pair)
@@ -143,7 +143,7 @@ class Statements:
         return found
 
     def pairs(self) -> set[Pair]:
-        """All origins and epochs of which anything is said."""
+        """All origins and epochs about which anything is stated."""
         return {(entry.origin, entry.epoch) for kept in self.of.values() for entry in kept.live}
 
     def by(self, source: Source) -> Collection[Kept]:
@@ -151,33 +151,33 @@ class Statements:
         return self._sources.get(source, {}).values()
 
     def says(self, source: Source, entry: ReceiptEntry) -> bool:
-        """Whether a base is known to have said all that an entry says."""
+        """Whether a base is known to have stated all that an entry covers."""
         live = self._live.get((*source, entry.origin, entry.epoch, entry.lost), ())
         return any(covers(other, entry) for other in live)
 
     def disagreement(self) -> str:
-        """What is wrong with its own books, for tests; empty: nothing."""
+        """What is inconsistent in its own tables, for tests; empty: nothing."""
         digest = EMPTY
         for identity in self.of:
             digest ^= mark(identity)
         if digest != self.digest:
-            return "the digest is not that of what is known"
+            return "the digest does not match the statements"
         if any(not kept.live or not kept.live <= set(kept.receipt.entries) for kept in self.of.values()):
-            return "a statement is kept of which nothing lives"
+            return "a statement without a live entry is kept"
         live = [(entry, kept) for entries in self._live.values() for entry, kept in entries.items()]
         if sum(len(kept.live) for kept in self.of.values()) != len(live):
-            return "the entries that live are not those of the statements"
+            return "the live entries are not those of the statements"
         if any(entry not in kept.live or self.of.get(kept.identity) is not kept for entry, kept in live):
-            return "an entry lives of a statement that is not kept"
+            return "an entry of a statement that is not kept is live"
         if any(not self.sum(pair).sound for pair in list(self._sums)):
-            return "a sum cannot be made sound"
-        return "too much is known" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
+            return "a sum is not sound"
+        return "too many statements" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
 
-    # -- taking in -----------------------------------------------------------------------------------------------------
+    # -- adding statements ---------------------------------------------------------------------------------------------
 
     def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
-        """Take in a sound statement that is not kept. Returns the pairs of which something new is known; whether it is
-        news to be told on; and, if nothing of it lives, what says more."""
+        """Add a sound statement that is not kept. Returns the pairs about which something new is known; whether it is
+        news to relay; and, if no entry of it lives, the statements that cover it."""
         kept, changed, killed, better = Kept(receipt), set[Pair](), False, list[Kept]()
         if not self._admits(receipt[:2]):
             return changed, False, better
@@ -216,7 +216,7 @@ class Statements:
         return None
 
     def _enter(self, kept: Kept, entry: ReceiptEntry) -> bool:
-        """An entry lives. Whether others die of it."""
+        """Add a live entry. Returns whether others die because of it."""
         key = (*kept.identity[:2], entry.origin, entry.epoch, entry.lost)
         live = self._live.setdefault(key, {})
         dead = [other for other in live if covers(entry, other)]
@@ -238,7 +238,7 @@ class Statements:
             self._leave(kept)
 
     def _admits(self, source: Source) -> bool:
-        """Whether there is room for another base life. One that beacons name takes the place of one that none does."""
+        """Whether there is space for another base life. One that beacons name replaces one that none does."""
         if source in self._sources or len(self._sources) < MAX_BASES:
             return True
         self.forgetful = True
@@ -250,8 +250,8 @@ class Statements:
         return True
 
     def forget(self, kept: Kept) -> None:
-        """Let go of a statement, whatever lives of it."""
-        # By identity: of a damaged statement nothing else can be relied on.
+        """Drop a statement, even if some of it lives."""
+        # By identity: nothing else in a damaged statement can be relied on.
         for key in [key for key, live in self._live.items() if key[:2] == kept.identity[:2] and kept in live.values()]:
             live = self._live[key]
             for entry in [entry for entry, other in live.items() if other is kept]:
@@ -273,12 +273,13 @@ class Statements:
         self.digest ^= mark(identity)
         self.gone.append(identity)
 
-    # -- what origins deny ---------------------------------------------------------------------------------------------
+    # -- denials -------------------------------------------------------------------------------------------------------
 
     def deny(self, given: Given, since: int = 0) -> bool:
-        """An origin says how many numbers it has given: entries that name others are dead. Whether there are any.
+        """An origin states how many numbers it has assigned: entries that name others are dead. Returns whether there
+        are any.
 
-        `since`: so many more it may have given since then.
+        `since`: how many more it may have assigned since then.
         """
         pair = (given.origin, given.epoch)
         false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given + since]
@@ -296,7 +297,7 @@ class Statements:
         return bool(false)
 
     def denials(self, receipt: Receipt) -> Iterator[Given]:
-        """What origins have said against a statement."""
+        """What origins have denied of a statement."""
         if self._denied:
             identity: Identity = receipt[:4]
             for pair in {(entry.origin, entry.epoch) for entry in receipt.entries}:

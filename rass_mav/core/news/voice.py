@@ -1,4 +1,4 @@
-"""What a base has to say of its archive, statement by statement."""
+"""What a base has to send about its archive, statement by statement."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from rass_mav.core.store import Store
 
 #: Bytes for entries in a receipt frame.
 RECEIPT_BYTES = 112
-#: Turns after a start in which a base listens whether neighbours know what it said before, and need not be told.
+#: Turns after a start in which a base only listens: what neighbours know from its earlier life need not be sent.
 LISTEN_TURNS = 24
-#: A statement of which so few entries live is said again, in other words, where there is room.
+#: The content of a statement with at most this many live entries is restated in another statement, if there is space.
 LIGHT = 5
 #: How many serials a base claims on disk at a time.
 SERIALS_CLAIMED = 256
 
-#: Origin and epoch, told lost or not, block.
+#: Origin and epoch, reported lost or not, block.
 _Place = tuple[Pair, bool, int]
 
 
@@ -45,34 +45,34 @@ class Serials:
 
 
 class Voice:
-    """A base's own word."""
+    """The base's own statements."""
 
     __slots__ = ("_archive", "_listening", "_serials", "_statements", "_unsaid", "_unsure", "source")
 
     def __init__(self, source: Source, archive: Archive, serials: Serials, statements: Statements) -> None:
-        """`statements`: what is known in the swarm, also of this base's own earlier words."""
+        """`statements`: what is known in the swarm, including this base's own earlier statements."""
         self.source = source
         """The base: (node id, life)."""
         self._archive = archive
         self._serials = serials
         self._statements = statements
         self._unsaid: dict[_Place, None] = {}
-        """What has changed since it was said, the longest waiting first."""
+        """Changes not sent yet, the longest waiting first."""
         self._unsure: dict[_Place, None] = {
             (pair, lost, block): None
             for pair in archive
             for lost in (False, True)
             for block in blocks(archive.ranges(pair, lost=lost))
         }
-        """What was there at the start: in an earlier run it may have been said, or not."""
+        """What was there at the start: it may or may not have been sent in an earlier run."""
         self._listening = LISTEN_TURNS
 
     def changed(self, id: DatumId, *, lost: bool) -> None:
-        """A datum has arrived, or was told lost; the archive knows."""
+        """A datum has arrived, or was reported lost; the archive knows."""
         self._unsaid[(id.origin, id.epoch), lost, id.sequence // RECEIPT_BITS] = None
 
     def contradicts(self, receipt: Receipt) -> bool:
-        """Whether a statement in this base's name says that something has arrived here that has not."""
+        """Whether a statement in this base's name covers a datum that has not arrived here."""
         return receipt[:2] == self.source and any(not self._has(e) for e in receipt.entries if not e.lost)
 
     def _has(self, entry: ReceiptEntry) -> bool:
@@ -83,7 +83,7 @@ class Voice:
         return all(arrived.holds(first, end) for first, end in ranges_of(entry))
 
     def denied(self, pair: Pair) -> None:
-        """An origin, or somebody in its name, denies what was said of it: what is here is said anew."""
+        """An origin, or another node in its name, denies what was stated about it: state again what is here."""
         if self._archive.has(pair):
             for lost in (False, True):
                 for block in blocks(self._archive.ranges(pair, lost=lost)):
@@ -98,7 +98,7 @@ class Voice:
                 self._unsure = {}
 
     def statement(self) -> Receipt | None:
-        """What is to be said next; None: nothing."""
+        """The statement to send next; None: nothing."""
         entries: list[ReceiptEntry] = []
         room = RECEIPT_BYTES
         while room and self._unsaid:
@@ -124,7 +124,7 @@ class Voice:
         return entry_of(*pair, self._archive.ranges(pair, lost=lost), block, lost=lost)
 
     def _restate(self, entries: list[ReceiptEntry], room: int) -> None:
-        """Say once more what light statements say, so that they can be forgotten."""
+        """Restate the content of statements with few live entries, so that they can be forgotten."""
         light = [kept for kept in self._statements.by(self.source) if len(kept.live) <= LIGHT]
         for kept in sorted(light, key=lambda kept: (len(kept.live), kept.receipt.serial)):
             more: list[ReceiptEntry] = []
@@ -135,7 +135,7 @@ class Voice:
                 if self._archive.has(pair):
                     new = self._entry(pair, old.lost, (old.first + old.run - 1) // RECEIPT_BITS)
                 if new is None or not covers(new, old):
-                    # Not its own word, or of a time before a restart.
+                    # Not its own statement, or one from before a restart.
                     break
                 size += (growth := _growth(entries + more, new))
                 if growth:
@@ -148,7 +148,7 @@ class Voice:
 
 
 def _growth(entries: list[ReceiptEntry], entry: ReceiptEntry) -> int:
-    """Bytes that another entry takes; 0: the others say it already."""
+    """Bytes that another entry takes; 0: the others cover it already."""
     for other in entries:
         if other[:2] == entry[:2] and other.lost == entry.lost and covers(other, entry):
             return 0

@@ -1,1 +1,1 @@
-"""The way to a base: neighbours, announcements, one routing table for hops and for costs."""
+"""The route to a base: neighbours, announcements, one routing table for hops and for costs."""

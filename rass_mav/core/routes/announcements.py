@@ -1,6 +1,6 @@
-"""Which number a base announces: raised now and then and on request, and never one that a restart could say again.
+"""The number that a base announces: raised now and then and on request, and never one that a restart could repeat.
 
-The number is claimed on disk before it is said, so a restarted base goes on after all that it has announced.
+The number is claimed on disk before it is sent, so a restarted base continues after all that it has announced.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from rass_mav.core.store import Store
 
 #: How many announcement numbers a base claims on disk at a time. When half of them are used, more are claimed.
 ANNOUNCEMENTS_CLAIMED = 256
-#: A base leaves numbers out at most once in so many turns. Old numbers must be forgotten before their time comes round
-#: again: two jumps are nearly the whole circle of 16 bits, and a route dies out in as many turns as it has hops, and a
+#: Turns between two occasions on which a base skips numbers. Old numbers must be forgotten before they come round
+#: again: two jumps are nearly the whole circle of 16 bits, and a route dies out in as many turns as it has hops, plus a
 #: lifetime.
 JUMP_TURNS = 30
-#: So many numbers it leaves out at most: fewer than half the circle, so that a node that remembers one of the last
-#: thousand numbers takes the new one for newer.
+#: The most numbers that it skips: fewer than half the circle, so that a node that remembers one of the last thousand
+#: numbers considers the new one newer.
 MOST_JUMP = 0x7C00
 _KEY = "announcement"
 
@@ -26,14 +26,14 @@ class Announcements:
     __slots__ = ("_claimed", "_due", "_durable", "_jumps_again", "_number", "_period", "_store", "_turns")
 
     def __init__(self, store: Store, period: int) -> None:
-        """`period`: the number is raised every so many turns; 0: on request only."""
+        """`period`: turns after which the number is raised; 0: on request only."""
         self._store = store
         self._period = period
         self._turns = 0
         self._number: int | None = None
         """What is announced now."""
         self._due = following(store.get_meta(_KEY) or 0)
-        """What is to be announced as soon as the disk knows of it."""
+        """What to announce as soon as it is on disk."""
         self._durable: int | None = None
         """All numbers up to this one are claimed on disk."""
         self._jumps_again = 0
@@ -43,7 +43,7 @@ class Announcements:
     def turn(self, requested: int | None) -> int | None:
         """The number to announce in this turn. None: the first one is not on disk yet.
 
-        `requested`: the newest that somebody has asked for, not older than the present one.
+        `requested`: the newest number that any node has asked for, not older than the present one.
         """
         self._turns += 1
         if self._store.meta_durable(_KEY):
@@ -57,10 +57,10 @@ class Announcements:
         return self._number
 
     def _raise(self, requested: int | None) -> None:
-        """Raise the number if it is time, or if somebody asks for a newer one.
+        """Raise the number if it is time, or if a node asks for a newer one.
 
-        A beacon that somebody has said in this base's name, or a request without need, may ask for a number far ahead.
-        Who has heard such a beacon takes nothing older, so the base has to go there; but not as often as it is asked.
+        A forged beacon in this base's name, or a request without need, may ask for a number far ahead. A node that has
+        heard such a beacon accepts nothing older, so the base has to go there; but not as often as it is asked.
         """
         number = self._due
         ahead = 0 if requested is None else (requested - number) & 0xFFFF

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 #: Costs are 32-bit fixed point on the wire: this many units are a cost of 1.
 COST_ONE = 1 << 20
-#: No way, and no shelter. One below the value that only bases announce.
+#: No route, and no shelter. One below the value that only bases announce.
 NO_COST = 0xFFFFFFFE
 
 
@@ -17,8 +17,8 @@ class CostRules:
     tag: int
     """The policy's: only costs under it can be compared."""
     hold: float
-    """>= 1: staying where no base is reachable costs so many tolls."""
+    """>= 1: the cost of staying where no base is reachable, in tolls."""
     hysteresis: float
     """In (0, 1]: another place must cost less than this share of staying."""
     change_over: int
-    """A node changes over to another base that is this much cheaper, wire units."""
+    """A node changes to another base that is cheaper by this, wire units."""

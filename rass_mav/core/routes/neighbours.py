@@ -1,10 +1,11 @@
-"""Who is around: what the neighbours' last beacons said, how long each is remembered, and how many at most.
+"""The neighbours: their last beacons, how long each is remembered, and how many at most.
 
-Babel's neighbour table (RFC 8966, 3.2.4); a beacon is its Hello, and what was missed its history (appendix A.1).
+This is Babel's neighbour table (RFC 8966, 3.2.4); a beacon is its Hello, and the missed beacons its history (appendix
+A.1).
 
-Anybody can say a beacon in a name of its own invention, so a name that was heard once is worth little: it is
-remembered for an ordinary lifetime however long it says its turn is, it does not count in how long nodes wait for each
-other, and it finds no place in a table that is half full. Heard twice, it is a neighbour.
+Anybody can send a beacon under an invented name, so a name that was heard once counts for little. It is remembered for
+an ordinary lifetime, however long its turn is. It does not affect how long nodes wait for each other, and it gets no
+place in a table that is half full. Once heard twice, it is a neighbour.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ from math import inf
 from rass_mav.core.messages import BEACON_BASE, Beacon
 from rass_mav.core.routes.serial import newer
 
-#: A beacon this little behind the newest one is a late or doubled frame; one further behind is a restarted neighbour.
+#: A beacon at most this far behind the newest one is a late or duplicated frame; otherwise the neighbour has restarted.
 _LATE_WINDOW = 32
-#: A neighbour of whose beacons fewer than this were missed of late is on a clean link (`Neighbour.missed`).
+#: A neighbour of which recently fewer beacons than this were missed is on a clean link (`Neighbour.missed`).
 CLEAN_MISSED = 0.2
-#: A turn that a beacon says counts as this many seconds at most: nobody has to be waited for over hours.
+#: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another,
 MOST_TURN_S = 60.0
-#: and as so many times the time between its last two beacons at most: a turn that grows faster has to be shown.
+#: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
 CREDIT = 4
-#: One place in so many is kept for bases. More cannot be: anybody can say that it is one.
+#: One place in this many is reserved for bases. There cannot be more: anybody can claim to be a base.
 _BASES_PART = 4
 _MOST_MISSED = 8
-#: More than sums of times are rounded by, seconds.
+#: More than the rounding errors of sums of times, seconds.
 _ROUNDING_S = 1e-3
 
 
@@ -41,19 +42,19 @@ class Neighbour:
         self.heard = heard
         """When the beacon was heard, seconds."""
         self.turn_s = turn_s
-        """It says a beacon every so many seconds."""
+        """The time between its beacons, seconds."""
         self.lifetime_s = lifetime_s
         """If it is silent for longer, it is gone."""
         self.missed = 1.0
-        """Beacons missed of late: each one counts a fifth less with each that is heard."""
+        """Recently missed beacons: each counts a fifth less with each that is heard."""
         self.confirmed = False
         """Whether it was heard twice: two beacons of one life, in order."""
         self.late: int | None = None
-        """Number of the last beacon that was taken for a late one."""
+        """Number of the last beacon that was treated as late."""
 
     @property
     def clean(self) -> bool:
-        """Whether hardly any beacon is missed on this link: then one that is missing means that it has broken."""
+        """Whether hardly any beacon is missed on this link: then a missing one means that the link has broken."""
         return self.missed < CLEAN_MISSED
 
 
@@ -65,24 +66,24 @@ class Neighbours(dict[int, Neighbour]):
     def __init__(
         self, step_s: float, lifetime_s: float, most: int, standing: Callable[[Beacon], tuple[int, int]]
     ) -> None:
-        """`step_s`: beacons are usually that far apart, and a neighbour silent for more than `lifetime_s` is gone; who
-        says that its beacons are farther apart lives longer accordingly. `standing`: of two neighbours the one of the
-        greater is given up for want of room."""
+        """`step_s`: the usual time between beacons. A neighbour silent for more than `lifetime_s` is gone; one whose
+        beacons are farther apart lives longer accordingly. `standing`: if there is not enough space, the neighbour with
+        the greater value is given up."""
         super().__init__()
         self._step_s = step_s
         self._lifetime_s = lifetime_s
         self._most = most
         self._standing = standing
         self._candidates: dict[int, tuple[int, int, float, float]] = {}
-        """(life, beacon number, when it was heard, until when the next one has to be) of who was heard once, first in
+        """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""
-        # `age` looks at nobody before that, unless somebody comes or changes its turn.
+        # `age` checks no neighbour before that, unless one is new or changes its turn.
         self._nobody_goes_until = -inf
         self._longest_s = 0.0
 
     def hear(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
-        """Take in a beacon. False: a duplicate, a late one, or there is no room for a new neighbour (the best stay,
-        and the next hop, and some bases), or it has to be heard once more."""
+        """Process a beacon. False: it is a duplicate or late, there is no space for a new neighbour (the best stay, and
+        the next hop, and some bases), or the node has to be heard once more."""
         known = self.get(beacon.sender)
         if known is None:
             return self._hear_new(beacon, now, next_hop)
@@ -94,7 +95,7 @@ class Neighbours(dict[int, Neighbour]):
                 known.late = beacon.number
             if not ahead or late is None or not newer(beacon.number, late):
                 return False
-            # Late ones that come in order are its words of now: the newest was never its own.
+            # Late beacons that come in order are current: the newest one was not its own.
         known.late = None
         missed = (ahead - 1) & 0xFFFF
         known.missed = 0.8 * known.missed + (missed if missed < _MOST_MISSED else _MOST_MISSED)
@@ -108,7 +109,7 @@ class Neighbours(dict[int, Neighbour]):
         return True
 
     def _hear_new(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
-        """Somebody who is not in the table: heard for the first time, or for the second."""
+        """A node that is not in the table: heard for the first time, or for the second."""
         id = beacon.sender
         candidates = self._candidates
         life, number, heard, until = candidates.pop(id, (None, 0, now, now))
@@ -129,18 +130,18 @@ class Neighbours(dict[int, Neighbour]):
         return True
 
     def _turn_s(self, beacon: Beacon) -> float:
-        """How far apart the beacons are of who says this one, seconds."""
+        """The time between the beacons of the node that sent this one, seconds."""
         return max(self._step_s, min(beacon.turn / 10, MOST_TURN_S))
 
     def _be_patient(self, neighbour: Neighbour, gap_s: float) -> None:
-        """Set how long a neighbour may be silent, by its last beacon, and how long after the one before that came."""
+        """Set how long a neighbour may be silent, from its last beacon and the time between that and the one before."""
         shown_s = max(self._step_s, CREDIT * gap_s)
         neighbour.turn_s = min(self._turn_s(neighbour.beacon), shown_s) if neighbour.confirmed else self._step_s
         neighbour.lifetime_s = self._lifetime_s * (neighbour.turn_s / self._step_s)
         self._nobody_goes_until = -inf
 
     def _make_room(self, beacon: Beacon, next_hop: int | None) -> bool:
-        """Drop the worst for somebody better. The next hop stays, and of the bases those that are known the longest."""
+        """Drop the worst for a better one. The next hop stays, and so do the bases known the longest."""
         kept = {next_hop}
         places = self._most // _BASES_PART
         for n in self.values():
@@ -158,7 +159,8 @@ class Neighbours(dict[int, Neighbour]):
         return True
 
     def age(self, now: float) -> float:
-        """Forget who has been silent for too long. Returns the longest lifetime of the others, seconds, or 0."""
+        """Forget neighbours that have been silent for too long. Returns the longest lifetime of the others, seconds, or
+        0."""
         if now < self._nobody_goes_until:
             return self._longest_s
         gone = []

@@ -1,12 +1,12 @@
 """The routing table (Alg. 2 of the paper) with announcement numbers: one for hops and for costs (`ranks`).
 
-Alg. 2 as written counts to infinity when the base vanishes: two nodes go on quoting each other's hop count. Here each
-announcement of a base carries a number, and a neighbour's route is taken only if it is feasible (Babel, RFC 8966,
+Alg. 2 as written counts to infinity when the base vanishes: two nodes continue to quote each other's hop count. Here
+each announcement of a base has a number, and a node uses a neighbour's route only if it is feasible (Babel, RFC 8966,
 sections 2.4 and 3.5.1): newer than what this node has announced itself, or as new and of a strictly lower metric. So
 the graph of next hops has no cycle at any instant, and a route without a base dies out in as many steps as it has hops.
 
-Feasibility compares announcements of one base. Between bases, a node that changes over announces no route for as long
-as somebody may still remember its old one; then nobody relies on it, and it cannot close a cycle.
+Feasibility compares announcements of one base. Between bases, a node that changes announces no route for as long as any
+node may still remember its old one. Then no node relies on it, and it cannot close a cycle.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from rass_mav.core.routes.ranks import Rank
 from rass_mav.core.routes.serial import following, newer
 from rass_mav.core.settings import NodeSettings
 
-#: For so many lifetimes somebody may count on a route after its last announcement: a beacon travels for one at most, is
-#: remembered for another, and forgotten at the next step only.
+#: Lifetimes for which other nodes may count on a route after its last announcement: a beacon travels for at most one,
+#: is remembered for another, and forgotten only at the next step.
 HOLD_LIFETIMES = 2.5
-#: How many bases a node remembers feasibility distances of.
+#: For how many bases a node remembers feasibility distances.
 MAX_BASES = 16
 
 
 class RoutingTable:
-    """Who is around, and the way to a base. One route is chosen; several bases compete like an anycast."""
+    """The neighbours, and the route to a base. One route is chosen; several bases compete like an anycast."""
 
     __slots__ = (
         "_asked",
@@ -55,10 +55,10 @@ class RoutingTable:
     def __init__(
         self, settings: NodeSettings, life: int, rank: Rank, *, turn_s: float = 0.0, restarted: float | None = None
     ) -> None:
-        """`life`: of this node, as its beacons say it. `turn_s`: how far apart its beacons are, if more than a step.
+        """`life`: of this node, as sent in its beacons. `turn_s`: the time between its beacons, if more than a step.
 
         `restarted`: when a node starts that has announced routes in an earlier life, without its feasibility distances:
-        it takes no route until all neighbours have forgotten those.
+        it uses no route until all neighbours have forgotten those.
         """
         if not 1 <= settings.max_hops <= 254:
             raise ValueError("max_hops must be in 1..254")
@@ -71,31 +71,32 @@ class RoutingTable:
         self.lifetime_s = (settings.neighbour_steps + 0.5) * settings.step_s
         """A neighbour silent for longer is gone, unless its turns are longer; no frame travels for longer."""
         self.longest_s = self.lifetime_s * (self.turn_s / self.step_s)
-        """The longest that this node or a neighbour is remembered by what it said last, seconds."""
+        """The longest time that this node or a neighbour is remembered after its last beacon, seconds."""
         self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing)
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
         self.route: Route | None = None
-        """The chosen route; its hops are counted from this node. Of a base: what it announces (`announce`)."""
+        """The chosen route; its hops are counted from this node. At a base: what it announces (`announce`)."""
         self.distance = 0 if self.base else NO_ROUTE
         """Fewest hops that any neighbour announces, plus one: h of Eq. 3. It is known even while no route is feasible;
-        then it is not announced, so that nobody counts on it."""
+        it is then not announced, so that no node counts on it."""
         self.metric = 0 if self.base else rank.no_way
-        """What feasibility compares of the chosen route, counted from this node: its hops, or its cost, wire units."""
+        """The chosen route's value in feasibility comparisons, counted from this node: its hops, or its cost, wire
+        units."""
         self.toll = 1
         """What a hop from this node adds to the metric."""
         self.wanted: tuple[int, int] | None = None
-        """(base id, number) this node asks for, for itself or for a neighbour."""
+        """(base id, number) that this node requests, for itself or for a neighbour."""
         self._bound: tuple[int, int] | None = None if restarted is None else (-1, -1)
-        """The base that this node announced a route to last: no other may be taken before `_bound_until`."""
+        """The base of the last route that this node announced: it may use no other before `_bound_until`."""
         self._bound_until = -inf if restarted is None else restarted + HOLD_LIFETIMES * self.longest_s
         self._feasible: dict[tuple[int, int], tuple[int, int]] = {}
         """Feasibility distances, (number, metric), by (base id, base life): Babel's source table (RFC 8966, 3.2.5)."""
         self._asked: tuple[int, int, float] | None = None
-        """(base id, number, until when) that neighbours ask for; of a base: the newest since it last announced."""
+        """(base id, number, until when) that neighbours request; at a base: the newest since it last announced."""
 
     def hear(self, beacon: Beacon, now: float) -> bool:
-        """Take in a neighbour's beacon. False: a duplicate, a late one, or there is no room for a new neighbour."""
+        """Process a neighbour's beacon. False: it is a duplicate or late, or there is no space for a new neighbour."""
         if not self.neighbours.hear(beacon, now, self.next_hop):
             return False
         if beacon.flags & BEACON_WANTED:
@@ -103,7 +104,7 @@ class RoutingTable:
         if self.base and (beacon.base, beacon.base_life) == (self.node_id, self.life) and beacon.hops != NO_ROUTE:
             number = beacon.route_number
             if number != self.number and not newer(self.number, number):
-                # It was said in this base's name, and who takes it for a way will take nothing older.
+                # It was sent in this base's name, and a node that uses it as a route will accept nothing older.
                 self._hear_request(self.node_id, following(number), now)
         return True
 
@@ -111,7 +112,7 @@ class RoutingTable:
         """A neighbour needs an announcement of this base with this number or a newer one (RFC 8966, 3.8.1.2)."""
         route = self.route
         if route is None or route.base != base or number == route.number or newer(route.number, number):
-            # Only who has a route passes a request on, so requests die out where no base is reachable.
+            # Only a node that has a route relays a request, so requests die out where no base is reachable.
             return
         asked = self._asked
         if not self.base or asked is None or newer(number, asked[1]):
@@ -119,17 +120,17 @@ class RoutingTable:
 
     @property
     def number(self) -> int:
-        """As a base: the announcement number, 16 bits."""
+        """At a base: the announcement number, 16 bits."""
         return 0 if self.route is None else self.route.number
 
     @property
     def requested(self) -> int | None:
-        """As a base: the newest number that neighbours have asked for since the last `announce`, if it is to be newer
+        """At a base: the newest number that neighbours have requested since the last `announce`, if it must be newer
         than the present one."""
         return None if self._asked is None else self._asked[1]
 
     def announce(self, number: int) -> None:
-        """As a base: announce this number from now on."""
+        """At a base: announce this number from now on."""
         self._asked = None
         if self.route is None or self.route.number != number:
             self.route = Route(self.node_id, self.life, number, 0)
@@ -151,20 +152,21 @@ class RoutingTable:
         if self._bound is None:
             self.next_hop, self.metric = self.rank.shelter(self.neighbours.values(), self.toll, self.next_hop, now)
         else:
-            # Somebody may still count on the route that this node has lost.
+            # Other nodes may still count on the route that this node has lost.
             self.next_hop, self.metric = None, self.rank.no_way
 
     def _best(self, now: float) -> tuple[Neighbour | None, int]:
-        """The best feasible way and its metric (RFC 8966, 3.5.1 and 3.6). None: there is none, or a change-over is due.
+        """The best feasible route and its metric (RFC 8966, 3.5.1 and 3.6). None: there is none, or a change of base is
+        due.
 
-        In passing it finds the distance, and what to ask for if no way is taken.
+        It also finds the distance, and what to request if no route is taken.
         """
         rank, tag, bound, node_id = self.rank, self.rank.tag, self._bound, self.node_id
         nearest, farthest = NO_ROUTE, self._max_hops - 1
         best: Neighbour | None = None
         best_behind = 0
         best_metric = elsewhere = rank.no_way
-        # About the base that the last neighbour announced; mostly the next one announces the same.
+        # About the base that the last neighbour announced; in most cases the next one announces the same.
         base = base_life = -1
         own: tuple[int, int] | None = None
         other = False
@@ -204,20 +206,20 @@ class RoutingTable:
                 ):
                     best, best_behind, best_metric = neighbour, behind, metric
                     if tag is None:
-                        # By hops, nobody who is farther need be looked at.
+                        # By hops, neighbours that are farther need not be considered.
                         farthest = hops
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
         return (None if elsewhere + rank.change_over <= best_metric else best), best_metric
 
     def _preferred(self, neighbour: Neighbour, best: Neighbour) -> bool:
-        """Between ways of the same rank: the newer announcement of the same base, else the present next hop."""
+        """Between routes of the same rank: the newer announcement of the same base, else the present next hop."""
         a, b = neighbour.beacon, best.beacon
         if a.route_number != b.route_number and (a.base, a.base_life) == (b.base, b.base_life):
             return newer(a.route_number, b.route_number)
         return neighbour.id == self.next_hop
 
     def _take(self, beacon: Beacon, metric: int, now: float) -> None:
-        """Choose the route that a neighbour announces, and pass on requests for newer numbers (RFC 8966, 3.8.1.2)."""
+        """Choose the route that a neighbour announces, and relay requests for newer numbers (RFC 8966, 3.8.1.2)."""
         self.next_hop = beacon.sender
         metric += self.toll
         self.metric = metric if metric < self.rank.no_way else self.rank.no_way - 1
@@ -234,7 +236,7 @@ class RoutingTable:
                 self._asked = None
 
     def announced(self, now: float) -> None:
-        """The table has been put into a beacon: from now on only what is better is feasible (RFC 8966, 3.7.3)."""
+        """The table has been put into a beacon: from now on only better routes are feasible (RFC 8966, 3.7.3)."""
         if self.base:
             return
         route = self.route
@@ -260,7 +262,7 @@ class RoutingTable:
 
     @property
     def longest_turn_s(self) -> float:
-        """The longest turn, seconds, among this node's and its neighbours': an answer may take so long."""
+        """The longest turn of this node and its neighbours, seconds: the longest time that an answer may take."""
         return self.step_s * (self.longest_s / self.lifetime_s)
 
     @property

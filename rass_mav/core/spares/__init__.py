@@ -1,1 +1,1 @@
-"""Spare copies: who keeps one, who is offered one, who has a good one when another is corrupt."""
+"""Spare copies: which node keeps one, which is offered one, and which has a good one when another is corrupt."""

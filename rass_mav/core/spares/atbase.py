@@ -1,4 +1,4 @@
-"""What a base answers when it is spoken to of spare copies: it keeps none, for what it has has arrived."""
+"""A base's answers about spare copies: it keeps none, because its data have arrived."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class AtBase(NoSpares):
         self._keeper = keeper
 
     def on_words(self, message: Words, now: float, out: list[Message]) -> None:
-        """Somebody did not know that it gave to a base, and asks after its spares."""
+        """Some node did not know that it handed over to a base, and asks about its spares."""
         arrived = tuple(id for id, word in message.entries if word == Word.STILL and self._keeper.has(id))
         if arrived:
             out.append(PassedOn(self._keeper.settings.node_id, message.sender, arrived))

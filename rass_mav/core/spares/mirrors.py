@@ -1,18 +1,18 @@
 """Mirrored custody: spare copies, so that a datum does not die with one drone or one flipped bit.
 
-A datum has one custodian, the node that has to move it on. Beside it one other node, its backer, keeps a spare copy:
+A datum has one custodian, the node that has to move it on. One other node, its backer, keeps a spare copy:
 
-- After a hand-over the giver keeps its copy. It is the backer until the receiver, the new custodian, says that it has
-  passed the datum on in its turn. Then the spare is let go of, or (`mirror_until: receipt`) kept while there is room.
+- After a hand-over the giver keeps its copy. It is the backer until the receiver, the new custodian, reports that it
+  has passed the datum on. The spare is then dropped or, with `mirror_until: receipt`, kept while there is space.
 - A datum that rests and has no backer gets one: its custodian sends a spare copy to its safest neighbour (`offers`).
 
-A custodian that finds its copy corrupt asks its backer to take the datum back into custody. A backer whose custodian is
-gone for long, or was wiped, does so by itself. A backer that loses its spare says so. And what brings no receipt for
-long is handed over once more (`unconfirmed`).
+A custodian that finds its copy corrupt asks its backer to take back custody. A backer also does so, unasked, when its
+custodian has been gone for long or was wiped. A backer that loses its spare reports this. A datum whose receipt does
+not come for long is handed over once more (`unconfirmed`).
 
-Nothing here can endanger custody. Spares are not custody: nobody deletes a copy in custody because a spare exists, and
-whatever is said about spares may be lost, doubled or late. What such an accident can do is to make a copy too many, or
-to leave a datum without its spare. A backer that hears nothing for `ASK_STEPS` asks, so a lost word is made good.
+Nothing here can endanger custody. Spares are not custody: no node deletes a copy in custody because a spare exists.
+Messages about spares may be lost, duplicated or late. The result is at worst one copy too many, or a datum without its
+spare. A backer that hears nothing for `ASK_STEPS` asks, which makes up for a lost message.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from rass_mav.core.spares.repairs import Repairs
 from rass_mav.core.spares.speech import Speech
 from rass_mav.core.spares.unconfirmed import Unconfirmed
 
-#: A backer that has heard nothing of a datum for so many steps (turns, where they are longer) asks its custodian.
+#: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
 ASK_STEPS = 10
-#: A custodian or backer is given up after so many lifetimes of a neighbour without a beacon. The routing table forgets
-#: it after one; but a copy is made anew for each one given up, so it should be dead, and not just have missed three
-#: beacons or flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
+#: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
+#: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
+#: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
 GONE_LIFETIMES = 8.0
-#: How many data a node asks for in a step, apart from those that it has just found corrupt: three frames.
+#: How many data a node asks for in a step, besides those that it has just found corrupt: three frames.
 WORDS_A_STEP = 33
 #: Spares a node keeps at most, if its capacity allows more.
 MAX_SPARES = 4096
-#: How many data that were passed on a node remembers, to answer backers that ask.
+#: How many passed-on data a node remembers, to answer backers that ask.
 MAX_PASSED = 256
 
 
@@ -65,22 +65,22 @@ class Mirrors(NoSpares):
         """The present step's time, seconds."""
         self._speech = Speech(keeper.settings.node_id)
         self._repairs = Repairs(keeper, self._speech)
-        """Data found corrupt that somebody was asked to take back."""
+        """Corrupt data that another node was asked to take back."""
         self._offers = SpareOffers(keeper, routing, pace, risk, rng)
-        """To whom spares are offered."""
+        """Which neighbours are offered spares."""
         self._unconfirmed = Unconfirmed(keeper, routing, pace)
-        """What waits for receipts."""
+        """The copies that wait for receipts."""
         self._detours: dict[DatumId, int] = {}
-        """Data that have come back into custody for want of a receipt, and to whom they go."""
+        """Data that are back in custody because no receipt came, and the neighbours they go to."""
         self._again_at = now
-        """When those that have not answered are asked again, seconds."""
+        """When nodes that have not answered are asked again, seconds."""
         self._passed: dict[DatumId, int] = {}
-        """Data passed on of late, and to whom."""
+        """Recently passed-on data, and the nodes they went to."""
 
-    # -- what happens to own custody -----------------------------------------------------------------------------------
+    # -- changes of custody --------------------------------------------------------------------------------------------
 
     def make_way(self, size: int) -> None:
-        """Let go of spares until a datum of `size` bytes of payload fits beside the rest."""
+        """Drop spares until a datum of `size` bytes of payload fits beside the rest."""
         self._make_way(size, counted_on=True)
 
     def _make_way(self, size: int, *, counted_on: bool) -> bool:
@@ -93,7 +93,7 @@ class Mirrors(NoSpares):
         return True
 
     def took(self, holding: Holding, giver: int | None = None) -> None:
-        """A datum is in custody now. `giver`: who handed it over, and keeps its copy as a spare."""
+        """A datum is now in custody. `giver`: the node that handed it over, and keeps its copy as a spare."""
         self._repairs.end(holding.id)
         self._passed.pop(holding.id, None)
         if giver is not None:
@@ -101,7 +101,7 @@ class Mirrors(NoSpares):
             self._offers.came(holding)
 
     def take_back(self, holding: Holding) -> None:
-        """A spare, if this is one, comes into custody (again)."""
+        """If this is a spare, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
             self._keeper.holdings.change(holding, State.CUSTODY)
             self._keeper.stirred = True
@@ -109,13 +109,14 @@ class Mirrors(NoSpares):
             self.took(holding)
 
     def rescue(self, holding: Holding) -> None:
-        """Bases were told that a datum is lost of which a copy is here."""
+        """A datum was reported lost to a base, but a copy is here."""
         if self._keeper.load(holding) is not None:
             self.take_back(holding)
 
     def gave(self, holding: Holding, to: int) -> bool:
-        """A neighbour has taken custody: the copy here becomes its spare. A base counts on none. But anybody can say
-        that it is one, so where spares are kept until a receipt this copy is too."""
+        """A neighbour has taken custody: the copy here becomes its spare. Returns whether the copy stays. A base counts
+        on no spare. But anybody can claim to be a base, so where spares are kept until a receipt this copy stays
+        too."""
         keeper, id = self._keeper, holding.id
         holdings = keeper.holdings
         neighbour = self._routing.neighbours.get(to)
@@ -136,18 +137,18 @@ class Mirrors(NoSpares):
         return stays
 
     def left(self, holding: Holding) -> None:
-        """A datum is about to leave custody. Its backer is told that it need not be counted on."""
+        """A datum is about to leave custody. Its backer is told that nobody counts on its spare any more."""
         self._leave(holding, None)
 
     def _leave(self, holding: Holding, to: int | None) -> None:
-        """The same; `to`: who knows it already."""
+        """The same; `to`: the node that knows already."""
         self._offers.settle(holding.id)
         backer = self._keeper.holdings.unpair(holding)
         if backer is not None and backer.id != to:
             self._speech.passed_on(backer.id, holding.id)
 
     def repair(self, holding: Holding) -> bool:
-        """The copy in custody is corrupt. Whether others are asked for the datum; if not, it is lost here."""
+        """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
         self._offers.settle(holding.id)
         backer = self._keeper.holdings.unpair(holding)
         if backer is None and not self._routing.neighbours:
@@ -156,15 +157,15 @@ class Mirrors(NoSpares):
         return True
 
     def _back(self, holding: Holding, backer: int) -> None:
-        """Another node keeps a spare of a datum in own custody; who did so before is told."""
+        """Another node keeps a spare of a datum in custody here; the previous backer is told."""
         if holding.partner is None or holding.partner.id != backer:
             self._leave(holding, backer)
             self._pair(holding, backer)
 
-    # -- what happens to spares ----------------------------------------------------------------------------------------
+    # -- changes of spares ---------------------------------------------------------------------------------------------
 
     def keep(self, giver: int, datum: Datum) -> bool:
-        """A custodian sends a spare copy. Whether there is a good copy here now."""
+        """A custodian sends a spare copy. Returns whether there is a good copy here now."""
         keeper = self._keeper
         holdings = keeper.holdings
         id = datum.id
@@ -190,7 +191,7 @@ class Mirrors(NoSpares):
         return True
 
     def let_go(self, holding: Holding, *, missing: bool) -> None:
-        """A spare is about to go. `missing`: who counts on it is told."""
+        """A spare is about to go. `missing`: tell the custodian that counts on it."""
         if holding.id in self._keeper.arrived:
             self._unconfirmed.confirmed(holding, self._now)
         custodian = self._keeper.holdings.unpair(holding)
@@ -212,7 +213,7 @@ class Mirrors(NoSpares):
         holdings.pair(holding, partner, self._now)
 
     def step(self, now: float) -> None:
-        """Once a step: partners that are gone, spares of which nothing was heard for long, repairs not answered."""
+        """Once a step: handle partners that are gone, spares with no news for long, and repairs without an answer."""
         self._now = now
         holdings = self._keeper.holdings
         if holdings.partners:
@@ -235,11 +236,11 @@ class Mirrors(NoSpares):
 
     @property
     def _until_receipt(self) -> bool:
-        """Whether a spare is kept until a receipt says that the datum has arrived."""
+        """Whether a spare is kept until a receipt shows that the datum has arrived."""
         return self._keeper.settings.mirror_until_receipt and self._keeper.receipts.told
 
     def _send_again(self, now: float) -> None:
-        """What has brought no receipt for long comes back into custody."""
+        """Take back custody of data whose receipt has not come for long."""
         for holding in self._unconfirmed.step(now):
             if self._keeper.load(holding) is not None:
                 self.take_back(holding)
@@ -248,20 +249,22 @@ class Mirrors(NoSpares):
                     self._detours[holding.id] = target
 
     def detours(self) -> list[tuple[Holding, int]]:
-        """What has come back into custody for want of a receipt since the last time, and to whom it goes now."""
+        """Data that came back into custody for lack of a receipt since the last call, and the neighbours they go to
+        now."""
         custody = self._keeper.holdings.custody
         detours = [(custody[id], target) for id, target in self._detours.items() if id in custody]
         self._detours.clear()
         return detours
 
     def figures(self) -> dict[str, int]:
-        """What was counted in this life, by name, for `status`."""
+        """Counters of this life, by name, for `status`."""
         return {"sent_again_unconfirmed": self._unconfirmed.sent_again}
 
     def _look_after_partners(self, now: float) -> None:
         keeper, routing = self._keeper, self._routing
         neighbours = routing.neighbours
-        # Who speaks seldom is told to wait, and waits too: its own words to a partner take as long.
+        # Neighbours wait longer for a node that sends seldom. It waits longer too: its own messages to a partner take
+        # as long.
         own = routing.lifetime_s * (routing.turn_s / routing.step_s)
         for id, partner in list(keeper.holdings.partners.items()):
             neighbour = neighbours.get(id)
@@ -275,17 +278,17 @@ class Mirrors(NoSpares):
                     continue
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
-            # Gone, or its store was wiped: it has nothing of ours any more, or nothing that can be counted on.
+            # Gone, or its store was wiped: it has none of our data any more, or none that can be counted on.
             for holding in list(partner.spares.values()):
                 if keeper.load(holding) is not None:
                     self.take_back(holding)
             for holding in list(partner.backed.values()):
                 keeper.holdings.unpair(holding)
 
-    # -- what is said --------------------------------------------------------------------------------------------------
+    # -- messages ------------------------------------------------------------------------------------------------------
 
     def not_here(self, id: DatumId, asker: int) -> None:
-        """Tell a node that hands over a datum which was taken before that it has been passed on since."""
+        """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""
         self._speech.passed_on(asker, id)
 
     def answered(self, message: Committed, now: float, out: list[Message]) -> None:
@@ -298,7 +301,7 @@ class Mirrors(NoSpares):
             self._offers.on_refused(message.refused, message.sender, now, out)
 
     def on_passed_on(self, message: PassedOn) -> None:
-        """A custodian has passed data on: their spares here are not counted on any more."""
+        """A custodian has passed data on and no longer counts on their spares here."""
         keeper = self._keeper
         for id in message.ids:
             holding = keeper.holdings.spare.get(id)
@@ -310,9 +313,9 @@ class Mirrors(NoSpares):
                 keeper.drop(holding, Fate.PASSED_ON)
 
     def on_words(self, message: Words, now: float, out: list[Message]) -> None:
-        """A custodian asks for data back, a backer has lost its spares or asks after data; and the answers.
+        """A custodian asks for data back, a backer has lost its spares or asks about data; and the answers.
 
-        What is left with a single copy by this gets a spare at once, also where data move one hop a step.
+        A datum that this leaves with a single copy gets a spare at once, even where data move one hop a step.
         """
         self._hear(message.sender, message.entries)
         self._offers.spread_at_once(dict.fromkeys(entry.id for entry in message.entries), now, out)
@@ -341,21 +344,21 @@ class Mirrors(NoSpares):
             self._repairs.help(id)
 
     def _taken_back(self, id: DatumId, asker: int) -> bool:
-        """False: there is no good copy here, and none was given."""
+        """False: there is no good copy here, and none was handed over."""
         keeper = self._keeper
         holding = keeper.holdings.get(id)
         if holding is not None and keeper.load(holding) is not None:
-            # Also if the spare is another custodian's: that one may have passed the datum on to the asker.
+            # Even if the spare is for another custodian: that one may have passed the datum on to the asker.
             self.take_back(holding)
             return True
-        # Two custodians with rotten copies may ask each other at the same time: only the one with the higher node id
-        # answers for the datum then, or both would take it for the other's. Else, whoever it was given to has it, but
-        # for the asker, which has just lost it.
+        # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
+        # id answers for the datum, or each would believe that the other has it. Otherwise the receiver has it, unless
+        # that is the asker, which has just lost it.
         looking = keeper.settings.node_id > asker and self._repairs.is_under_way(id)
         return looking or self._passed.get(id, asker) != asker
 
     def _on_still(self, id: DatumId, backer: int) -> None:
-        """A backer asks after a datum of which it has a spare."""
+        """A backer asks about a datum of which it has a spare."""
         keeper = self._keeper
         holding = keeper.holdings.get(id)
         if holding is not None and holding.state is State.CUSTODY:
@@ -367,7 +370,7 @@ class Mirrors(NoSpares):
             self._speech.say(backer, id, Word.AGAIN)
 
     def _on_none(self, id: DatumId, sender: int) -> None:
-        """A neighbour has no good copy: the backer, or whoever was asked for it."""
+        """A neighbour has no good copy: the backer, or another node that was asked for it."""
         holding = self._keeper.holdings.custody.get(id)
         if holding is not None and holding.partner is not None and holding.partner.id == sender:
             self._keeper.holdings.unpair(holding)
@@ -375,9 +378,9 @@ class Mirrors(NoSpares):
             self._repairs.on_none(id, sender)
 
     def spread(self, now: float, out: list[Message]) -> None:
-        """Send spares of what rests without a backer, within the bandwidth."""
+        """Send spares of data that rest without a backer, within the bandwidth."""
         self._offers.spread(now, out)
 
     def flush(self, out: list[Message]) -> None:
-        """What is to be said since the last time."""
+        """Append the messages collected since the last call."""
         self._speech.flush(out)

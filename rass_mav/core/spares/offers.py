@@ -1,16 +1,16 @@
-"""Spare copies on offer: what is in custody without a backer is offered to the safest neighbour.
+"""Offers of spare copies: data in custody without a backer are offered to the safest neighbour.
 
-Only data that go whole in one frame are. An offer is answered like a hand-over, but it is not one: custody stays here.
+Only data that fit one frame are offered. An offer is answered like a hand-over, but it is not one: custody stays here.
 
-With `NodeSettings.copies_auto` a datum gets as many spares, on different neighbours, as its risk asks for. While it
-lies here it is struck before the next step with probability r. If it is being handed over, it lies here only if the
+With `NodeSettings.copies_auto` a datum gets as many spares, on different neighbours, as its risk requires. While it
+stays here it is struck before the next step with probability r. If it is being handed over, it stays here only if the
 receiver turns out to have gone, and `gone` is the share of neighbours to which that happens. A neighbour j does not
 save it if it has gone, or is struck itself: f_j = gone + (1 - gone) r_j. So it gets one more spare, on the safest
 neighbour that has none, as long as the product of
 
     r,  gone (while it is being handed over),  f_j of each neighbour that has a spare or is offered one
 
-exceeds 1 - `TARGET`. Where nobody moves away and data move on at once, that is never.
+exceeds 1 - `TARGET`. Where no neighbour moves away and data move on at once, that never happens.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
-#: An offer that was not answered is made again after so many steps (turns, where they are longer).
+#: Steps (turns, where they are longer) after which an unanswered offer is repeated.
 OFFER_STEPS = 2
-#: A neighbour that refused a spare is offered none for so many steps, or turns.
+#: Steps, or turns, in which a neighbour that refused a spare is offered none.
 REFUSED_STEPS = 5
-#: How fast the share of neighbours that fall silent follows what happens.
+#: How fast the estimated share of neighbours that fall silent follows what happens.
 GONE_GAIN = 0.05
-#: The chance that a datum should have to survive the next step, with `copies_auto`.
+#: With `copies_auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
 
 
 class SpareOffers:
-    """To whom one node offers spares of what. What is on offer stands in `Holdings`."""
+    """Which spares one node offers to which neighbours. `Holdings` records the offers."""
 
     __slots__ = ("_came", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "gone")
 
@@ -53,25 +53,25 @@ class SpareOffers:
         self._risk = risk
         self._rng = rng
         self._came: dict[DatumId, None] = {}
-        """Small data that were handed over to this node since it looked last: their giver is their backer. Ids, for by
-        the time it looks the record may be another one's."""
+        """Small data that were handed over to this node since the last look: their giver is their backer. These are
+        ids, because the record may have been replaced by then."""
         self.gone = 0.0
-        """Share of the neighbours that fall silent from one step to the next, of late; 0..1."""
+        """Recent share of the neighbours that fall silent from one step to the next; 0..1."""
         self._refused: dict[int, float] = {}
-        """Neighbours that refused a spare: until when they are offered none."""
+        """Neighbours that refused a spare, and until when they are offered none."""
 
     def came(self, holding: Holding) -> None:
-        """A datum was handed over to this node: whoever gave it keeps a spare."""
+        """A datum was handed over to this node: the giver keeps a spare."""
         settings = self._keeper.settings
         if settings.copies_auto and holding.size <= settings.inline_bytes:
             self._came[holding.id] = None
 
     def settle(self, id: DatumId) -> None:
-        """A datum has another backer, or leaves custody: no more spares are wanted."""
+        """A datum has another backer, or leaves custody: it needs no more spares."""
         self._came.pop(id, None)
 
     def step(self, now: float) -> None:
-        """Once a step: who refused long ago may be asked again; how many neighbours have fallen silent?"""
+        """Once a step: neighbours that refused long ago may be asked again; update the share that has fallen silent."""
         self._came.clear()
         if self._keeper.settings.copies_auto:
             self._count_gone(now)
@@ -90,19 +90,19 @@ class SpareOffers:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)
 
     def spread(self, now: float, out: list[Message]) -> None:
-        """Send spares of what needs them to the safest neighbours, within the bandwidth."""
+        """Send spares to the safest neighbours, for the data that need them, within the bandwidth."""
         auto, holdings = self._keeper.settings.copies_auto, self._keeper.holdings
         needy = [h for h in holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None)]
         if self._came:
             came = (holdings.custody.get(id) for id in self._came)
-            # Those without a backer are in `bare`.
+            # Data without a backer are in `bare`.
             needy += [h for h in came if h is not None and h.partner is not None]
             self._came.clear()
         if needy:
             self._offer(needy, now, out)
 
     def spread_at_once(self, ids: Iterable[DatumId], now: float, out: list[Message]) -> None:
-        """The same for some data, as far as they have no backer."""
+        """The same for some data, if they have no backer."""
         auto, bare = self._keeper.settings.copies_auto, self._keeper.holdings.bare
         needy = [bare[id] for id in ids if id in bare]
         needy = [h for h in needy if _is_due(h, now) and (auto or h.pending is None)]
@@ -113,7 +113,7 @@ class SpareOffers:
         if self._pace.left <= 0:
             return
         for holding in (needed := [holding for holding in needy if holding.id in self._keeper.arrived]):
-            # A base says that it has it.
+            # A base has stated that it has the datum.
             self._keeper.holdings.want_none(holding)
         needy = [holding for holding in needy if holding not in needed] if needed else needy
         safest = self._safest_first(now)
@@ -129,16 +129,16 @@ class SpareOffers:
     def _offers_of(
         self, holding: Holding, safest: list[Neighbour], room: dict[int, int], risk: float, again_at: float
     ) -> Iterator[tuple[int, Handover]]:
-        """The offers of one datum, to whom. `room`: what each neighbour has, counted down."""
+        """The offers of one datum, and their targets. `room`: free space of each neighbour, counted down."""
         pace, gone, auto = self._pace, self.gone, self._keeper.settings.copies_auto
         way = None if holding.pending is None else holding.pending.neighbour
         backer = None if holding.partner is None else holding.partner.id
         loss = risk if way is None else risk * gone
         if backer is not None:
             loss *= _failing(self._routing.neighbours.get(backer), gone)
-        # What the giver has too must not take what is kept for new data.
+        # A datum that the giver has too must not use what is reserved for new data.
         kept = 0 if backer is None else pace.kept
-        # What rests alone gets one spare, however safe it is here.
+        # A datum that rests alone gets one spare, however safe it is here.
         wanting = way is None and backer is None
         for neighbour in safest:
             if not wanting and (not auto or loss <= 1.0 - TARGET):
@@ -156,7 +156,7 @@ class SpareOffers:
             wanting = False
 
     def _number(self, holding: Holding, to: int, again_at: float) -> int:
-        """A number for an offer that is being made; offers of earlier steps are forgotten."""
+        """A number for a new offer; offers of earlier steps are forgotten."""
         holdings = self._keeper.holdings
         if holding.offer_at != again_at:
             holdings.withdraw(holding)
@@ -167,7 +167,7 @@ class SpareOffers:
         return number
 
     def _safest_first(self, now: float) -> list[Neighbour]:
-        """The neighbours that may have room for a spare, lowest risk first; among equals chance decides."""
+        """The neighbours that may have space for a spare, lowest risk first; ties are broken at random."""
         refused = self._refused
         safest = [
             neighbour
@@ -182,7 +182,7 @@ class SpareOffers:
         return safest
 
     def on_refused(self, numbers: Iterable[int], sender: int, now: float, out: list[Message]) -> None:
-        """A neighbour refused spares: others are tried. Numbers that are not of offers to it are ignored."""
+        """A neighbour refused spares: others are tried. Numbers of other offers are ignored."""
         again: list[DatumId] = []
         for number in numbers:
             holding = self._keeper.holdings.offered(number, sender)
@@ -200,7 +200,7 @@ def _is_due(holding: Holding, now: float) -> bool:
 
 
 def _failing(neighbour: Neighbour | None, gone: float) -> float:
-    """The chance that a spare with this neighbour does not help, f of the module's text."""
+    """The chance that a spare at this neighbour does not help: f in the module's docstring."""
     return 1.0 if neighbour is None else gone + (1.0 - gone) * neighbour.beacon.risk / 65535.0
 
 

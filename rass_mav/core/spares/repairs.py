@@ -1,11 +1,11 @@
-"""Repairs: a copy in custody was found corrupt; who has a good one?
+"""Repairs: a copy in custody was found corrupt, and the node looks for a good one.
 
-The backer is asked first. If there is none, or it has no good copy either, all neighbours are: data leave spares
-behind them on their way (`mirror_until: receipt`), and whoever has one takes the datum back. A backer asked in vain
-asks its own neighbours too, for those who had the datum before it may be out of the custodian's range. Who has asked
-`max_tries` times gives the datum up.
+It asks the backer first. If there is none, or the backer has no good copy either, it asks all neighbours: data leave
+spares behind on their route (`mirror_until: receipt`), and a node that has one takes the datum back. A backer without a
+good copy asks its own neighbours too, because earlier holders may be out of the custodian's range. After `max_tries` a
+node gives the datum up.
 
-A search is nothing that anybody relies on. A spare found too often makes a copy too many.
+No other node relies on a search. Finding a spare once too often creates one copy too many.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ MAX_SEARCHES = 1024
 
 
 class Search(NamedTuple):
-    """A datum that others are asked for."""
+    """A datum that this node asks others for."""
 
     whom: int
-    """Who is asked to take it back, or BROADCAST while nobody is known to have a good copy."""
+    """The node that is asked to take it back, or BROADCAST while no node is known to have a good copy."""
     tries: int
-    """How often was asked."""
+    """How often the node has asked."""
     own: bool
-    """Whether it was in custody here; False: a custodian asked this node for it in vain."""
+    """Whether it was in custody here; False: a custodian asked this node for it, and it had no good copy."""
 
 
 class Repairs:
-    """What one node looks for."""
+    """The searches of one node."""
 
     __slots__ = ("_keeper", "_new", "_speech", "searches")
 
@@ -44,16 +44,16 @@ class Repairs:
         self._speech = speech
         self.searches: dict[DatumId, Search] = {}
         self._new: set[DatumId] = set()
-        """Those begun since the last step."""
+        """Searches begun since the last step."""
 
     def begin(self, id: DatumId, backer: int | None) -> None:
-        """A copy in custody is corrupt: its backer is asked for the datum, or, if there is none, all neighbours."""
+        """A copy in custody is corrupt: ask its backer for the datum or, if there is none, all neighbours."""
         if len(self.searches) >= MAX_SEARCHES:
             self._give_up(next(iter(self.searches)))
         self._begin(id, BROADCAST if backer is None else backer, own=True)
 
     def help(self, id: DatumId) -> None:
-        """A custodian asked this node for a datum in vain."""
+        """A custodian asked this node for a datum, and there is no good copy here."""
         if id not in self.searches and len(self.searches) < MAX_SEARCHES:
             self._begin(id, BROADCAST, own=False)
 
@@ -62,16 +62,16 @@ class Repairs:
         self._ask(id, Search(whom, 1, own))
 
     def end(self, id: DatumId) -> bool:
-        """The datum is here, or in custody elsewhere. Whether this node was looking for it."""
+        """The datum is here, or in custody elsewhere. Returns whether this node was looking for it."""
         return self.searches.pop(id, None) is not None
 
     def is_under_way(self, id: DatumId) -> bool:
-        """Whether a datum is looked for that was in custody here."""
+        """Whether this node looks for a datum that was in its custody."""
         search = self.searches.get(id)
         return search is not None and search.own
 
     def step(self, count: int) -> None:
-        """Once a step: ask once more for `count` data."""
+        """Once a step: ask again for `count` data."""
         searches = self.searches
         max_tries = self._keeper.settings.max_tries
         new, self._new = self._new, set()
@@ -81,18 +81,19 @@ class Repairs:
             if search.tries >= max_tries:
                 self._give_up(id)
             else:
-                # To the end, so that the others have their turn. Who was asked is silent: any spare will do.
+                # Move it to the end, so that the others have their turn. The node that was asked is silent: any spare
+                # will do.
                 del searches[id]
                 self._ask(id, Search(BROADCAST, search.tries + 1, search.own))
 
     def on_none(self, id: DatumId, sender: int) -> None:
-        """A neighbour has no good copy. If it was asked for it, all are asked now."""
+        """A neighbour has no good copy. If it was the one asked, ask all neighbours now."""
         search = self.searches.get(id)
         if search is not None and search.whom == sender:
             self._ask(id, search._replace(whom=BROADCAST))
 
     def on_here(self, id: DatumId, sender: int) -> None:
-        """A neighbour has a spare. The first one is asked to take the datum back."""
+        """A neighbour has a spare. The first such neighbour is asked to take the datum back."""
         search = self.searches.get(id)
         if search is not None and search.whom == BROADCAST:
             self._ask(id, search._replace(whom=sender))
@@ -109,7 +110,7 @@ class Repairs:
         self._speech.say(search.whom, id, Word.WANTED if search.whom == BROADCAST else Word.AGAIN)
 
     def _give_up(self, id: DatumId) -> None:
-        """Nobody around has a good copy. If somebody has one after all, it asks for itself, or takes the datum into
-        custody when it hears that it was told lost."""
+        """No node around has a good copy. A node that has one after all asks for itself, or takes custody when it hears
+        that the datum was reported lost."""
         if self.searches.pop(id).own:
             self._keeper.beyond_repair(id, Fate.CORRUPTED)

@@ -1,4 +1,4 @@
-"""What custodians and backers have to say to each other, gathered until it is said."""
+"""Messages between custodians and backers, collected until they are sent."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rass_mav.core.messages import Message, PassedOn, Word, WordEntry, Words
 
 
 class Speech:
-    """Bounded by what comes in at a time: it is said with the answers to each message, and with each step."""
+    """Bounded by what comes in at a time: it is flushed with the answers to each message, and with each step."""
 
     __slots__ = ("_id", "_passed_on", "_words")
 
@@ -17,7 +17,7 @@ class Speech:
         self._words: dict[int, dict[DatumId, Word]] = {}
 
     def say(self, target: int, id: DatumId, word: Word) -> None:
-        """Say it with the next `flush`; to BROADCAST: to all neighbours."""
+        """Send it with the next `flush`; to BROADCAST: to all neighbours."""
         self._words.setdefault(target, {})[id] = word
 
     def passed_on(self, target: int, id: DatumId) -> None:
@@ -25,7 +25,7 @@ class Speech:
         self._passed_on.setdefault(target, {})[id] = None
 
     def flush(self, out: list[Message]) -> None:
-        """What is to be said since the last time."""
+        """Append the messages collected since the last call."""
         if self._passed_on:
             out += [PassedOn(self._id, target, tuple(ids)) for target, ids in self._passed_on.items()]
             self._passed_on = {}

@@ -1,9 +1,10 @@
-"""Nothing rests for ever: what was handed on and brings no receipt for long goes out again, by another way.
+"""Nothing rests indefinitely: data handed over that bring no receipt for long are sent again, by another route.
 
-Whoever said COMMITTED may have lied, or died, or be a base in its own words only. A base's receipt alone says that a
-datum has arrived. So a spare whose patience is over comes back into custody, while a base can be reached, and is handed
-to another neighbour than the last time. What is sent in vain costs airtime; therefore the patience is long against what
-data usually take, doubles with each try for a datum, and all tries together have a small share of the bandwidth.
+A node that sent COMMITTED may be an attacker, may have died, or may only claim to be a base. Only a base's receipt
+shows that a datum has arrived. So when the wait for a receipt is over and a base can be reached, the spare comes back
+into custody and is handed over to another neighbour than the last time. Sending in vain costs airtime. Therefore the
+wait is long compared with what data usually take, doubles with each try for a datum, and all tries together use a small
+share of the bandwidth.
 """
 
 from __future__ import annotations
@@ -18,26 +19,26 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
-#: A receipt is waited for at least so many turns,
+#: A node waits for a receipt for at least this many turns,
 PATIENCE_TURNS = 120
-#: at least so many times as long as data lately took,
+#: and at least this many times as long as data recently took,
 PATIENCE_TIMES = 3
-#: and at first for so many turns at most, however slow data are said to be.
+#: but at first at most this many turns, however slow data seem to be.
 MOST_PATIENCE_TURNS = 1200
-#: After so many turns with a way to a base, receipts have come that were held up while there was none.
+#: After this many turns with a route to a base, receipts that were delayed without one have come.
 REACHABLE_TURNS = 30
-#: Each try for a datum doubles its patience, so many times.
+#: Each try for a datum doubles its wait, up to this many times.
 MOST_DOUBLINGS = 6
-#: How fast the time that data take follows what happens.
+#: How fast the estimated time that data take follows what happens.
 TAKES_GAIN = 0.125
-#: One datum in so many that the bandwidth allows.
+#: The share of the bandwidth for such data is one in this many.
 SHARE = 10
-#: All spares are looked at once in so many turns.
+#: All spares are checked once in this many turns.
 LOOK_TURNS = 10
 
 
 class Unconfirmed:
-    """What one node has handed on and waits for receipts of. The times stand in `Holdings`."""
+    """The data that one node has handed over and waits for receipts of. `Holdings` records the times."""
 
     __slots__ = ("_credit", "_due", "_keeper", "_pace", "_reachable", "_routing", "_takes_s", "_turns", "sent_again")
 
@@ -46,33 +47,33 @@ class Unconfirmed:
         self._routing = routing
         self._pace = pace
         self._takes_s = 0.0
-        """How long it lately took from handing a datum on, the last time, to its receipt, seconds."""
+        """Recent time from the last hand-over of a datum to its receipt, seconds."""
         self._reachable = inf
         """Since when a base has been in reach, seconds."""
         self._turns = 0
         self._credit = 0.0
         """Data that may be sent again now."""
         self._due: dict[DatumId, None] = {}
-        """Spares whose patience is over, the longest first."""
+        """Spares whose wait is over, those that have waited longest first."""
         self.sent_again = 0
         """Data that were sent again in this life."""
 
     def handed_on(self, holding: Holding, to: int, now: float) -> None:
-        """A copy here is a spare from now on, for another node has custody."""
+        """A copy here is now a spare, because another node has custody."""
         holding.given_to = to
         holding.given = now
         turn_s = self._pace.turn_s
         patience_s = max(PATIENCE_TURNS * turn_s, min(PATIENCE_TIMES * self._takes_s, MOST_PATIENCE_TURNS * turn_s))
-        # Settled now: what arrives late because of a liar must not make this node wait longer for what it swallowed.
+        # Fixed now: data that an attacker delays must not make this node wait longer for the data that it dropped.
         holding.patience_s = patience_s * (1 << min(holding.resent, MOST_DOUBLINGS))
 
     def confirmed(self, holding: Holding, now: float) -> None:
-        """A receipt says that a datum has arrived of which a spare is here."""
+        """A receipt shows that a datum has arrived of which a spare is here."""
         took = min(now - holding.given, MOST_PATIENCE_TURNS * self._pace.turn_s)
         self._takes_s += TAKES_GAIN * (took - self._takes_s)
 
     def step(self, now: float) -> list[Holding]:
-        """Once a turn: the spares that are to come back into custody."""
+        """Once a turn: the spares that should come back into custody."""
         if self._routing.route is None:
             self._reachable = inf
             return []
@@ -101,13 +102,13 @@ class Unconfirmed:
         self._due = {id: None for _, id in sorted(due)}
 
     def _overdue(self, holding: Holding, now: float) -> float:
-        """For how long a datum's patience has been over, seconds; negative: it is not."""
+        """For how long a datum's wait has been over, seconds; negative: it is not over."""
         reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
         return now - max(holding.given + holding.patience_s, reachable)
 
     def sends(self, holding: Holding, now: float) -> int | None:
-        """A datum goes out again: to the neighbour that is nearest to a base, but for the one that had it last. None:
-        there is no other with a way, so the policy decides."""
+        """A datum is sent again: to the neighbour nearest to a base, except the one that had it last. None: no other
+        neighbour has a route, so the policy decides."""
         holding.resent += 1
         self.sent_again += 1
         ways = [
@@ -119,7 +120,7 @@ class Unconfirmed:
 
     def _rank(self, neighbour: Neighbour, now: float) -> tuple[int, int, int, int]:
         rank, beacon = self._routing.rank, neighbour.beacon
-        # Whose costs cannot be compared is a way for want of others.
+        # A neighbour whose cost cannot be compared is used only if there is no other.
         foreign = rank.tag is not None and beacon.hops > 0 and beacon.policy != rank.tag
         metric = beacon.hops if rank.tag is None or foreign or not beacon.hops else beacon.potential
         return rank.behind(neighbour, now), foreign, metric, neighbour.id

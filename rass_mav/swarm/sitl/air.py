@@ -94,7 +94,8 @@ class FlightAir(Air[FlightFigures]):
         counted = FlightFigures(truth=[0] * n, flew_m=[0.0] * n, farthest_m=[0.0] * n, highest_m=[0.0] * n)
         super().__init__(order, graph, counted)
         self._through, self._makes_readings = order.through, order.readings
-        vehicles = self._vehicles = range(scenario.bases, n)
+        vehicles = self._vehicles = list(range(scenario.bases, n))
+        """Those whose autopilot lives."""
         self.places = [(x, y, 0.0) for x, y in scenario.places]
         """Where each node truly is: metres east and north of the arena's centre, metres above its take-off place."""
         self._voices = {node: FrameWriter(system_id(node), AUTOPILOT_COMPONENT) for node in vehicles}
@@ -146,6 +147,15 @@ class FlightAir(Air[FlightFigures]):
             self._next_ask = now + (_ASK_S if all(truth[node] for node in self._vehicles) else _ASK_FIRST_S)
             self._ask()
         return now + _LOOK_S
+
+    def down(self, node: int) -> None:
+        """The autopilot of a node is dead. What is left of the vehicle lies under the place where it was."""
+        for wires in (self._serial0, self._serial1, self._serial2):
+            if node in wires:
+                wires[node].forget()
+        self._vehicles.remove(node)
+        self.places[node] = (*self.places[node][:2], 0.0)
+        self._moved.add(node)
 
     # -- the cables ----------------------------------------------------------------------------------------------------
 

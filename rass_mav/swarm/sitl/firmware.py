@@ -114,8 +114,10 @@ def arducopter_parameters(own_id: int, *, scripted: bool) -> str:
         # The ground station's port passes nothing on, or MAVSDK would be on the air as well.
         "SERIAL0_OPTIONS": 1024,
         "MAV1_OPTIONS": 2,
-        # Motors start in guided mode, which needs a position; they stay on until the mission begins.
+        # Motors start in guided mode, which needs a position; they stay on until the mission begins. Without a channel
+        # for modes the simulated radio control cannot leave that mode.
         "INITIAL_MODE": GUIDED,
+        "FLTMODE_CH": 0,
         "DISARM_DELAY": 0,
         "AUTO_OPTIONS": 3,
         # There is neither a radio control nor anybody who could be hurt.

@@ -16,7 +16,7 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.errors import ConfigError, SwarmError
 from rass_mav.link.settings import LinkSection
 from rass_mav.swarm.air_server import Figures, Ports
-from rass_mav.swarm.children import Children
+from rass_mav.swarm.children import Child, Children
 from rass_mav.swarm.processes import MAX_NODES, START_S, NodeProcess, ProcessSwarm, conduct
 from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl.air import FlightFigures, FlightOrder, FlightPorts
@@ -44,6 +44,31 @@ class FlightNode(NodeProcess):
         return vehicle, LinkSection(type="autopilot", one_hop=True) if self._through else beside
 
 
+class Vehicle:
+    """One vehicle: its process, and how far its mission is."""
+
+    def __init__(self, child: Child, items: int, begin: int, goal: int) -> None:
+        """`items`: how many its mission has. `begin`: the one with which it takes off. `goal`: the one at which its
+        mission counts as flown."""
+        self.child = child
+        self.items = items
+        self.item = 0
+        """The one being flown."""
+        self.flying = False
+        """Whether it has accepted to fly its mission."""
+        self.killed_s: float | None = None
+        """Seconds after take-off when its autopilot was killed; None: it lives."""
+        self._begin = begin
+        self._goal = goal
+
+    @property
+    def mission(self) -> str:
+        """What has become of its mission."""
+        if self.item >= self._goal:
+            return "finished"
+        return "unfinished" if self.item > self._begin else "not_flown"
+
+
 class FlownSwarm(ProcessSwarm):
     """A swarm of processes on vehicles that fly. `run` does it all; see there.
 
@@ -68,10 +93,7 @@ class FlownSwarm(ProcessSwarm):
         self._through = through
         super().__init__(scenario, directory, sockets, children)
         self._scripted = firmware.script is not None and len(scenario.sources) == 1
-        self._items: dict[int, int] = {}
-        """How many mission items each vehicle has."""
-        self._item: dict[int, int] = {}
-        """Which one it flies."""
+        self._vehicles: dict[int, Vehicle] = {}
         self._pilot_ready = False
 
     def _node(self, node_id: int, directory: Path, socket: Path) -> NodeProcess:
@@ -85,32 +107,64 @@ class FlownSwarm(ProcessSwarm):
         )  # fmt: skip
         self._ports = ports = self._start_radio("rass_mav.swarm.sitl.air", order, FlightPorts)
         flights = []
+        home_first = self._firmware.name != "px4"
         for drone in self._drones:
             n = drone.node_id
-            self._start_vehicle(n, ports)
-            items = self._scenario.mission(n, home_first=self._firmware.name != "px4")
-            self._items[n] = len(items)
-            self._item[n] = 0
+            items = self._scenario.mission(n, home_first=home_first)
+            # The last item is the way home. Who has no places to go stays at the one before it.
+            goal = len(items) - (1 if self._scenario.waypoints(n) else 2)
+            self._vehicles[n] = Vehicle(self._start_vehicle(n, ports), len(items), int(home_first), goal)
             flights.append(Flight(n, system_id(n), ports.station[n], items))
         self._world = self._process("pilot", "rass_mav.swarm.sitl.pilot", PilotOrder(flights), self._pilot_heard)
         self._await(lambda: [] if self._pilot_ready else ["the vehicles"], CONNECT_S + OBEY_S + START_S)
 
-    def _start_vehicle(self, node_id: int, ports: FlightPorts) -> None:
+    def _set_off(self) -> None:
+        """Take off; returns when all vehicles fly their missions."""
+        super()._set_off()
+        self._await(
+            lambda: [vehicle.child.name for vehicle in self._vehicles.values() if not vehicle.flying], OBEY_S + START_S
+        )
+
+    def _start_vehicle(self, node_id: int, ports: FlightPorts) -> Child:
         name = f"vehicle-{node_id}"
         directory = self._directory / name
         arguments = prepare(self._firmware, self._scenario, ports, node_id, directory, scripted=self._scripted)
-        self._children.start(f"vehicle {node_id}", arguments, self._directory / f"{name}.log")
+        return self._children.start(f"vehicle {node_id}", arguments, self._directory / f"{name}.log")
 
     def _pilot_heard(self) -> None:
         self._world.read()
         while (line := self._world.next_line()) is not None:
             report = msgspec.json.decode(line, type=PilotReport)
-            log.info("vehicle %d: %s %d", report.node_id, report.event, report.item)
             if report.event == "failed":
                 raise SwarmError(report.text)
-            self._pilot_ready = self._pilot_ready or report.event == "ready"
-            if report.event == "item":
-                self._item[report.node_id] = report.item
+            if report.event == "ready":
+                log.info("all vehicles are ready")
+                self._pilot_ready = True
+                continue
+            log.info("vehicle %d: %s %s", report.node_id, report.event, report.text or report.item or "")
+            vehicle = self._vehicles[report.node_id]
+            if report.event == "text":
+                vehicle.child.note(report.text)
+            elif report.event == "flying":
+                vehicle.flying = True
+            elif report.event == "item":
+                vehicle.item = report.item
+
+    def _fail(self, now: float) -> float:
+        """Also kill the autopilots whose time has come."""
+        due = super()._fail(now)
+        for node_id, after_s in self._scenario.failures.kill_autopilots:
+            vehicle = self._vehicles[node_id]
+            if vehicle.killed_s is not None:
+                continue
+            if now < self._begun + after_s:
+                due = min(due, self._begun + after_s)
+                continue
+            log.info("killing the autopilot of vehicle %d", node_id)
+            vehicle.killed_s = round(now - self._begun, 1)
+            self._children.kill(vehicle.child)
+            self._radio.tell(f"down {node_id}")
+        return due
 
     @property
     def _track(self) -> Path:
@@ -125,23 +179,27 @@ class FlownSwarm(ProcessSwarm):
             {
                 "node_id": n,
                 "system_id": system_id(n),
-                "item": min(self._item[n], self._items[n] - 1),
-                "items": self._items[n],
-                # The last item is the way home.
-                "finished": self._item[n] >= self._items[n] - 1,
+                "item": min(vehicle.item, vehicle.items - 1),
+                "items": vehicle.items,
+                "finished": vehicle.mission == "finished",
+                "killed_s": vehicle.killed_s,
                 "flew_m": round(radio.flew_m[n], 1),
                 "farthest_m": round(radio.farthest_m[n], 1),
                 "highest_m": round(radio.highest_m[n], 1),
                 "true_positions": radio.truth[n],
             }
-            for n in self._items
+            for n, vehicle in self._vehicles.items()
         ]
+        missions: dict[str, list[int]] = {"finished": [], "unfinished": [], "not_flown": []}
+        for n, vehicle in self._vehicles.items():
+            missions[vehicle.mission].append(n)
         stores = [node.store for node in self._nodes[: self._scenario.bases]]
         summary["sitl"] = {
             "firmware": self._firmware.name,
             "wiring": "through-autopilots" if self._through else "beside-autopilots",
             "readings": "script" if self._scripted else "injected",
             "telemetry_frames": radio.telemetry,
+            "missions": missions,
             "vehicles": vehicles,
             "measurements": measurements(stores, Track(self._track)),
         }

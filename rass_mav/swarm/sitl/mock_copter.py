@@ -9,7 +9,9 @@ routes; no copy is looked for; bit 10 of SERIALn_OPTIONS keeps a port out of it.
 SET_MESSAGE_INTERVAL, for each port by itself. Missions: take-off, waypoints, speed, return.
 
 As there, motors start only in a mode that allows it, and where the mode needs a position, only when one is known; a
-mission takes off when MISSION_START is heard. The defaults file also says MAV_SYSID and INITIAL_MODE.
+mission needs a position, and takes off when MISSION_START is heard. The defaults file also says MAV_SYSID, INITIAL_MODE
+and FLTMODE_CH: unless that is 0, the mode switch of a simulated radio control stands at STABILIZE, and INITIAL_MODE
+lasts until it is read.
 
 What it does not do: PARAM messages, other modes, streams, wind, inertia, wrong positions. It flies on a straight line
 at the speed it was told, and knows where it is.
@@ -43,6 +45,7 @@ from rass_mav.mavlink.messages import (
     home_position,
     local_position_ned,
     parse,
+    statustext,
 )
 from rass_mav.mavlink.mission import (
     CMD_ARM,
@@ -77,6 +80,8 @@ NO_FORWARD = 1 << 10
 STREAMS = (HEARTBEAT, SIM_STATE, GLOBAL_POSITION_INT, LOCAL_POSITION_NED, HOME_POSITION, MISSION_CURRENT)
 _TICK_S = 0.05
 _HEARTBEAT_S = 1.0
+# MAV_SEVERITY.
+_WARNING, _INFO = 4, 6
 
 
 class SerialPort:
@@ -218,15 +223,33 @@ class MockCopter:
             if not message.param1:
                 self.flight.disarm()
                 return ACCEPTED
-            ready = self._fix or self.flight.mode == STABILIZE
-            return ACCEPTED if ready and self.flight.arm() else TEMPORARILY_REJECTED
+            if not self._fix and self.flight.mode != STABILIZE:
+                return self._refuse("Arm: Need Position Estimate")
+            if not self.flight.arm():
+                return self._refuse("Arm: mode not armable")
+            self._text(_INFO, "Arming motors")
+            return ACCEPTED
         if message.command == CMD_SET_MODE:
-            return ACCEPTED if self.flight.set_mode(int(message.param2)) else TEMPORARILY_REJECTED
+            mode = int(message.param2)
+            if not self._fix and mode != STABILIZE:
+                return self._refuse("Mode change failed: requires position")
+            return ACCEPTED if self.flight.set_mode(mode) else TEMPORARILY_REJECTED
         if message.command == CMD_START:
+            if not self._fix:
+                return self._refuse("Mode change to AUTO failed: requires position")
             return ACCEPTED if self.flight.start() else TEMPORARILY_REJECTED
         return UNSUPPORTED
 
+    def _refuse(self, why: str) -> int:
+        self._text(_WARNING, why)
+        return TEMPORARILY_REJECTED
+
     # -- what is said --------------------------------------------------------------------------------------------------
+
+    def _text(self, severity: int, text: str) -> None:
+        for port in self.ports:
+            for piece in statustext(severity, text):
+                port.say(piece)
 
     def _payload(self, message_id: int) -> bytes | None:
         """Of a message that is due; None: there is nothing to say yet."""
@@ -284,6 +307,11 @@ def read_defaults(path: str | None) -> dict[str, float]:
     return values
 
 
+def mode_after_boot(values: dict[str, float]) -> int:
+    """The flight mode once the radio control has been read, by the parameters that are set."""
+    return int(values.get("INITIAL_MODE", STABILIZE)) if values.get("FLTMODE_CH") == 0 else STABILIZE
+
+
 def main(arguments: Sequence[str]) -> int:
     """The program. ArduCopter's other options, and ports that are no `udpclient:`, are refused."""
     parser = argparse.ArgumentParser(prog="mock_copter", allow_abbrev=False)
@@ -312,7 +340,7 @@ def main(arguments: Sequence[str]) -> int:
     except RassError as error:
         sys.stderr.write(f"{error}\n")
         return 1
-    flight = MockFlight((latitude, longitude, altitude), mode=int(values.get("INITIAL_MODE", STABILIZE)))
+    flight = MockFlight((latitude, longitude, altitude), mode=mode_after_boot(values))
     run(MockCopter(system_id, flight, ports))
     return 0
 

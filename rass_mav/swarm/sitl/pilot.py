@@ -4,8 +4,9 @@ A process of its own, so that it can be ended at any moment. Started with the na
 what it has done in lines of JSON on stdout (`PilotReport`), and obeys one order on stdin: `start`. It ends when stdin
 does.
 
-Before `start` it finds the vehicles, uploads the missions and arms; a vehicle without a position refuses that, so it
-asks again and again. Then it starts them, and reports how far they are.
+Before `start` it finds the vehicles, uploads the missions, waits until each knows its position, and arms; a vehicle
+that does not trust its position yet refuses that, so it asks again and again. Then it starts them, and reports how far
+they are. It passes on what they say to people.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import contextlib
 import importlib.util
 import sys
 import threading
+from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,8 @@ from rass_mav.swarm.tether import watch
 CONNECT_S = 60.0
 OBEY_S = 120.0
 _AGAIN_S = 1.0
+# How many texts of a vehicle an error repeats.
+_LAST_WORDS = 3
 
 
 class Flight(msgspec.Struct):
@@ -52,12 +56,12 @@ class PilotReport(msgspec.Struct):
     """A line of the pilot."""
 
     event: str
-    """heard, uploaded, ready (all of them), flying, item, failed"""
+    """heard, uploaded, located, armed, ready (all of them), flying, item, text, failed"""
     node_id: int = -1
     item: int = 0
     """item: the one being flown."""
     text: str = ""
-    """failed: why."""
+    """failed: why; text: what the vehicle says to people (STATUSTEXT)."""
 
 
 def need_mavsdk() -> None:
@@ -79,18 +83,43 @@ class Pilot:
         """`system`: MAVSDK's."""
         from mavsdk.asyncio.plugins.action.action import ActionAsync
         from mavsdk.asyncio.plugins.mission_raw.mission_raw import MissionRawAsync
+        from mavsdk.asyncio.plugins.telemetry.telemetry import TelemetryAsync
 
         self._flight = flight
         self._tell = tell
         self._action = ActionAsync(system)
         self._mission = MissionRawAsync(system)
+        self._telemetry = TelemetryAsync(system)
+        self._said: deque[str] = deque(maxlen=_LAST_WORDS)
 
     async def prepare(self) -> None:
-        """Upload the mission, and arm. Raises `SwarmError`."""
+        """Upload the mission, wait for a position, and arm. Raises `SwarmError`."""
         items = [_raw(number, item) for number, item in enumerate(self._flight.items)]
         await self._until_done("upload the mission", lambda: self._mission.upload_mission(items))
         self._say("uploaded")
+        await self._until_done("say its position when asked to", lambda: self._telemetry.set_rate_position(1.0))
+        try:
+            await asyncio.wait_for(self._locate(), OBEY_S)
+        except asyncio.TimeoutError:
+            raise self._failed(f"no position within {OBEY_S:g} s") from None
+        self._say("located")
         await self._until_done("arm", self._action.arm)
+        self._say("armed")
+
+    async def _locate(self) -> None:
+        """Wait until it says a position: before it knows one, it says 0 degrees north and east."""
+        async with contextlib.aclosing(self._telemetry.subscribe_position()) as positions:
+            async for position in positions:
+                if position.latitude_deg or position.longitude_deg:
+                    return
+
+    async def listen(self) -> None:
+        """Pass on for ever what it says to people."""
+        async with contextlib.aclosing(self._telemetry.subscribe_status_text()) as texts:
+            async for text in texts:
+                if text.text not in self._said:
+                    self._said.append(text.text)
+                self._tell(PilotReport("text", self._flight.node_id, text=text.text))
 
     async def fly(self) -> None:
         """Start, and report for ever. Raises `SwarmError`."""
@@ -115,8 +144,12 @@ class Pilot:
                 return
             except MavsdkError as error:
                 if loop.time() > until:
-                    raise SwarmError(f"vehicle {self._flight.node_id}: does not {what}: {error}") from None
+                    raise self._failed(f"does not {what}: {error}") from None
             await asyncio.sleep(_AGAIN_S)
+
+    def _failed(self, how: str) -> SwarmError:
+        said = f": {' | '.join(self._said)}" if self._said else ""
+        return SwarmError(f"vehicle {self._flight.node_id}: {how}{said}")
 
     def _say(self, event: str, *, item: int = 0) -> None:
         self._tell(PilotReport(event, self._flight.node_id, item))
@@ -161,10 +194,17 @@ async def fly(order: PilotOrder, tell: Callable[[PilotReport], None], started: a
 
     async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
         pilots = await connect(sdk, order.flights, tell)
-        await asyncio.gather(*(pilot.prepare() for pilot in pilots))
-        tell(PilotReport("ready"))
-        await started.wait()
-        await asyncio.gather(*(pilot.fly() for pilot in pilots))
+        listening = [asyncio.create_task(pilot.listen()) for pilot in pilots]
+        try:
+            await asyncio.gather(*(pilot.prepare() for pilot in pilots))
+            tell(PilotReport("ready"))
+            await started.wait()
+            await asyncio.gather(*(pilot.fly() for pilot in pilots))
+        finally:
+            # They hang up while there is still somebody to hang up on.
+            for task in listening:
+                task.cancel()
+            await asyncio.wait(listening)
 
 
 def main(arguments: Iterable[str]) -> int:

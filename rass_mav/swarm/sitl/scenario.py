@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
-from rass_mav.config.bounds import Positive
+from rass_mav.config.bounds import NodeId, Positive
 from rass_mav.config.sections import Meta, Section
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.mission import (
@@ -23,7 +23,7 @@ from rass_mav.mavlink.mission import (
 from rass_mav.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
 from rass_mav.swarm.catalogue import find, read_scenario
 from rass_mav.swarm.neighbours import Position
-from rass_mav.swarm.scenario import Scenario
+from rass_mav.swarm.scenario import FailureSection, Scenario
 
 # Metres in a degree of longitude at the origin.
 _METRES_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
@@ -42,14 +42,25 @@ class FlightSection(Section):
     without any stays above its take-off place for the whole run."""
 
 
+class FlightFailureSection(FailureSection):
+    """What goes wrong in flight. Of the failures of other swarms, `kill_every_s` is the only one."""
+
+    kill_autopilots: tuple[tuple[NodeId, Positive], ...] = ()
+    """[drone, seconds after take-off]: its autopilot dies for good. The node on it lives on."""
+
+
 class FlightScenario(Scenario):
     """A scenario for `rass-mav sitl`."""
 
     flight: FlightSection = FlightSection()
+    failures: FlightFailureSection = FlightFailureSection()
 
     def mistakes(self) -> Iterator[str]:
         """What no single key can say."""
         yield from super().mistakes()
+        for node, _ in self.failures.kill_autopilots:
+            if not self.bases <= node < self.nodes:
+                yield f"failures.kill_autopilots: expected drones, {self.bases}..{self.nodes - 1}, got {node}"
         if self.topology != "positions":
             yield f"topology: expected positions, the take-off places, got {self.topology}"
         drones = self.nodes - self.bases
@@ -76,19 +87,23 @@ class FlightScenario(Scenario):
             for sx, sy, intensity in self.sources
         )
 
+    def waypoints(self, node_id: int) -> Sequence[Sequence[float]]:
+        """The places that a drone flies to, as in `flight.missions`; none: it stays above its take-off place."""
+        number = node_id - self.bases
+        missions = self.flight.missions
+        return missions[number] if number < len(missions) else ()
+
     def mission(self, node_id: int, *, home_first: bool) -> list[MissionItem]:
         """What a drone is told to fly. `home_first`: item 0 is home, as ArduPilot has it."""
         flight = self.flight
-        number = node_id - self.bases
         start = self.places[node_id]
         stay = self.steps * self.node.step_s
-        given: Sequence[Sequence[float]] = flight.missions[number] if number < len(flight.missions) else ()
         home = to_earth(*start)
         items = [MissionItem(CMD_WAYPOINT, FRAME_GLOBAL, *home, ORIGIN[2])] if home_first else []
         items.append(MissionItem(CMD_TAKEOFF, FRAME_RELATIVE, *home, flight.altitude_m))
         # 1: speed over ground; -1 would be: leave the throttle.
         items.append(MissionItem(CMD_SPEED, FRAME_NO_PLACE, param1=1.0, param2=flight.speed_m_s))
-        for x, y, *hold in given or [(*start, stay)]:
+        for x, y, *hold in self.waypoints(node_id) or [(*start, stay)]:
             place = to_earth(x, y)
             items.append(MissionItem(CMD_WAYPOINT, FRAME_RELATIVE, *place, flight.altitude_m, param1=sum(hold)))
         items.append(MissionItem(CMD_RETURN, FRAME_NO_PLACE))
@@ -121,9 +136,12 @@ def _fewer(scenario: FlightScenario, vehicles: int, name: str) -> FlightScenario
     if not 1 <= vehicles <= drones:
         raise ConfigError(f"--vehicles: expected 1..{drones}, which {name} has, got {vehicles}")
     nodes = scenario.bases + vehicles
+    failures = scenario.failures
+    doomed = tuple((node, at_s) for node, at_s in failures.kill_autopilots if node < nodes)
     return replace(
         scenario,
         nodes=nodes,
+        failures=replace(failures, kill_autopilots=doomed),
         mobility=replace(scenario.mobility, positions=scenario.places[:nodes]),
         flight=replace(scenario.flight, missions=scenario.flight.missions[:vehicles]),
     )

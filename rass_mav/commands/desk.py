@@ -1,0 +1,113 @@
+"""`try`: a base and some drones with mock vehicles on this machine, to see data arrive."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rass_mav.errors import ConfigError
+
+from .common import Subparsers, add_command, answer, clean, say, start_logging
+
+if TYPE_CHECKING:
+    from rass_mav.swarm.desk import Desk
+
+#: Of a line that somebody handed in, so many characters are shown.
+_MOST_SHOWN = 60
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    parser = add_command(
+        subparsers, "try", _try,
+        help="run a drone with a mock vehicle and a base on this machine, until Ctrl-C",
+        example="rass-mav try --drones 2",
+    )  # fmt: skip
+    parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many drones (1)")
+    parser.add_argument("--for", type=float, dest="seconds", metavar="SECONDS", help="stop by itself after so long")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores and logs here")
+
+
+def _try(options: argparse.Namespace) -> int:
+    start_logging(options.verbose)
+    if options.seconds is not None and not options.seconds > 0:
+        raise ConfigError(f"--for: expected seconds above 0, got {options.seconds:g}")
+    from rass_mav.swarm.desk import desk
+
+    def show(line: str) -> None:
+        """Now, in a pipe too."""
+        if not options.json:
+            say(line)
+            sys.stdout.flush()
+
+    with desk(options.drones, options.keep) as nodes:
+        # Ctrl-C or SIGTERM: this is how it ends.
+        with contextlib.suppress(KeyboardInterrupt, SystemExit):
+            for line in opening_lines(nodes, kept=options.keep is not None):
+                show(line)
+            until = math.inf if options.seconds is None else time.monotonic() + options.seconds
+            nodes.watch(until, lambda datum: show(arrival_line(datum)))
+        summary = nodes.stop()
+    summary["directory"] = None if options.keep is None else str(nodes.directory)
+    answer(options, summary, closing_lines(summary))
+    return 0
+
+
+def opening_lines(nodes: Desk, *, kept: bool) -> Iterator[str]:
+    """What runs, where it is written down, and what one can type."""
+    drones = nodes.drones
+    if len(drones) == 1:
+        yield f"Node 1 is a base, node {drones[0].node_id} a drone. Its mock vehicle flies past a radiation source."
+    else:
+        ids = f"{drones[0].node_id} to {drones[-1].node_id}"
+        yield f"Node 1 is a base, nodes {ids} are drones. Their mock vehicles fly past a radiation source."
+    yield f"Configurations, stores and logs: {nodes.directory}{'' if kept else ' (--keep DIR keeps them)'}"
+    yield "In another terminal:"
+    program, drone, base = _program(), shlex.quote(str(drones[0].config)), shlex.quote(str(nodes.base.config))
+    yield f"    {program} status {drone}"
+    yield f"    {program} put -c {drone} --line hello"
+    yield f"    {program} ls {base}"
+    yield "Ctrl-C stops everything. What arrives at the base:"
+
+
+def _program() -> str:
+    """How the command is called here."""
+    import shutil  # a node does without it, and loads this module for its command line
+
+    return "rass-mav" if shutil.which("rass-mav") else f"{shlex.quote(sys.executable)} -m rass_mav"
+
+
+def arrival_line(datum: dict[str, Any]) -> str:
+    """A datum that has arrived: when it was created, by whom, and what is in it."""
+    line = f"{time.strftime('%H:%M:%S', time.localtime(datum['created']))} node {datum['origin']}"
+    if (m := datum.get("measurement")) is not None:
+        if m["latitude"] is None:
+            line += " no position yet,"
+        else:
+            line += f" at {m['latitude']:.6f} {m['longitude']:.6f} {m['altitude']:.0f} m,"
+        reading = "no reading yet" if m["reading"] is None else f"reading {m['reading']:.2f}"
+        return f"{line} {reading}, risk {m['risk']:.2f}"
+    if "name" in datum:
+        return clean(f"{line} file {datum['name']}")
+    text = datum["content"].decode(errors="replace")
+    return clean(f"{line} {text[:_MOST_SHOWN]}{' ...' if len(text) > _MOST_SHOWN else ''}")
+
+
+def closing_lines(summary: dict[str, Any]) -> Iterator[str]:
+    """What became of the data."""
+    s = summary
+    lost = sum(s["lost"].values())
+    yield ""
+    yield (
+        f"{s['seconds']:.0f} s: {s['created']} data created, {s['delivered']} arrived at the base, "
+        f"{s['held']} still on the drones, {lost} lost"
+    )
+    if s["directory"] is not None:
+        yield f"Everything is in {s['directory']}"

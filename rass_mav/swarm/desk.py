@@ -1,0 +1,218 @@
+"""A base and some drones on a desk, each the very `rass-mav run` that flies.
+
+They hear each other over UDP on 127.0.0.1. The vehicles are mock ones, here in this process: they fly a circle past a
+radiation source.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from rass_mav.app.client import ControlClient
+from rass_mav.app.jsonlines import load_bytes
+from rass_mav.core.datum import Kind
+from rass_mav.errors import ConfigError, SwarmError, os_errors_as
+from rass_mav.link.sockets import bound_socket
+from rass_mav.swarm.autopilot import MockAutopilot
+from rass_mav.swarm.census import Census
+from rass_mav.swarm.children import Children
+from rass_mav.swarm.radiation import RadiationField, Source
+from rass_mav.swarm.running import RunningNode
+from rass_mav.swarm.wires import Wire, Wires
+from rass_mav.swarm.workplace import workplace
+from rass_mav.wire.measurement import decode_measurement
+
+#: Node id of the base; the drones follow.
+BASE = 1
+MAX_DRONES = 16
+#: Length of a step, seconds: short, so that nobody has to wait for the first datum.
+STEP_S = 0.2
+#: The circle: metres, seconds for once around.
+RADIUS_M = 30.0
+ROUND_S = 60.0
+#: On the circle, due east; in microsieverts per hour where it stands. The decay makes it half as much 7 m away.
+SOURCE = Source(RADIUS_M, 0.0, 200.0)
+DECAY = 0.02
+#: The scale of risk in the drones' configurations, in the same unit.
+RISK = {"low": 0.5, "high": 300}
+#: Until all nodes have to be ready, seconds; some more for each of them.
+START_S = 20.0
+_START_EACH_S = 2.0
+_LOCALHOST = "127.0.0.1"
+# Between two words of an autopilot, and two looks at the base, seconds.
+_TICK_S = 0.2
+# Looks at the base take at most this part of the time, however much it holds.
+_LOOK_SHARE = 0.1
+
+
+class MockVehicle:
+    """Flies a circle, and has a radiation sensor."""
+
+    def __init__(self, node_id: int, phase: float, wires: Wires) -> None:
+        """`phase`: where on the circle it begins, radians from due east."""
+        self.wire: Wire = wires.new(self._hear, node_id)
+        self._autopilot = MockAutopilot(node_id, position_hz=1 / _TICK_S)
+        self._phase = phase
+        self._field = RadiationField([SOURCE], decay=DECAY)
+
+    def _hear(self, node_id: int, data: bytes) -> None:
+        """What its node says: the wire notes where from, and nothing is asked of this autopilot."""
+
+    def fly(self, now: float) -> None:
+        """Say where it is and what it reads, `now` seconds since the start."""
+        angle = self._phase + 2 * math.pi * now / ROUND_S
+        x, y = RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle)
+        for frame in self._autopilot.frames(now, x, y, self._field.level(x, y)):
+            self.wire.send(frame)
+
+
+class Desk:
+    """From start to end; see `desk`."""
+
+    def __init__(self, drones: int, directory: Path, sockets: Path, children: Children, wires: Wires) -> None:
+        """`directory`: for what is written. `sockets`: for the control sockets."""
+        self.directory = directory
+        self.base = RunningNode(BASE, directory, sockets / f"{BASE}.sock", "base")
+        ids = range(BASE + 1, BASE + 1 + drones)
+        self.drones = [RunningNode(id, directory, sockets / f"{id}.sock", f"drone-{id}") for id in ids]
+        self._children = children
+        self._wires = wires
+        self._vehicles = {id: MockVehicle(id, 2 * math.pi * n / drones, wires) for n, id in enumerate(ids)}
+        self._census = Census([node.store for node in self.nodes], 1, STEP_S, first=BASE)
+        self._shown = 0
+        self._begun = self._next_look = self._next_tick = time.monotonic()
+
+    @property
+    def nodes(self) -> list[RunningNode]:
+        """All of them, the base first."""
+        return [self.base, *self.drones]
+
+    def start(self) -> None:
+        """Returns when all nodes run. Raises `SwarmError`."""
+        self.configure()
+        for node in self.nodes:
+            node.start(self._children)
+            self._wires.watch(node.child.file, node.heard)
+        within_s = START_S + _START_EACH_S * len(self.nodes)
+        deadline = time.monotonic() + within_s
+        while missing := [node.name for node in self.nodes if not node.ready]:
+            if time.monotonic() > deadline:
+                raise SwarmError(f"{', '.join(missing)}: not ready within {within_s:g} s")
+            self._turn(deadline)
+
+    def watch(self, until: float, arrived: Callable[[dict[str, Any]], None]) -> None:
+        """Until a time of `time.monotonic`. `arrived` is called with each datum that has arrived at the base, see
+        `_described`. Raises `SwarmError` if a node ends, `ControlError` if the base does not answer."""
+        while (now := time.monotonic()) < until:
+            if now >= self._next_look:
+                for datum in self._look():
+                    arrived(datum)
+                took = time.monotonic() - now
+                self._next_look = now + max(_TICK_S, took / _LOOK_SHARE)
+            self._turn(min(until, self._next_look))
+
+    def stop(self) -> dict[str, Any]:
+        """End all nodes, the base last. Returns what became of the data. Raises `SwarmError` for who does not end."""
+        for nodes in (self.drones, [self.base]):
+            for node in nodes:
+                node.child.terminate()
+            for node in nodes:
+                node.child.wait_stopped()
+        census = self._census
+        census.close(time.time())
+        return {
+            "drones": len(self.drones),
+            "seconds": round(time.monotonic() - self._begun, 1),
+            "created": census.created,
+            "delivered": census.delivered,
+            "held": census.held,
+            "lost": census.losses(),
+            "altered": census.altered,
+        }
+
+    def _turn(self, until: float) -> None:
+        """Fly, and hear what the processes say."""
+        now = time.monotonic()
+        if now >= self._next_tick:
+            self._next_tick = now + _TICK_S
+            for vehicle in self._vehicles.values():
+                vehicle.fly(now - self._begun)
+        self._wires.poll(min(until, self._next_tick) - now)
+
+    def _look(self) -> Iterator[dict[str, Any]]:
+        """What has arrived since the last look."""
+        self._census.look_at_bases(time.time())
+        new = [str(id) for id in islice(self._census.delays, self._shown, None)]
+        if not new:
+            return
+        with ControlClient(self.base.socket) as client:
+            for id in new:
+                self._shown += 1
+                yield _described(client.ask("get", id=id))
+
+    # -- the configurations --------------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Write them, with UDP ports that are free at this moment. Raises `ConfigError`."""
+        with contextlib.ExitStack() as stack:
+            ports = {}
+            for node in self.nodes:
+                sock = stack.enter_context(bound_socket(node.name, (_LOCALHOST, 0)))
+                ports[node.node_id] = f"{_LOCALHOST}:{sock.getsockname()[1]}"
+            for node in self.nodes:
+                text = "".join(f"{key}: {_yaml(value)}\n" for key, value in self._sections(node, ports).items())
+                with os_errors_as(ConfigError, node.config):
+                    node.config.write_text("# Written by `rass-mav try`.\n" + text, encoding="utf-8")
+
+    def _sections(self, node: RunningNode, ports: dict[int, str]) -> dict[str, Any]:
+        peers = [{"id": id, "address": address} for id, address in ports.items() if id != node.node_id]
+        sections: dict[str, Any] = {
+            "node": {"id": node.node_id, "role": "base" if node is self.base else "drone", "step_s": STEP_S},
+            "links": [{"type": "udp", "listen": ports[node.node_id], "peers": peers}],
+            "store": {"path": str(node.store)},
+            "control": {"socket": str(node.socket)},
+        }
+        if node is not self.base:
+            vehicle = self._vehicles[node.node_id].wire
+            sections |= {"autopilot": {"url": f"udpout:{_LOCALHOST}:{vehicle.port}"}, "risk": RISK}
+        return sections
+
+
+def _yaml(value: Any) -> str:
+    """On one line: JSON is YAML."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _described(answer: dict[str, Any]) -> dict[str, Any]:
+    """A datum as plain values: `id`, `origin`, `hops`, `created` (seconds since 1970), and what is in it, as
+    `measurement` (docs/protocol.md), the `name` of a file, or `content`."""
+    payload = load_bytes(answer.pop("payload"))
+    datum = {"origin": int(answer["id"].split("-")[0]), **answer}
+    if answer["kind"] == Kind.MEASUREMENT:
+        datum["measurement"] = decode_measurement(payload)._asdict()
+    elif answer["kind"] != Kind.FILE:
+        datum["content"] = payload
+    return datum
+
+
+@contextlib.contextmanager
+def desk(drones: int, keep: Path | None) -> Iterator[Desk]:
+    """A base and so many drones that run. No process outlives the block; the temporary directory goes with it too.
+
+    `keep`: a directory, new or empty, for configurations, stores and logs; None: a temporary one.
+
+    Raises `ConfigError`: too many drones, a directory that cannot be used; `SwarmError`: a node that does not start.
+    """
+    if not 1 <= drones <= MAX_DRONES:
+        raise ConfigError(f"--drones: expected 1 to {MAX_DRONES}, got {drones}")
+    with workplace(keep) as (directory, sockets, children), contextlib.closing(Wires()) as wires:
+        nodes = Desk(drones, directory, sockets, children, wires)
+        nodes.start()
+        yield nodes

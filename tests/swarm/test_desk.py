@@ -1,0 +1,184 @@
+"""`rass-mav try`: real nodes on this machine, a mock vehicle, and data that one sees arrive."""
+
+from __future__ import annotations
+
+import json
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import psutil
+import pytest
+
+from rass_mav.app.config import load_config
+from rass_mav.cli import main
+from rass_mav.commands.desk import arrival_line, opening_lines
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.store.reader import SqliteReader
+from rass_mav.swarm.autopilot import METRES_PER_DEGREE
+from rass_mav.swarm.children import Children
+from rass_mav.swarm.desk import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Desk, MockVehicle
+from rass_mav.swarm.wires import Wires
+
+DEADLINE_S = 60.0
+#: What a drone's installation need not have.
+WITHOUT = """
+import sys
+sys.modules["msgspec"] = sys.modules["mavsdk"] = sys.modules["tqdm"] = None
+from rass_mav.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+class Trial:
+    """A `rass-mav try` that runs, and its lines."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen([sys.executable, "-c", WITHOUT, "try", *options], stdout=subprocess.PIPE)
+        self.lines: list[str] = []
+
+    def until(self, wanted: Callable[[str], bool]) -> None:
+        """Until such a line."""
+        assert self.process.stdout is not None
+        while not (self.lines and wanted(self.lines[-1])):
+            ready, _, _ = select.select([self.process.stdout], [], [], DEADLINE_S)
+            assert ready, self.lines
+            line = self.process.stdout.readline()
+            assert line, self.lines
+            self.lines.append(line.decode().rstrip("\n"))
+
+
+def test_data_arrive_and_one_can_take_part_until_it_is_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # However long the directory's name: the sockets, whose names have a limit, are elsewhere.
+    keep = tmp_path / ("kept " * 30)
+    trial = Trial("--keep", str(keep))
+    try:
+        trial.until(lambda line: " at 45.0" in line and " reading " in line)
+        assert any(str(keep) in line for line in trial.lines)
+        drone, base = str(keep / "drone-2.yaml"), str(keep / "base.yaml")
+        assert main(["put", "-c", drone, "--line", "hello"]) == 0
+        trial.until(lambda line: line.endswith("node 2 hello"))
+        capsys.readouterr()
+        pids = []
+        for config in (drone, base):
+            assert main(["status", config, "--json"]) == 0
+            pids.append(json.loads(capsys.readouterr().out)["pid"])
+        nodes = [psutil.Process(pid) for pid in pids]
+        trial.process.send_signal(signal.SIGINT)
+        trial.until(lambda line: " data created, " in line)
+        assert trial.process.wait(DEADLINE_S) == 0
+        assert not any(node.is_running() for node in nodes)
+    finally:
+        trial.process.kill()
+        trial.process.communicate()
+    with SqliteReader(keep / "base.db") as store:
+        arrived = len(store.ids())
+    assert arrived >= 2
+    found = re.search(
+        r"(\d+) data created, (\d+) arrived at the base, (\d+) still on the drones, 0 lost", trial.lines[-1]
+    )
+    assert found is not None
+    created, delivered, held = map(int, found.groups())
+    assert (delivered, created) == (arrived, delivered + held)
+
+
+def test_as_json_it_says_one_object_and_keeps_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["try", "--json", "--for", "0.01"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["drones"], summary["directory"], summary["altered"]) == (1, None, 0)
+    assert summary["created"] == summary["delivered"] + summary["held"]
+    assert not any(summary["lost"].values())
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["--drones", "0"], f"--drones: expected 1 to {MAX_DRONES}, got 0"),
+        (["--drones", "17"], f"--drones: expected 1 to {MAX_DRONES}, got 17"),
+        (["--for", "-1"], "--for: expected seconds above 0, got -1"),
+        (["--for", "nan"], "--for: expected seconds above 0, got nan"),
+        (["--keep", "{}"], "{}: expected a new or an empty directory"),
+    ],
+)
+def test_what_it_cannot_do_it_says_in_one_line(
+    options: list[str], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").touch()
+    assert main(["try", *(option.format(tmp_path) for option in options)]) == 2
+    assert capsys.readouterr().err == error.format(tmp_path) + "\n"
+
+
+def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None:
+    with closing(Wires()) as wires:
+        nodes = Desk(3, tmp_path, tmp_path, Children(), wires)
+        nodes.configure()
+        lines = list(opening_lines(nodes, kept=False))
+    configs = [load_config(node.config) for node in nodes.nodes]
+    assert [(config.node_id, config.node.role, config.node.step_s) for config in configs] == [
+        (1, "base", STEP_S), (2, "drone", STEP_S), (3, "drone", STEP_S), (4, "drone", STEP_S),
+    ]  # fmt: skip
+    listening = {config.links[0].listen for config in configs}
+    assert len(listening) == 4
+    for config in configs:
+        [link] = config.links
+        assert {link.listen} | {peer.address for peer in link.peers} == listening
+        assert (config.autopilot.url is None) is config.base
+    assert "nodes 2 to 4 are drones" in lines[0]
+    assert f"{tmp_path} (--keep DIR keeps them)" in lines[1]
+
+
+def test_the_vehicle_flies_past_the_source() -> None:
+    with closing(Wires()) as wires, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as node:
+        vehicle = MockVehicle(2, 0.0, wires)
+        node.settimeout(DEADLINE_S)
+        node.connect(("127.0.0.1", vehicle.wire.port))
+        node.send(b"it learns where its node is")
+        wires.poll(DEADLINE_S)
+        telemetry, reader = Telemetry(2), FrameReader()
+        readings, places = [], set()
+        for second in range(int(ROUND_S)):
+            vehicle.fly(float(second))
+            before = telemetry.reading
+            while telemetry.reading is before:  # the last that it says
+                for frame in reader.datagram(node.recv(300)):
+                    telemetry.handle(frame, float(second))
+            assert telemetry.reading is not None
+            assert telemetry.position is not None
+            readings.append(telemetry.reading.value)
+            places.add(telemetry.position[:2])
+    assert readings[0] == pytest.approx(SOURCE.intensity)
+    assert min(readings) == pytest.approx(readings[int(ROUND_S) // 2])
+    assert len(places) == ROUND_S
+    north = [latitude for latitude, _ in places]
+    assert max(north) - min(north) == pytest.approx(2 * RADIUS_M / METRES_PER_DEGREE, rel=0.01)
+
+
+MEASUREMENT = {"latitude": 45.0, "longitude": -73.0, "altitude": 110.0, "reading": 1.5, "risk": 0.25, "local": None}
+
+
+@pytest.mark.parametrize(
+    ("content", "shown"),
+    [
+        ({"measurement": MEASUREMENT}, "at 45.000000 -73.000000 110 m, reading 1.50, risk 0.25"),
+        ({"measurement": {**MEASUREMENT, "latitude": None}}, "no position yet, reading 1.50, risk 0.25"),
+        (
+            {"measurement": {**MEASUREMENT, "reading": None, "risk": 1.0}},
+            "at 45.000000 -73.000000 110 m, no reading yet, risk 1.00",
+        ),
+        ({"name": "a\x1b.jpg"}, "file a\\x1b.jpg"),
+        ({"content": b"hello\x07"}, "hello\\x07"),
+        ({"content": b"x" * 61}, "x" * 60 + " ..."),
+    ],
+)
+def test_how_a_datum_is_shown(content: dict[str, object], shown: str) -> None:
+    line = arrival_line({"id": "2-0123abcd-4", "origin": 2, "created": 0.0, **content})
+    assert line[8:] == f" node 2 {shown}"
