@@ -23,7 +23,7 @@ from typing import Any
 
 import msgspec
 
-from rass_mav.errors import ConfigError, SwarmError
+from rass_mav.errors import ConfigError, SwarmError, installing
 from rass_mav.mavlink.mission import MissionItem
 from rass_mav.swarm.tether import watch
 
@@ -72,7 +72,7 @@ def need_mavsdk() -> None:
         there = False
     if not there:
         raise ConfigError(
-            "sitl needs MAVSDK 4 to fly: pip install 'rass-mav[sitl]' (there are packages for 64-bit computers only)"
+            f"sitl needs MAVSDK 4 to fly: {installing('sitl')} (there are packages for 64-bit computers only)"
         )
 
 
