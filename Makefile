@@ -16,8 +16,9 @@ PYTHON ?= python3
 VENV ?= .venv
 # Tests that run at the same time.
 JOBS ?= 2
-# For `make paper`: runs of each kind, and where the tables and figures go.
+# For `make paper`: runs of each kind, their length, and where the tables and figures go.
 RUNS ?= 2
+STEPS ?= 500
 OUT ?= build/paper
 
 BIN := $(VENV)/bin
@@ -72,7 +73,7 @@ bench: $(READY)
 	@$(BIN)/python -m benchmarks
 
 paper: $(READY)
-	@$(BIN)/rass-mav experiment paper --out '$(OUT)' --runs $(RUNS) --jobs $(JOBS)
+	@$(BIN)/rass-mav experiment paper --out '$(OUT)' --runs $(RUNS) --steps $(STEPS) --jobs $(JOBS)
 
 clean:
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -7,7 +7,7 @@ import pty
 import select
 from pathlib import Path
 
-TIMEOUT_S = 10.0
+from tests.patience import PATIENCE_S
 
 
 class SerialDevice:
@@ -46,7 +46,7 @@ class SerialDevice:
     def say(self, data: bytes) -> None:
         """Blocking, until all is on its way."""
         while data:
-            _, ready, _ = select.select([], [self.far], [], TIMEOUT_S)
+            _, ready, _ = select.select([], [self.far], [], PATIENCE_S)
             assert ready, f"{data!r} is not taken"
             data = data[os.write(self.far, data) :]
 
@@ -54,7 +54,7 @@ class SerialDevice:
         """Wait until what was asked of the device ends so, and take it."""
         heard = b""
         while not heard.endswith(end):
-            ready, _, _ = select.select([self.far], [], [], TIMEOUT_S)
+            ready, _, _ = select.select([self.far], [], [], PATIENCE_S)
             assert ready, f"expected {end!r}, heard {heard!r}"
             heard += os.read(self.far, 4096)
         return heard

@@ -16,6 +16,7 @@ import yaml
 from rass_mav.app.config import load_config
 from rass_mav.cli import build_parser
 from rass_mav.core.custody.holdings import CHANGES, State
+from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -136,7 +137,12 @@ def test_the_readmes_configurations_are_valid(tmp_path: Path) -> None:
 
 def test_the_readme_shows_what_the_demo_prints() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "rass_mav", "swarm"], cwd=ROOT, capture_output=True, text=True, check=True, timeout=120
+        [sys.executable, "-m", "rass_mav", "swarm"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=PATIENCE_S,
     )
     (shown,) = (code for language, code in FENCE.findall(README) if language == "text")
     # The last line tells how long it took.

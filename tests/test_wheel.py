@@ -15,8 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[1]
-TIMEOUT_S = 120.0
 #: All that a node imports from elsewhere. Without fastcrc and lxml, which pymavlink demands, and without msgspec, which
 #: only the mock swarm needs: these are compiled, and not every board has them.
 NEEDED = ("pymavlink", "yaml")
@@ -59,7 +60,7 @@ def rass_mav(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _run(*command: str, cwd: Path | None = None) -> str:
     done = subprocess.run(
-        command, cwd=cwd, env=_environment(), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+        command, cwd=cwd, env=_environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -90,11 +91,11 @@ def test_check_run_and_status(rass_mav: Path, tmp_path: Path) -> None:
     ) as node:
         try:
             assert node.stdout is not None
-            assert select.select([node.stdout], [], [], TIMEOUT_S)[0]
+            assert select.select([node.stdout], [], [], PATIENCE_S)[0]
             assert json.loads(node.stdout.readline())["node_id"] == 7
             assert json.loads(_run(str(rass_mav), "status", "drone.yaml", "--json", cwd=tmp_path))["node_id"] == 7
             node.send_signal(signal.SIGTERM)
-            assert node.wait(TIMEOUT_S) == 0
+            assert node.wait(PATIENCE_S) == 0
         finally:
             node.kill()
 
@@ -109,7 +110,7 @@ def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> 
 def test_what_needs_msgspec_says_so(rass_mav: Path, tmp_path: Path) -> None:
     done = subprocess.run(
         [str(rass_mav), "swarm", "five-drones", "--transport", "udp"], cwd=tmp_path, env=_environment(),
-        capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == "swarm: needs the package msgspec: pip install msgspec\n"

@@ -33,6 +33,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, encode_measurement
+from tests.patience import PATIENCE_S
 
 TSHARK = shutil.which("tshark")
 pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed (Debian: apt install tshark)")
@@ -45,7 +46,6 @@ GOLDEN = {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `(
 #: The port that the script knows; on others it finds our frames by their content.
 PORT = 14600
 LINKTYPE_RAW = 101
-TIMEOUT_S = 120.0
 
 #: A field of our messages -> its name in Wireshark, where that is another one.
 NAMES = {"Beacon.number": "beacon", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops"}
@@ -81,7 +81,7 @@ def shown(directory: Path, datagrams: Sequence[bytes], port: int = PORT, *option
     file = directory / "air.pcap"
     file.write_bytes(pcap(datagrams, port))
     command = [TSHARK, "-r", str(file), "-X", f"lua_script:{SCRIPT}", "-T", "json", "--no-duplicate-keys", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     assert "rass.lua" not in done.stderr
     found = []
     for packet in json.loads(done.stdout):

@@ -181,7 +181,7 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
 
 def _lines(found: Comparison) -> list[str]:
     lines = [found.vehicle()]
-    lines += [_line(row) for row in found.rows if row.state != "same"]
+    lines += [_line(row) for row in found.rows if row.state != "same" or row.note]
     if found.misfit:
         lines.append(f"WARNING: {found.misfit}")
     return [*lines, _counts(found.rows)]
@@ -194,6 +194,8 @@ def _line(row: Row) -> str:
         text = f"missing: {row.note}"
     elif row.state == "differs":
         text = f"{live.value:.9g} -> {entry.value:.9g}{reboot}"
+    elif row.state == "same":
+        text = f"{live.value:.9g}, {row.note}"
     elif row.state == "written":
         text = f"written: {live.value:.9g}{reboot}"
     else:

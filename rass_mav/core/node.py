@@ -154,7 +154,7 @@ class Node(Participant):
         routing = self.routing
         self.transfers.lifetime_s = routing.lifetime_s * (routing.turn_s / routing.step_s)
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
@@ -230,7 +230,7 @@ class Node(Participant):
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:
         if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
-            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has given {given.given}")
+            self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has assigned {given.given}")
         if (given.origin, given.epoch) != (self.id, self.store.epoch):
             # The origin itself knows better what it has assigned.
             self.receipts.deny(given)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-#: Where data move on at once, one item in so many is reserved for spares of new data, which no other node has yet.
+#: Where data move on at once, one item in this many is reserved for spares of new data, which no other node has yet.
 KEPT_FOR_SPARES = 10
 
 

@@ -97,7 +97,7 @@ class Participant(ABC):
         peer."""
         return self.base and not self.policy.replicates
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     @abstractmethod
     def receive(self, message: Message, now: float) -> list[Message]:
@@ -125,7 +125,7 @@ class Participant(ABC):
         if not self._has_room_for_own(len(payload)):
             self.store.count("overflow")
             self.observer.overflow()
-            raise StoreFullError("no room for a new datum")
+            raise StoreFullError("no space for a new datum")
         id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
         datum = make_datum(id, kind, now, payload)
         self.observer.created(datum)
@@ -158,7 +158,7 @@ class Participant(ABC):
         """This message is not for participants of this kind."""
         return []
 
-    # -- the beginning of Alg. 1 ---------------------------------------------------------------------------------------
+    # -- first part of Alg. 1 ------------------------------------------------------------------------------------------
 
     def update_routing_table(self, now: float) -> None:
         """Alg. 2, from the neighbours' beacons."""
@@ -195,7 +195,7 @@ class Participant(ABC):
             self._turn,
         )  # fmt: skip
 
-    # -- other settings, while it runs ---------------------------------------------------------------------------------
+    # -- changing settings ---------------------------------------------------------------------------------------------
 
     def adopt(self, settings: NodeSettings, policy: Policy) -> None:
         """Continue with other weights and another bandwidth. The policy's costs add up as before."""

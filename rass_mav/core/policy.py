@@ -66,7 +66,7 @@ class Policy(Protocol):
     risk_gain: float
     """Gain of the moving average over readings unless one is set, in (0, 1]."""
     seq_period: int
-    """A base raises its announcement number every so many steps unless `routing.seq_period` is set."""
+    """Steps after which a base raises its announcement number unless `routing.seq_period` is set."""
     own_share: float
     """Part of a drone's store that is reserved for its own measurements unless one is set, 0..1."""
 

@@ -22,7 +22,7 @@ from rass_mav.core.participant import Participant
 
 #: Keys in one query (as many as fit a frame).
 QUERY_IDS = 12
-#: A lost value is asked for so many times; then its place is released.
+#: How often a lost value is asked for before its place is released.
 MAX_QUERIES = 50
 
 
@@ -105,7 +105,7 @@ class Replica(Participant):
                 self.missing[id] = tries
         self.holdings.reserved = len(self.missing)
 
-    # -- what is held --------------------------------------------------------------------------------------------------
+    # -- stored entries ------------------------------------------------------------------------------------------------
 
     @property
     def most_bytes(self) -> int:
@@ -152,7 +152,7 @@ class Replica(Participant):
         """Counters of this life, by name, for `status`."""
         return {"sent_data": self.pace.sent, "refused": self.refused, "corrupt_received": 0, "handovers_pending": 0}
 
-    # -- what comes in -------------------------------------------------------------------------------------------------
+    # -- incoming messages ---------------------------------------------------------------------------------------------
 
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""

@@ -64,9 +64,9 @@ class RoutingSettings(Section):
     """The routing table."""
 
     seq_period: Annotated[int, Meta(ge=0)] | None = None
-    """A base raises its announcement number every so many steps (0: on request only); null: the policy's own."""
+    """Steps after which a base raises its announcement number (0: on request only); null: the policy's own."""
     neighbour_steps: Annotated[int, Meta(ge=0)] = 3
-    """A neighbour not heard for so many steps is gone. 0 is for mock swarms with `radio.latency_steps`: only a node
+    """Steps of silence after which a neighbour is gone. 0 is for mock swarms with `radio.latency_steps`: only a node
     that is heard at the beginning of a step is a neighbour in it."""
     max_neighbours: Count = 128
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
@@ -82,11 +82,11 @@ class CustodySettings(Section):
     """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
     bases."""
     receipt_steps: Count = 6
-    """A node sends at most one receipt frame in so many steps."""
+    """A node sends at most one receipt frame in this many steps."""
     retry_steps: Count = 1
-    """A hand-over without an answer is sent again after so many steps."""
+    """Steps after which an unanswered hand-over is sent again."""
     max_tries: Count = 8
-    """After so many transmissions without an answer another neighbour may be chosen."""
+    """Unanswered transmissions after which another neighbour may be chosen."""
     mirror: bool | None = None
     """Spare copies: the giver of a datum keeps its copy for a while, and data that rest get one. Only with mode
     acknowledged, where null means true; no effect under a policy that replicates."""
@@ -139,18 +139,18 @@ class NodeSettings:
     """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
     bases."""
     receipt_steps: int = 6
-    """A node sends at most one receipt frame in so many steps."""
+    """A node sends at most one receipt frame in this many steps."""
     retry_steps: int = 1
-    """A hand-over without an answer is sent again after so many steps."""
+    """Steps after which an unanswered hand-over is sent again."""
     max_tries: int = 8
-    """After so many transmissions without an answer another neighbour may be chosen."""
+    """Unanswered transmissions after which another neighbour may be chosen."""
     neighbour_steps: int = 3
-    """A neighbour not heard for so many steps is gone (the k of the design)."""
+    """Steps of silence after which a neighbour is gone (the k of the design)."""
     max_neighbours: int = 128
     max_hops: int = 250
     """1..254."""
     seq_period: int = 30
-    """A base raises its announcement number every so many steps, and on request."""
+    """Steps after which a base raises its announcement number; it also does so on request."""
     lifetime_s: float | None = None
     """Data older than this expire; None: never."""
     scrub_items: int | None = None

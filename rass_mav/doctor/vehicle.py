@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rass_mav.app.config import RunConfig
-from rass_mav.params.names import fitting_file
+from rass_mav.params.names import fitting_file, system_id_names
 from rass_mav.params.ports import closed_ports
 
 from . import remedies
@@ -53,6 +53,10 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
             remedies.for_signing(firmware),
         )  # fmt: skip
+    values = evidence.parameters or {}
+    for name in system_id_names(firmware):
+        if values.get(name, known["system_id"]) != known["system_id"]:
+            return warned("autopilot", f"{text}; {name} is {values[name]:g}, but not used yet", "reboot the autopilot")
     others = sorted((evidence.ear.autopilots.keys() if evidence.ear else set()) - {known["system_id"]})
     if others and not config.mavlink.autopilot_id:
         return warned(

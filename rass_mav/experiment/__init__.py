@@ -1,1 +1,1 @@
-"""The paper's experiments and ours: many runs of the mock swarm, and the tables and figures made of them."""
+"""The paper's experiments and ours: many runs of the mock swarm, and the resulting tables and figures."""

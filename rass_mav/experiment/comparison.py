@@ -1,4 +1,4 @@
-"""Groups of runs compared with a reference, run by run: both had the same seed, so the same world."""
+"""Groups of runs compared with a reference, run by run: both had the same seed, and so the same world."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ def ceiling(result: Result) -> float | None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is told of the runs of one policy in one variant."""
+    """The figures of the runs of one policy in one variant."""
 
     runs: int
     reliability: Estimate
     """(created - lost) / created at the end."""
     gain: Estimate | None
-    """Reliability over the reference's, run by run; None without a reference."""
+    """Reliability above the reference's, run by run; None without a reference."""
     loss_ratio: float | None
-    """Losses, in times of the reference's."""
+    """Losses relative to the reference's."""
     ceiling: Estimate | None
     """What the oracle would keep."""
     ceiling_share: float | None
-    """Reliability in times of the ceiling. With spare copies or immediate forwarding it may be above 1."""
+    """Reliability relative to the ceiling. With spare copies or immediate forwarding it may be above 1."""
     delay: Estimate | None
     """Steps from creation to arrival, of data that arrived."""
     transmissions: Estimate
     """Data sent per datum created."""
     transmission_ratio: float | None
-    """In times of the reference's."""
+    """Relative to the reference's."""
     memory: Estimate
-    """Percent of the drones' room in use."""
+    """Percent of the drones' capacity in use."""
     copies: Estimate
     """Copies of a datum that has not arrived."""
     loops: int
@@ -89,7 +89,7 @@ def _mean(results: Sequence[Result], value: Callable[[Result], float]) -> Estima
 
 
 def _ratio(pairs: Sequence[tuple[float, float]]) -> float | None:
-    """Of the means; None if there is nothing to divide by."""
+    """Ratio of the means; None if there is nothing to divide by."""
     below = sum(b for _, b in pairs)
     return sum(a for a, _ in pairs) / below if below else None
 

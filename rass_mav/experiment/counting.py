@@ -1,6 +1,6 @@
 """Counting to infinity: Alg. 2 exactly as the paper writes it, beside our routing table, when the base vanishes.
 
-No swarm and no bytes: only who hears whom, and one beacon a step from each node to all its neighbours.
+No swarm and no bytes: only which node hears which, and one beacon a step from each node to all its neighbours.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.topology import grid, line
 
-#: The step in which the base is not there any more.
+#: The step from which on the base is gone.
 VANISHES = 60
 #: Node 0 is the base. The grid is the paper's; the line has its greatest distance.
 LAYOUTS = {"grid": RangeGraph(grid(100, 20.0), 3.0).neighbours, "line": RangeGraph(line(10, 2.0), 3.0).neighbours}
@@ -31,20 +31,20 @@ class Router(Protocol):
     """All nodes' tables under one algorithm. Node 0 is the base, until it vanishes."""
 
     def step(self, base: bool) -> None:
-        """Everybody takes in what was broadcast in the step before, and broadcasts. `base`: node 0 is there."""
+        """Every node processes what was broadcast in the step before, and broadcasts. `base`: node 0 is present."""
 
     def hops(self) -> list[int | None]:
-        """Hop count that each node believes in; None: no route. Node 0 is not asked."""
+        """Hop count that each node believes in; None: no route. Node 0 is left out."""
 
     def next_hops(self) -> list[int | None]:
-        """Whom each node would hand its data to."""
+        """The neighbour to which each node would hand over its data."""
 
 
 class AsWritten:
-    """Alg. 2: routing_table <- what neighbours say; min_hops = min of it, 0 at the base; broadcast min_hops + 1.
+    """Alg. 2: routing_table <- the neighbours' broadcasts; min_hops = min of it, 0 at the base; broadcast min_hops + 1.
 
-    The text does not say whether an entry ever leaves the table. `forgets`: the table holds what was heard in the last
-    step; otherwise it is a hash table in which a neighbour that fell silent stays.
+    The text does not say whether an entry ever leaves the table. `forgets`: the table contains what was heard in the
+    last step; otherwise it is a hash table in which a neighbour that fell silent stays.
     """
 
     def __init__(self, neighbours: Sequence[Sequence[int]], *, forgets: bool) -> None:
@@ -114,7 +114,7 @@ class Ours:
 
 
 def _beacon(table: RoutingTable, number: int) -> Beacon:
-    """What a node says of its route; the rest of a beacon does not matter here."""
+    """A node's beacon about its route; the other fields do not matter here."""
     flags = (BEACON_BASE if table.base else 0) | (BEACON_WANTED if table.wanted else 0)
     base, epoch, route_number, hops = table.route if table.route is not None else (0, 0, 0, NO_ROUTE)
     wanted_base, wanted_number = table.wanted or (0, 0)
@@ -125,7 +125,7 @@ def _beacon(table: RoutingTable, number: int) -> Beacon:
 
 
 class Sample(NamedTuple):
-    """All nodes but the base, after a step."""
+    """All nodes except the base, after a step."""
 
     step: int
     with_route: int
@@ -151,7 +151,7 @@ def observe(router: Router, steps: int, vanishes: int) -> list[Sample]:
 #: Name in files, name for people, colour, marker.
 ALGORITHMS = (
     ("alg2-forgets", "Alg. 2 as written, silent neighbours forgotten", OTHERS[1], "s"),
-    ("alg2-keeps", "Alg. 2 as written, entries kept for ever", OTHERS[2], "^"),
+    ("alg2-keeps", "Alg. 2 as written, entries kept permanently", OTHERS[2], "^"),
     ("rass-mav", "rass-mav: announcement numbers", "#0072B2", "o"),
 )
 
@@ -179,7 +179,7 @@ def report(out: Path, steps: int) -> list[Path]:
         f"Node 0 is the base and falls silent at step {VANISHES} of {steps}. Counted from then on, over the\n"
         "other nodes.\n\n"
         + markdown(
-            ["Layout", "Algorithm", "Steps until nobody has a route", "Highest hop count", "Steps with cycles",
+            ["Layout", "Algorithm", "Steps until no node has a route", "Highest hop count", "Steps with cycles",
              "Most cycles at once"],
             [[str(row[0]), names[str(row[1])], "never" if row[2] is None else str(row[2]), *map(str, row[3:])]
              for row in table],
@@ -194,7 +194,7 @@ def report(out: Path, steps: int) -> list[Path]:
 
 
 def _verdict(samples: Sequence[Sample]) -> tuple[int | None, int, int, int]:
-    """From the moment the base is gone: steps until nobody has a route (None: never), and the other columns."""
+    """From the moment the base is gone: steps until no node has a route (None: never), and the other columns."""
     after = samples[VANISHES:]
     believing = [s.step for s in after if s.with_route]
     gone = None if believing and believing[-1] == after[-1].step else (believing[-1] + 1 - VANISHES if believing else 0)

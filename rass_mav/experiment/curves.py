@@ -1,4 +1,4 @@
-"""From the results of runs to curves: means over runs with their confidence bands."""
+"""Curves from the results of runs: means over runs, and how certain they are."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from rass_mav.experiment.figures import Curve, policy_style
 from rass_mav.experiment.measures import Series
 from rass_mav.experiment.runs import Result
-from rass_mav.experiment.statistics import Estimate, estimate
+from rass_mav.experiment.statistics import ENOUGH_RUNS, Estimate, estimate
 
 NAN = math.nan
 
@@ -26,15 +26,13 @@ def total_stored(series: Series) -> list[int]:
 def mean_curve(
     label: str, color: str, marker: str, x: Sequence[float], rows: Sequence[Sequence[float]], *, line: str = "-"
 ) -> Curve:
-    """The mean over runs (`rows`: one list for each, as long as `x`) with its 95 % confidence band."""
-    y, half = means(zip(*rows, strict=True))
-    return Curve(label, x, y, color, marker, half if len(rows) > 1 else None, line)
-
-
-def means(columns: Iterable[Sequence[float]]) -> tuple[list[float], list[float]]:
-    """The mean of each column and half of its 95 % confidence interval; NaN where there is none."""
-    estimates = [estimate(column) or Estimate(NAN, None, 0) for column in columns]
-    return [e.mean for e in estimates], [NAN if e.half_width is None else e.half_width for e in estimates]
+    """The mean over runs (`rows`: one list for each, as long as `x`; NaN: none there), and how sure it is."""
+    found = [estimate([value for value in column if not math.isnan(value)]) for column in zip(*rows, strict=True)]
+    y = [NAN if e is None else e.mean for e in found]
+    if len(rows) < ENOUGH_RUNS:
+        return Curve(label, x, y, color, marker, singles=rows if len(rows) > 1 else (), line=line)
+    half = [NAN if e is None or e.drawn is None else e.drawn for e in found]
+    return Curve(label, x, y, color, marker, half, line=line)
 
 
 def over_time(
@@ -47,7 +45,7 @@ def over_time(
 
 
 def by_policy(results: Iterable[Result]) -> dict[str, list[Result]]:
-    """Results of each policy, in the order in which the policies come."""
+    """Results by policy, in order of first occurrence."""
     groups: dict[str, list[Result]] = {}
     for result in results:
         groups.setdefault(result.policy, []).append(result)

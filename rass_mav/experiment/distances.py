@@ -1,18 +1,18 @@
-"""Delay by the distance at which data were made: policies that lose far data look faster in a mean over all."""
+"""Delay by the distance at which data were created: in a mean over all, policies that lose distant data look faster."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
-from rass_mav.experiment.curves import means
-from rass_mav.experiment.figures import Curve, Panel, Style
+from rass_mav.experiment.curves import mean_curve
+from rass_mav.experiment.figures import Panel, Style
 from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import estimate
 from rass_mav.experiment.tables import figures_of
 
-#: Columns of delay-by-distance.csv behind those that say which runs a row is about.
+#: Columns of delay-by-distance.csv after those that identify a row's runs.
 COLUMNS = (
     "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", "delay_of_runs_mean",
     "delay_of_runs_ci95",
@@ -20,7 +20,7 @@ COLUMNS = (
 
 
 def rows(results: Sequence[Result]) -> list[list[object]]:
-    """`COLUMNS`, a row a distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
+    """`COLUMNS`, a row for each distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
     found: list[list[object]] = []
     for hops in sorted({hops for result in results for hops in result.distances}):
         here = [result.distances[hops] for result in results if hops in result.distances]
@@ -38,15 +38,17 @@ def rows(results: Sequence[Result]) -> list[list[object]]:
 
 
 def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel:
-    """Mean delay against distance, a line a group of runs with its 95 % confidence band."""
+    """Mean delay against distance, a line a group of runs."""
     curves = []
     for style, results in groups:
         hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
-        y, half = means(_delays_at(results, h) for h in hops)
-        if any(math.isfinite(value) for value in y):
-            curves.append(Curve(style.label, hops, y, style.color, style.marker, half if len(results) > 1 else None))
-    # Bands of distances at which hardly anything was made may be huge: the lines set the scale.
-    highest = max((y for curve in curves for y in curve.y if math.isfinite(y)), default=0.0)
+        runs = [[_delay_at(result, h) for h in hops] for result in results]
+        curve = mean_curve(style.label, style.color, style.marker, hops, runs)
+        if any(map(math.isfinite, curve.y)):
+            curves.append(curve)
+    # Bands of distances at which hardly any data were created may be huge: the lines set the scale.
+    lines = [line for curve in curves for line in (curve.y, *curve.singles)]
+    highest = max((y for line in lines for y in line if math.isfinite(y)), default=0.0)
     return Panel(
         title, "distance from the base at creation (hops)", "mean delay of the data that arrived (steps)", curves,
         (0, 1.15 * highest if highest else 1),
@@ -54,6 +56,11 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
 
 
 def _delays_at(results: Sequence[Result], hops: int) -> list[float]:
-    """Mean delay of each run, of its data made so many hops from the base, where any arrived."""
-    distances = [result.distances.get(hops) for result in results]
-    return [d.delay_sum / d.arrived for d in distances if d is not None and d.arrived]
+    """Mean delay of each run, of its data created at this distance from the base, where any arrived."""
+    return [delay for result in results if not math.isnan(delay := _delay_at(result, hops))]
+
+
+def _delay_at(result: Result, hops: int) -> float:
+    """The same of one run; NaN where none arrived."""
+    found = result.distances.get(hops)
+    return found.delay_sum / found.arrived if found is not None and found.arrived else math.nan

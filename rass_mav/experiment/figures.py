@@ -1,5 +1,6 @@
-"""Figures: lines with confidence bands, and bars. One look for all, the same colour for the same policy everywhere.
+"""Figures: lines with confidence bands or single runs, bars and points.
 
+All look alike, with the same colour for the same policy everywhere.
 matplotlib (the extra `sim`) is imported when a figure is drawn, never before, and without its global state.
 """
 
@@ -10,9 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
+from rass_mav.experiment.statistics import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Style:
-    """How a policy looks: the colours of Okabe and Ito can be told apart by colour-blind people."""
+    """A policy's drawing style: colour-blind people can distinguish the colours of Okabe and Ito."""
 
     label: str
     color: str
@@ -40,6 +42,10 @@ POLICIES: dict[str, Style] = {
 }
 #: A horizontal line that is not a policy.
 LEVEL = Style("", "#555555", "")
+#: What a share can be; intervals are cut there.
+SHARE = (0.0, 1.0)
+#: What most other quantities can be.
+POSITIVE = (0.0, math.inf)
 #: For curves that are not policies.
 OTHERS = ("#56B4E9", "#E69F00", "#000000")
 
@@ -54,7 +60,7 @@ class Curve:
     """A line."""
 
     label: str
-    """In the legend; empty: not there."""
+    """In the legend; empty: not in it."""
     x: Sequence[float]
     y: Sequence[float]
     """NaN leaves a gap."""
@@ -62,8 +68,10 @@ class Curve:
     marker: str = ""
     half: Sequence[float] | None = None
     """Half widths of confidence intervals: a band around the line; NaN: none there."""
+    singles: Sequence[Sequence[float]] = ()
+    """The runs of which the line is the mean, where they are too few for a band: thin lines."""
     line: str = "-"
-    """- ours, -- the authors'."""
+    """- for ours, -- for the authors'."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,8 @@ class Panel:
     curves: Sequence[Curve]
     y_range: tuple[float, float] | None = None
     x_range: tuple[float, float] | None = None
+    bounds: tuple[float, float] = POSITIVE
+    """What y can be: bands are cut there."""
 
 
 @dataclass(frozen=True)
@@ -85,23 +95,20 @@ class Bars:
 
     label: str
     color: str
-    heights: Sequence[float]
-    halves: Sequence[float]
-    """Half widths of confidence intervals; 0: none."""
+    groups: Sequence[Estimate | None]
+    """With an error bar, or with a dot a run where they are too few for it; None: no bar."""
     hatch: str = ""
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point with error bars."""
+    """A point with error bars, or with a dot a run where they are too few for them."""
 
     style: Style
     """Its label is not shown."""
-    x: float
-    y: float
-    x_half: float = 0.0
-    """Half width of its confidence interval; 0: none."""
-    y_half: float = 0.0
+    x: Estimate
+    y: Estimate
+    """Of the same runs."""
 
 
 @dataclass(frozen=True)
@@ -115,13 +122,15 @@ class Scatter:
     points: Sequence[Point]
     x_range: tuple[float, float]
     y_range: tuple[float, float]
-    """A point outside of the ranges is drawn at their edge, with its place in brackets."""
+    """A point outside the ranges is drawn at their edge, with its place in brackets."""
+    bounds: tuple[float, float]
+    """What y can be: error bars are cut there. x can be anything from 0 on."""
     level: float | None = None
     """A horizontal line at this y."""
 
 
 def need_matplotlib() -> None:
-    """Raises `ConfigError` if figures cannot be drawn; before hours of runs, not after."""
+    """Raises `ConfigError` if figures cannot be drawn: before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:
         raise ConfigError("figures need matplotlib: pip install 'rass-mav[sim]'")
 
@@ -129,32 +138,59 @@ def need_matplotlib() -> None:
 def draw(
     path: Path, panels: Sequence[Panel], *, columns: int = 1, legend_columns: int | None = None, note: str = ""
 ) -> Path:
-    """Write panels, row by row, as PNG. `note`: small print below. The first panel's legend stands above all."""
+    """Write panels, row by row, as PNG. `note`: small print below. The first panel's legend is above all.
+
+    Panels of the same quantities in one row have the same scale.
+    """
     rows = -(-len(panels) // columns)
     figure = _figure((6.4 * columns, 4.0 * rows + 0.9))
     grid = figure.subplots(rows, columns, squeeze=False)
     for index, panel in enumerate(panels):
         _draw_panel(grid[index // columns][index % columns], panel)
+    for row in range(rows):
+        here = panels[row * columns : (row + 1) * columns]
+        for axis in ("x", "y"):
+            if len({getattr(panel, f"{axis}_label") for panel in here}) == 1:
+                _share_scale(grid[row][: len(here)], axis)
     for index in range(len(panels), rows * columns):
         grid[index // columns][index % columns].set_visible(False)
     _legend(figure, grid[0][0], legend_columns or 3 * columns)
     return _write(figure, path, note)
 
 
+def _share_scale(row: Sequence[Axes], axis: Literal["x", "y"]) -> None:
+    limits = [axes.get_xlim() if axis == "x" else axes.get_ylim() for axes in row]
+    widest = min(low for low, _ in limits), max(high for _, high in limits)
+    for axes in row:
+        axes.set(**{f"{axis}lim": widest})
+
+
 def draw_bars(
-    path: Path, title: str, y_label: str, groups: Sequence[str], series: Sequence[Bars], *, note: str = ""
+    path: Path,
+    title: str,
+    y_label: str,
+    groups: Sequence[str],
+    series: Sequence[Bars],
+    *,
+    bounds: tuple[float, float] = POSITIVE,
+    note: str = "",
 ) -> Path:
-    """Write groups of bars with error bars as PNG."""
+    """Write groups of bars as PNG. `bounds`: what a height can be; error bars are cut there."""
     wanted = max(6.4, 1.3 + 0.55 * len(groups) * len(series))
     figure = _figure((min(wanted, WIDEST), 4.9))
     axes = figure.subplots()
     width = 0.8 / len(series)
     for index, bars in enumerate(series):
         at = [group + (index - (len(series) - 1) / 2) * width for group in range(len(groups))]
+        heights = [0.0 if e is None else e.mean for e in bars.groups]
         axes.bar(
-            at, bars.heights, width * 0.92, label=bars.label, color=bars.color, hatch=bars.hatch, edgecolor="white",
-            yerr=list(bars.halves), capsize=3, error_kw={"elinewidth": 1},
+            at, heights, width * 0.92, label=bars.label, color=bars.color, hatch=bars.hatch, edgecolor="white",
+            yerr=[list(side) for side in zip(*(_sides(e, bounds) for e in bars.groups), strict=True)],
+            capsize=3, error_kw={"elinewidth": 1},
         )  # fmt: skip
+        dots = [(x, value) for x, e in zip(at, bars.groups, strict=True) for value in (e.singles if e else ())]
+        if dots:
+            axes.plot(*zip(*dots, strict=True), "o", color="black", markersize=3, markeredgecolor="white", zorder=4)
     axes.set_xticks(range(len(groups)), groups)
     if wanted > WIDEST:
         axes.tick_params("x", labelrotation=30)
@@ -194,22 +230,36 @@ def _draw_points(axes: Axes, panel: Scatter) -> None:
     # Points that coincide stay visible: later markers are smaller.
     markers = list(dict.fromkeys(point.style.marker for point in panel.points))
     for point in panel.points:
-        x, y = min(max(point.x, left), right), min(max(point.y, low), high)
-        outside = (x, y) != (point.x, point.y)
+        x, y = min(max(point.x.mean, left), right), min(max(point.y.mean, low), high)
+        outside = (x, y) != (point.x.mean, point.y.mean)
         color = point.style.color
         size = max(5.0, 10.5 - 1.5 * markers.index(point.style.marker))
+        sides = (
+            None
+            if outside
+            else [[[side] for side in _sides(e, b)] for e, b in ((point.x, POSITIVE), (point.y, panel.bounds))]
+        )
         axes.errorbar(
-            x, y, 0.0 if outside else point.y_half, 0.0 if outside else point.x_half, point.style.marker, color=color,
-            elinewidth=1, capsize=2, markersize=size, markeredgecolor="white", markeredgewidth=0.7, zorder=3,
-            clip_on=not outside,
+            x, y, sides and sides[1], sides and sides[0], point.style.marker, color=color, elinewidth=1, capsize=2,
+            markersize=size, markeredgecolor="white", markeredgewidth=0.7, zorder=3, clip_on=not outside,
         )  # fmt: skip
         if outside:
             axes.annotate(
-                f"({point.x:.3g}, {point.y:.2f})", (x, y), (-7 if x == right else 7, 6), textcoords="offset points",
-                ha="right" if x == right else "left", fontsize=8, color=color,
+                f"({point.x.mean:.3g}, {point.y.mean:.2f})", (x, y), (-7 if x == right else 7, 6),
+                textcoords="offset points", ha="right" if x == right else "left", fontsize=8, color=color,
             )  # fmt: skip
+        else:
+            axes.plot(point.x.singles, point.y.singles, "o", color=color, markersize=3, alpha=0.7, zorder=2)
     _label(axes, panel)
     axes.set(xlim=(left, right), ylim=(low, high))
+
+
+def _sides(value: Estimate | None, bounds: tuple[float, float]) -> tuple[float, float]:
+    """How far an error bar goes down and up; no farther than values can be."""
+    if value is None or value.drawn is None:
+        return 0.0, 0.0
+    low, high = bounds
+    return max(0.0, min(value.drawn, value.mean - low)), max(0.0, min(value.drawn, high - value.mean))
 
 
 def _figure(size: tuple[float, float]) -> Figure:
@@ -223,20 +273,25 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
     ours = [curve for curve in panel.curves if curve.line == "-"]
     for curve in panel.curves:
-        # Lines that coincide stay visible: each is thinner than the one below it, its markers stand elsewhere. The
-        # authors' lines lie above ours and are dashed.
+        # Lines that coincide stay visible: each is thinner than the one below it, and its markers are elsewhere, or
+        # where that is impossible, smaller and edged. The authors' lines are above ours and dashed.
         order = ours.index(curve) if curve in ours else len(ours)
         spacing = max(1, len(curve.x) // 9)
         axes.plot(
             curve.x, curve.y, curve.line, color=curve.color, label=curve.label or None, zorder=2 + 0.1 * order,
             linewidth=1.5 + 1.1 * max(0, min(len(ours), 3) - 1 - order) if curve in ours else 1.3,
-            marker=curve.marker or None, markersize=4 + 1.3 * max(0, len(ours) - 1 - order),
+            marker=curve.marker or None, markersize=4.5 + 1.6 * max(0, len(ours) - 1 - order),
+            markeredgecolor="white", markeredgewidth=0.6,
             markevery=(order * spacing // max(1, len(ours)), spacing),
         )  # fmt: skip
         if curve.half is not None:
-            low = [y - h for y, h in zip(curve.y, curve.half, strict=True)]
-            high = [y + h for y, h in zip(curve.y, curve.half, strict=True)]
+            least, most = panel.bounds
+            # In this order of arguments NaN stays NaN.
+            low = [max(y - h, least) for y, h in zip(curve.y, curve.half, strict=True)]
+            high = [min(y + h, most) for y, h in zip(curve.y, curve.half, strict=True)]
             axes.fill_between(curve.x, low, high, color=curve.color, alpha=0.18, linewidth=0)
+        for single in curve.singles:
+            axes.plot(curve.x, single, color=curve.color, linewidth=0.7, alpha=0.55, zorder=1.5)
     _label(axes, panel)
     if panel.y_range is not None:
         axes.set_ylim(*panel.y_range)

@@ -1,4 +1,4 @@
-"""The paper's physical experiment, simulated: four drones, two ways to the base, one of them past a source."""
+"""The paper's physical experiment, simulated: four drones, two routes to the base, one of them past a source."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rass_mav.experiment.curves import by_policy, final_reliability, mean_curve, over_time, reliability
-from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted, estimate
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
@@ -25,7 +25,7 @@ def plan(extent: Extent, policies: Sequence[str]) -> list[Run]:
 
 
 def of_origin(result: Result, node: int) -> list[float]:
-    """Reliability over time of the data that one drone made; 1 while it has made none."""
+    """Reliability over time of the data that one drone created; 1 while it has created none."""
     origins = result.extra["origins"]
     pairs = zip(origins["created"][str(node)], origins["lost"][str(node)], strict=True)
     return [1 - lost / created if created else 1.0 for created, lost in pairs]
@@ -51,7 +51,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     text = (
         "# Five drones: reliability\n\n"
         f"Mean of {runs} runs of {steps} steps ± half of the 95 % confidence interval (Student's t).\n"
-        "The source stands beside A; C's data go past it, or round by D and B.\n\n"
+        "The source is beside A; C's data go past it, or round it by D and B.\n\n"
         + markdown(["Algorithm", "all data", *names], lines)
         + _gaps(policies)
     )
@@ -65,14 +65,15 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         write_csv(out / "reliability.csv", SERIES_COLUMNS, series),
         draw(
             out / "reliability.png",
-            [Panel("Reliability over time: five drones", "step", y_label, whole, (0, 1.03))], note=note,
+            [Panel("Reliability over time: five drones", "step", y_label, whole, (0, 1.03), bounds=SHARE)],
+            note=note,
         ),
         draw(
             out / "reliability-by-drone.png",
             [
                 Panel(
                     f"Data from {letter}", "step", y_label,
-                    [_curve(group, node) for group in policies.values()], (0, 1.03),
+                    [_curve(group, node) for group in policies.values()], (0, 1.03), bounds=SHARE,
                 )
                 for node, letter in LETTERS.items()
             ],

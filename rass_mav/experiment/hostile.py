@@ -1,4 +1,4 @@
-"""Attackers beside honest nodes: what arrives all the same, what is lost, what heals when they have left, who notices.
+"""Attackers beside honest nodes: what arrives all the same, what is lost, what heals after they leave, who notices.
 
 A grid of 25 nodes; one attacker beside the node in its middle, from step `ATTACK` [0] until [1]. No key is used.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.experiment.figures import Bars, draw_bars, policy_style
+from rass_mav.experiment.figures import SHARE, Bars, draw_bars, policy_style
 from rass_mav.experiment.measures import ATTACK, HEALING
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import Estimate, counted, estimate
@@ -17,7 +17,7 @@ from rass_mav.policy.settings import PolicySettings, kinds
 from rass_mav.swarm.hostile.kinds import KINDS
 
 SCENARIO = "hostile"
-#: For comparison: nobody is there.
+#: For comparison: no attacker is present.
 NOBODY = "nobody"
 ATTACKERS = (NOBODY, *KINDS)
 #: Whether nodes keep spare copies.
@@ -66,9 +66,9 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         "# Attackers\n",
         f"Mean of {len(first)} runs of {first[0].steps} steps ± half of the 95 % confidence interval (Student's t).\n"
         f"25 nodes, one attacker in the middle from step {ATTACK[0]} until {ATTACK[1]}, no keys.\n"
-        "All but the last three columns are shares of the data created. Unfounded: deleted on a word that no base can\n"
-        "confirm. Late: made before the attacker left, and not there when it did. Healed: those of them that arrived\n"
-        f"within {HEALING} steps after. Noticed: nodes that raised an alarm.\n",
+        "All but the last three columns are shares of the data created. Unfounded: deleted because of a message that\n"
+        "no base can confirm. Late: created before the attacker left, and not arrived when it did. Healed: late data\n"
+        f"that arrived within {HEALING} steps after. Noticed: nodes that raised an alarm.\n",
     ]
     for variant, found_lines in lines.items():
         text.append(f"## {_TITLES[variant]}\n")
@@ -118,8 +118,8 @@ def _draw(path: Path, variant: str, arrived: dict[tuple[str, str, str], Estimate
     for policy in policies:
         style = policy_style(policy)
         found = [arrived[attacker, policy, variant] for attacker in attackers]
-        bars.append(Bars(style.label, style.color, [f.mean for f in found], [f.half_width or 0.0 for f in found]))
+        bars.append(Bars(style.label, style.color, found))
     return draw_bars(
         path, f"Data that arrive beside an attacker: {_TITLES[variant].lower()}", "arrived / created", attackers, bars,
-        note=f"mean of {counted(runs, 'error bars')}",
+        bounds=SHARE, note=f"mean of {counted(runs, 'error bars')}",
     )  # fmt: skip

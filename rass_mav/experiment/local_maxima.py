@@ -1,7 +1,7 @@
-"""How much data sits in basins: nodes that are fitter than all neighbours, and not next to the base.
+"""How many data are in basins: nodes that are fitter than all neighbours, and not next to the base.
 
 Eq. 3 and 4 let data climb to the fittest neighbour. Behind a source a node may be fitter than all its neighbours, while
-every way to the base leads through them: data stay there until readings change.
+every route to the base leads through them: data stay there until readings change.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import Estimate, counted, estimate
 from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
 
-#: Those that follow a fitness.
+#: The policies that follow a fitness.
 POLICIES = ("rass", "hop-count", "rass-literal")
-#: What is told: column, heading, and the two sums of `Basins` whose ratio it is.
+#: The reported shares: column, heading, and the two sums of `Basins` whose ratio it is.
 SHARES = (
     ("nodes_in_basins", "nodes that are basins", "basins", "node_steps"),
     ("nodes_lasting", "nodes that are basins without noise", "lasting", "node_steps"),
@@ -64,7 +64,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     text = (
         "# Local maxima, world paper\n\n"
         f"Mean of {runs} runs of {results[0].steps} steps ± half of the 95 % confidence interval (Student's t), in\n"
-        "percent. A basin: a node that knows a way to the base and has neighbours, none of them the base and none\n"
+        "percent. A basin: a node that knows a route to the base and has neighbours, none of them the base and none\n"
         "fitter by Eq. 4. Without noise: a basin by the true risk, which the next reading does not end.\n\n"
         + markdown(["Topology", "Algorithm", *(heading for _, heading, *_ in SHARES)], cells)
     )
@@ -73,7 +73,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         write_runs(out / "runs.csv", results),
         write_csv(out / "table.csv", TABLE_COLUMNS, rows),
         write_text(out / "table.md", text),
-        _draw(out / "stored-in-basins.png", groups, "Stored data that sits in basins", "share of stored data (%)",
+        _draw(out / "stored-in-basins.png", groups, "Stored data in basins", "share of stored data (%)",
               SHARES[2:4], note),
         _draw(out / "corrupted-in-basins.png", groups, "Corruption losses in basins", "share of corrupted data (%)",
               SHARES[4:6], note),
@@ -98,17 +98,13 @@ def _draw(
                 Bars(
                     style.label if not hatch else "",
                     style.color,
-                    [0.0 if e is None else 100 * e.mean for e in found],
-                    [0.0 if e is None else 100 * (e.half_width or 0.0) for e in found],
+                    [e and e.times(100) for e in found],
                     hatch,
                 )
             )
     names = [TOPOLOGY_TITLES.get(topology, topology) for topology in groups]
-    return draw_bars(path, f"{title} (world paper)", y_label, names, series, note=note)
+    return draw_bars(path, f"{title} (world paper)", y_label, names, series, bounds=(0, 100), note=note)
 
 
 def _percent(value: Estimate | None) -> str:
-    if value is None:
-        return "n/a"
-    half = None if value.half_width is None else 100 * value.half_width
-    return Estimate(100 * value.mean, half, value.runs).text(1)
+    return "n/a" if value is None else value.times(100).text(1)

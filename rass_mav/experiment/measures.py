@@ -1,4 +1,4 @@
-"""What is read off a mock swarm while it runs, beside its summary."""
+"""Measurements of a running mock swarm, in addition to its summary."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.experiment.oracle import Ceiling
 from rass_mav.swarm.world import World
 
-#: Time series hold every so many steps, and the last one; so do the authors' curves.
+#: Steps between two samples of a time series, which also has the last step; the authors' curves are the same.
 EVERY = 5
-#: Attackers are there from this step until that one.
+#: Attackers are present from this step until that one.
 ATTACK = (50, 150)
-#: What arrives so many steps after they have left has healed.
+#: Late data have healed if they arrive within this many steps after the attackers have left.
 HEALING = 200
-#: Distance of a datum that was made out of every base's reach.
+#: Distance of a datum that was created out of every base's reach.
 OUT_OF_REACH = -1
 
 
 class Series(msgspec.Struct):
-    """Counts over time, one entry for each of `step`. Data are counted once each, `stored` counts copies."""
+    """Counts over time, one entry for each of `step`. Each datum counts once; `stored` counts copies."""
 
     step: list[int]
     created: list[int]
     """Since the beginning."""
     lost: list[int]
-    """Since the beginning, but for `vanished` (the authors do not count those)."""
+    """Since the beginning, except `vanished` (the authors do not count those)."""
     stored: list[int]
     """Items in the drones' stores."""
     base: list[int]
@@ -39,18 +39,18 @@ class Series(msgspec.Struct):
 
 
 class Distance(msgspec.Struct, array_like=True):
-    """Data made at one distance from the nearest base."""
+    """Data created at one distance from the nearest base."""
 
     created: int = 0
     arrived: int = 0
     lost: int = 0
-    """But for `vanished`."""
+    """Except `vanished`."""
     delay_sum: int = 0
     """Steps from creation to arrival, summed over those that arrived."""
 
 
 def is_sample(step: int, steps: int) -> bool:
-    """Whether a time series holds this step of a run of `steps` steps (0 .. steps - 1)."""
+    """Whether a time series contains this step of a run of `steps` steps (0 .. steps - 1)."""
     return step % EVERY == 0 or step == steps - 1
 
 
@@ -61,7 +61,7 @@ class SeriesMeasure:
         self.series = Series([], [], [], [], [])
 
     def after(self, world: World) -> None:
-        """Take the figures of a step that is done."""
+        """Record the figures of a completed step."""
         step = world.t - 1
         if not is_sample(step, world.scenario.steps):
             return
@@ -77,17 +77,18 @@ class SeriesMeasure:
 
 
 class DistanceMeasure:
-    """What became of data by the distance at which they were made: hops to the nearest base in the graph of ranges."""
+    """What became of data by the distance at which they were created: hops to the nearest base in the graph of
+    ranges."""
 
     def __init__(self) -> None:
         self._hops: list[list[int | None]] = []
 
     def after(self, world: World) -> None:
-        """Note the distances of this step."""
+        """Record the distances of this step."""
         self._hops.append(world.graph.hops_from(range(world.scenario.bases)))
 
     def result(self, world: World) -> dict[int, Distance]:
-        """By hops, or `OUT_OF_REACH`. Measurements that a full node refused never got an id and are not in it."""
+        """By hops, or `OUT_OF_REACH`. Measurements that a full node refused never got an id and are not included."""
         ledger = world.ledger
         found: dict[int, Distance] = {}
         for id, step in ledger.born.items():
@@ -104,23 +105,23 @@ class DistanceMeasure:
 
 
 class Watcher(Protocol):
-    """What looks at a swarm."""
+    """An observer of a swarm."""
 
     def after(self, world: World) -> None:
         """Called after each step."""
 
 
 class Measure(Watcher, Protocol):
-    """Something that only some experiments look at."""
+    """A measurement that only some experiments use."""
 
     def result(self) -> dict[str, Any]:
         """Plain values, at the end."""
 
 
 class Origins:
-    """Created and lost data by the node that made them, over time: step, then for each node a list of each.
+    """Created and lost data by origin, over time: step, then for each node a list of each.
 
-    Measurements that a full node refused are not in it; `vanished` data are not counted as lost.
+    Measurements that a full node refused are not included; `vanished` data do not count as lost.
     """
 
     def __init__(self) -> None:
@@ -147,12 +148,12 @@ class Origins:
 
 
 class Basins:
-    """How much data sits where the potential has a local maximum away from the base.
+    """How many data are where the potential has a local maximum away from the base.
 
-    A node is a basin if it knows of a way to a base, and has neighbours, none of them a base and none fitter by Eq. 4
-    (T phi < phi_j). Taken after each step, when the air is quiet, from the potentials that all nodes have just
-    announced. A node is a `lasting` one if it would be a basin without the sensor's noise: with Eq. 3 of the true risk.
-    A corrupted datum is booked on the place where it lay when it was struck: at the end of the step before.
+    A node is a basin if it knows a route to a base, and has neighbours, none of them a base and none fitter by Eq. 4 (T
+    phi < phi_j). Basins are counted after each step, when the air is quiet, from the potentials that all nodes have
+    just announced. A node is a `lasting` one if it would be a basin without the sensor's noise: with Eq. 3 of the true
+    risk. A corrupted datum is counted where it was when it was struck: at the end of the step before.
     """
 
     def __init__(self) -> None:
@@ -220,7 +221,7 @@ class Basins:
 
 
 class Attack:
-    """What became of the data that were made until the attackers left, and who noticed them."""
+    """What became of the data that were created before the attackers left, and which nodes noticed the attackers."""
 
     def __init__(self) -> None:
         self._missing: set[DatumId] = set()
@@ -229,7 +230,7 @@ class Attack:
         self._noticed = 0
 
     def after(self, world: World) -> None:
-        """Count, in the steps that matter."""
+        """Count, in the relevant steps."""
         ledger, left = world.ledger, ATTACK[1]
         if world.t == left:
             self._missing = ledger.born.keys() - ledger.arrived.keys()
@@ -246,7 +247,7 @@ class Attack:
         }  # fmt: skip
 
 
-#: By the name that a `Run` gives.
+#: By the names that a `Run` uses.
 MEASURES: dict[str, Callable[[], Measure]] = {
     "origins": Origins,
     "basins": Basins,

@@ -1,4 +1,5 @@
-"""What becomes of data when the sources of radiation move: fitness is a step old, and a safe place does not stay so."""
+"""What becomes of data when the sources of radiation move: fitness is a step old, and a safe place does not stay
+safe."""
 
 from __future__ import annotations
 
@@ -6,15 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rass_mav.experiment.curves import (
-    NAN,
     by_policy,
     final_reliability,
+    mean_curve,
     mean_delay,
     over_time,
     reliability,
     summary_estimate,
 )
-from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.figures import SHARE, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
@@ -41,7 +42,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     groups = {variant: by_policy(r for r in results if r.variant == variant) for variant in drifts}
     rows: list[list[object]] = []
     cells: list[list[str]] = []
-    lines: dict[str, list[tuple[float, float, float]]] = {}
+    lines: dict[str, list[tuple[float, list[float]]]] = {}
     for variant, policies in groups.items():
         for policy, group in policies.items():
             kept = summary_estimate(group, final_reliability)
@@ -49,8 +50,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
             drift = drifts[variant]
             rows.append([drift, policy, len(group), group[0].steps, *figures_of(kept), *figures_of(delay)])
             cells.append([f"{drift:g}", policy_style(policy).label, cell(kept, 3), cell(delay)])
-            point = (drift, NAN, 0.0) if kept is None else (drift, kept.mean, kept.half_width or 0.0)
-            lines.setdefault(policy, []).append(point)
+            lines.setdefault(policy, []).append((drift, [final_reliability(result) for result in group]))
     some = results[0]
     runs = len(next(iter(next(iter(groups.values())).values())))
     note = f"mean of {counted(runs, 'band')}"
@@ -63,15 +63,16 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     against_drift = []
     for policy, points in lines.items():
         style = policy_style(policy)
-        x, y, half = zip(*points, strict=True)
-        against_drift.append(Curve(style.label, x, y, style.color, style.marker, half if runs > 1 else None))
+        x, columns = zip(*points, strict=True)
+        against_drift.append(mean_curve(style.label, style.color, style.marker, x, list(zip(*columns, strict=True))))
     return [
         write_runs(out / "runs.csv", results),
         write_csv(out / "table.csv", TABLE_COLUMNS, rows),
         write_text(out / "table.md", text),
         draw(
             out / "reliability-by-drift.png",
-            [Panel(f"Moving sources: {some.topology}", "drift of each source (m a step)", _Y_LABEL, against_drift)],
+            [Panel(f"Moving sources: {some.topology}", "drift of each source (m a step)", _Y_LABEL, against_drift,
+                   bounds=SHARE)],
             note=note,
         ),
         draw(
@@ -79,7 +80,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
             [
                 Panel(
                     f"Drift {drifts[variant]:g} m a step", "step", _Y_LABEL,
-                    [over_time(group, reliability) for group in policies.values()], (0, 1.03),
+                    [over_time(group, reliability) for group in policies.values()], (0, 1.03), bounds=SHARE,
                 )
                 for variant, policies in groups.items()
             ],

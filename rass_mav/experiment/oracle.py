@@ -1,11 +1,11 @@
 """The ceiling: what an oracle would save that knows all places, links and levels of a run beforehand.
 
-It keeps one copy of each datum and has no limit of bandwidth or room. Its data live by the order of events of the mock
-swarm (docs/simulation.md): a datum made in step t is struck for the first time in step t + 1, and may then stay, or go
-one hop over a link of step t + 1. So a datum made h hops from the base is struck at least h times. What is held at the
-end counts as kept, as it does in a run's reliability.
+It keeps one copy of each datum and has no limit of bandwidth or capacity. Its data follow the order of events of the
+mock swarm (docs/simulation.md): a datum created in step t is struck for the first time in step t + 1, and may then
+stay, or go one hop over a link of step t + 1. So a datum created h hops from the base is struck at least h times. Data
+held at the end count as kept, as they do in a run's reliability.
 
-Let S_t(i) be the chance that a datum which lies at drone i when step t begins is not lost before the end, q_i(t) the
+Let S_t(i) be the chance that a datum which is at drone i when step t begins is not lost before the end, q_i(t) the
 probability of Eq. 2 at i, and N_i(t) the nodes in i's range in step t:
 
     S_T(i) = 1                                                              when step T - 1, the last, is over
@@ -43,7 +43,7 @@ class Moment(NamedTuple):
 
 
 def survival(moments: Sequence[Moment], nodes: int, bases: int) -> list[list[float]]:
-    """S_t(i) of the module's text as [t][i], t = 0 .. T.
+    """S_t(i) of the module's docstring as [t][i], t = 0 .. T.
 
     `moments`: steps 0 .. T - 1. The nodes 0 .. bases - 1 are bases.
     """
@@ -64,7 +64,7 @@ def survival(moments: Sequence[Moment], nodes: int, bases: int) -> list[list[flo
 
 
 def is_due(data: DataSettings, node: int, step: int) -> bool:
-    """Whether a drone that is on makes a datum in this step."""
+    """Whether a drone that is on creates a datum in this step."""
     if not data.interval_steps or (data.until_step is not None and step >= data.until_step):
         return False
     phase = {"step-id": node, "step+id": -node, "together": 0}[data.due]
@@ -74,8 +74,8 @@ def is_due(data: DataSettings, node: int, step: int) -> bool:
 class Ceiling:
     """The measure: the share of all data that the oracle expects to keep.
 
-    It is over the data that are due, not over those that were made. So it is the same for all policies, also for one
-    whose nodes are too full to make data.
+    It counts the data that are due, not those that were created. So it is the same for all policies, even for one whose
+    nodes are too full to create data.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class Ceiling:
         """Those of the step before."""
 
     def after(self, world: World) -> None:
-        """Note the links, the levels and the failures of this step, and who makes data in it."""
+        """Record the links, the levels and the failures of this step, and the drones that create data in it."""
         scenario = world.scenario
         step = world.t - 1
         self._nodes, self._bases = scenario.nodes, scenario.bases

@@ -1,4 +1,4 @@
-"""The paper's simulations: four topologies, three ways of storing, two worlds. Its Table I and its figures."""
+"""The paper's simulations: four topologies, three ways to store, two worlds. Its Table I and its figures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rass_mav.experiment.curves import (
     summary_estimate,
     total_stored,
 )
-from rass_mav.experiment.figures import Curve, Panel, draw, policy_style
+from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.published import TABLE_1, Published
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted
@@ -27,9 +27,9 @@ from rass_mav.swarm.catalogue import shipped
 
 WORLDS = ("paper", "reference")
 TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
-#: What is compared unless other policies are asked for.
+#: The policies compared by default.
 POLICIES = ("rass", "hop-count", "stigmergy")
-#: What may be asked for. `rass-literal` is a reading of the text, so it runs in the world `paper` only.
+#: The policies available. `rass-literal` is a reading of the text, so it runs in the world `paper` only.
 ALL_POLICIES = (*POLICIES, "rass-literal")
 
 TOPOLOGY_TITLES = {
@@ -43,12 +43,12 @@ TABLE_COLUMNS = (
     "memory_mean", "memory_ci95", "reliability_authors", "reliability_mean", "reliability_ci95",
 )  # fmt: skip
 DISTANCE_COLUMNS = ("world", "topology", "policy", *distances.COLUMNS)
-#: The delay at which distributions are cut off in figures leaves at most this share of the data out.
+#: Figures cut distributions off at a delay that at most this share of the data exceeds.
 _TAIL = 0.02
 
 
 def plan(extent: Extent, worlds: Sequence[str], topologies: Sequence[str], policies: Sequence[str]) -> list[Run]:
-    """The runs of each combination. Raises `ConfigError`, for a missing scenario too."""
+    """The runs of each combination. Raises `ConfigError`, also for a missing scenario."""
     known = shipped()
     planned = []
     for world in worlds:
@@ -164,7 +164,9 @@ def _reliability(title: str, topology: str, policies: dict[str, list[Result]], p
         if authors is not None:
             style = policy_style(policy)
             curves.append(Curve(f"{style.label}, authors", authors.step, authors.reliability, style.color, line="--"))
-    return Panel(f"Reliability over time: {title}", "step", "reliability (1 - lost / created)", curves, (0, 1.03))
+    return Panel(
+        f"Reliability over time: {title}", "step", "reliability (1 - lost / created)", curves, (0, 1.03), bounds=SHARE
+    )
 
 
 def _stored(title: str, topology: str, policies: dict[str, list[Result]], published: Published) -> Panel:
@@ -216,4 +218,4 @@ def _cut(delays: dict[int, int], total: int) -> int:
 
 def _delay_by_distance(title: str, policies: dict[str, list[Result]]) -> Panel:
     groups = [(policy_style(policy), results) for policy, results in policies.items() if policy != "stigmergy"]
-    return distances.panel(f"Mean delay by distance of birth: {title}", groups)
+    return distances.panel(f"Mean delay by distance at creation: {title}", groups)

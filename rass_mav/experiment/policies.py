@@ -1,4 +1,4 @@
-"""All policies beside each other, with spare copies and immediate forwarding and without: what safety costs.
+"""Comparison of all policies, with and without spare copies and immediate forwarding: what safety costs.
 
 All run in the world `paper` with the same seeds: the same places, motion, sources, noise and failures. So they are
 compared run by run. The ceiling is what an oracle would keep with one copy (`oracle`).
@@ -15,10 +15,10 @@ from typing import Any
 from rass_mav.errors import ConfigError
 from rass_mav.experiment import distances
 from rass_mav.experiment.comparison import Comparison, compare
-from rass_mav.experiment.figures import LEVEL, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
+from rass_mav.experiment.figures import LEVEL, SHARE, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
 from rass_mav.experiment.runs import Extent, Result, Run
-from rass_mav.experiment.statistics import Estimate, counted
+from rass_mav.experiment.statistics import Estimate, Interval, counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings, kinds
 from rass_mav.swarm.ledger import LOST
@@ -34,7 +34,7 @@ class Place:
     title: str
     scenario: str
     keys: dict[str, Any] = field(default_factory=dict)
-    """What differs from the scenario."""
+    """Differences from the scenario."""
 
 
 #: By the name that `--topology` takes.
@@ -50,7 +50,7 @@ PLACES = {
 
 @dataclass(frozen=True)
 class Look:
-    """How a variant is called and drawn."""
+    """The name and the drawing style of a variant."""
 
     title: str
     marker: str
@@ -58,11 +58,11 @@ class Look:
 
 @dataclass(frozen=True)
 class Variant:
-    """How data are kept and passed on, whatever the policy."""
+    """How data are kept and handed over, whatever the policy."""
 
     look: Look
     keys: dict[str, Any] = field(default_factory=dict)
-    """What differs from the scenarios, which have one copy, one hop a step and no receipts."""
+    """Differences from the scenarios, which have one copy, one hop a step and no receipts."""
     policies: tuple[str, ...] = _HAND_ON
     """Which policies have it."""
 
@@ -90,12 +90,12 @@ VARIANTS = {
         },
     ),
 }  # fmt: skip
-#: Stigmergy has no variants: what is new is broadcast once, and kept by all who have room.
+#: Stigmergy has no variants: new data are broadcast once, and kept by all nodes with space.
 EVERYWHERE = Look("copies everywhere", "X")
 
 #: Policy and variant that the others are compared with.
 REFERENCE = ("rass", "plain")
-#: What `Run.world` says of runs without and with failures.
+#: `Run.world` of runs without and with failures.
 WORLD, FAILING = "paper", "paper-failures"
 
 _REASONS = tuple(fate.value for fate in LOST)
@@ -110,7 +110,7 @@ DISTANCE_COLUMNS = ("world", "topology", "policy", "variant", *distances.COLUMNS
 
 #: The runs of each world and topology, by policy and variant.
 Groups = dict[tuple[str, str], dict[tuple[str, str], list[Result]]]
-#: What is told of them.
+#: The figures reported for them.
 Compared = dict[tuple[str, str], dict[tuple[str, str], Comparison]]
 
 
@@ -122,7 +122,7 @@ def plan(
     *,
     die_fraction: float | None = None,
 ) -> list[Run]:
-    """The runs of each combination; with `die_fraction` (0..1) all of them once more, failing.
+    """The runs of each combination; with `die_fraction` (0..1) all of them once more, with failures.
 
     Raises `ConfigError`.
     """
@@ -179,7 +179,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
             panels = _delays(_title(world, topology, here), here) if where == topology else []
             if panels:
                 name = f"delay-by-distance-{topology}{'-failures' if world == FAILING else ''}.png"
-                note = f"each point: mean over the means of {_count(results)}"
+                note = f"each point: mean over the means of {_count(results, 'band')}"
                 files.append(draw(out / name, panels, columns=min(2, len(panels)), note=note))
     return files
 
@@ -206,7 +206,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _text(groups: Groups, compared: Compared) -> str:
-    """A table a topology and world."""
+    """A table for each topology and world."""
     some = next(iter(groups.values()))
     first = next(iter(some.values()))
     reference = f"{policy_style(REFERENCE[0]).label}, {_look(*REFERENCE).title}"
@@ -243,7 +243,7 @@ def _cells(policy: str, variant: str, c: Comparison) -> list[str]:
 
 
 def _delay(policy: str, c: Comparison) -> Estimate | None:
-    # Stigmergy knows no base: its delays would be those of copies that happen to come there.
+    # Stigmergy knows no base: its delays would be those of copies that happen to reach one.
     return None if policy == "stigmergy" else c.delay
 
 
@@ -256,22 +256,22 @@ def _title(world: str, topology: str, here: dict[tuple[str, str], list[Result]])
     return f"{title}, {died} of {summary['nodes'] - summary['bases']} drones die"
 
 
-def _count(results: Sequence[Result]) -> str:
-    return counted(len({result.seed for result in results}), "error bars")
+def _count(results: Sequence[Result], interval: Interval) -> str:
+    return counted(len({result.seed for result in results}), interval)
 
 
 # -- figures -----------------------------------------------------------------------------------------------------------
 
 
 def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -> Path:
-    """Reliability against what is sent for it: a panel a world."""
+    """Reliability against data sent: a panel a world."""
     here = {world: runs for (world, where), runs in compared.items() if where == topology}
     points = {world: {what: _point(what, c) for what, c in runs.items()} for world, runs in here.items()}
     # Stigmergy keeps a fiftieth of the data: it would squeeze all others into a corner.
     framing = [p for found in points.values() for (policy, _), p in found.items() if policy != "stigmergy"]
     framing = framing or [p for found in points.values() for p in found.values()]
-    widest = max(point.x + point.x_half for point in framing)
-    lowest = min(point.y - point.y_half for point in framing)
+    widest = max(point.x.reach[1] for point in framing)
+    lowest = min(point.y.reach[0] for point in framing)
     panels = []
     for world, runs in here.items():
         ceiling = next(iter(runs.values())).ceiling
@@ -280,7 +280,8 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
                 f"What safety costs: {_title(world, topology, groups[world, topology])}",
                 "data and copies sent per datum created", "reliability (1 - lost / created)",
                 list(points[world].values()), (0.0, 1.08 * widest or 1.0),
-                (max(0.0, math.floor(10 * lowest) / 10), 1.01), None if ceiling is None else ceiling.mean,
+                (max(0.0, math.floor(10 * lowest) / 10), 1.01), SHARE,
+                None if ceiling is None else ceiling.mean,
             )
         )  # fmt: skip
     used = dict.fromkeys(what for runs in here.values() for what in runs)
@@ -290,7 +291,7 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
     keys.append(replace(LEVEL, label="ceiling: an oracle with one copy,\none hop a step"))
     some = next(iter(groups.values()))
     note = (
-        f"mean of {_count(next(iter(some.values())))}; in brackets: points outside of the axes\n"
+        f"mean of {_count(next(iter(some.values())), 'error bars')}; in brackets: points outside the axes\n"
         "the ceiling bounds one copy with one hop a step; spare copies and immediate forwarding can be above it"
     )
     return draw_scatter(path, panels, keys, note=note)
@@ -299,7 +300,7 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
 def _point(what: tuple[str, str], c: Comparison) -> Point:
     return Point(
         replace(policy_style(what[0]), marker=_look(*what).marker),
-        c.transmissions.mean, c.reliability.mean, c.transmissions.half_width or 0.0, c.reliability.half_width or 0.0,
+        c.transmissions, c.reliability,
     )  # fmt: skip
 
 

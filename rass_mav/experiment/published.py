@@ -1,4 +1,4 @@
-"""What the authors published: Table I of the paper, and their averaged raw results where the files are given.
+"""The authors' published results: Table I of the paper, and their averaged raw results where the files are available.
 
 Table I is in arXiv 2201.01349, section IV. The files come from the public repository MISTLab/RASS.
 """
@@ -37,7 +37,7 @@ class AuthorsCurve:
     reliability: list[float] = field(default_factory=list)
     """1 - lost / created."""
     swarm: list[float] = field(default_factory=list)
-    """Items in all stores but the base's."""
+    """Items in all stores except the base's."""
     base: list[float] = field(default_factory=list)
     """Distinct items at the base."""
 
@@ -48,11 +48,11 @@ class Published:
 
     curves: dict[tuple[str, str], AuthorsCurve] = field(default_factory=dict)
     delays: dict[tuple[str, str], dict[int, int]] = field(default_factory=dict)
-    """Delay in steps -> data that arrived after it, of all runs together."""
+    """Delay in steps -> data that arrived after it, in all runs together."""
 
 
 def default_directory() -> Path | None:
-    """shared/data/paper beside the project, if it is there. The product does not ship the files."""
+    """shared/data/paper beside the project, if it exists. The product does not ship the files."""
     path = Path(__file__).parents[3] / "shared" / "data" / "paper"
     return path if (path / "curves.csv").is_file() else None
 

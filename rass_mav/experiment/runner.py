@@ -1,4 +1,4 @@
-"""Does the runs of an experiment, on several processes or a cluster, and keeps each that is finished."""
+"""Does the runs of an experiment, on several processes or a cluster, and stores each finished one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import msgspec
 from rass_mav.errors import ConfigError, RassError, os_errors_as, why
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 
-#: Given how many runs there are to do, shows how many are done.
+#: Called with the number of runs to do; shows how many are done.
 Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
 
 
@@ -29,7 +29,7 @@ class Outcome:
     """All results of an experiment."""
 
     results: list[Result]
-    """In the order in which the runs were asked for."""
+    """In the order in which the runs were requested."""
     done: int
     """How many were done now."""
     reused: int
@@ -37,16 +37,16 @@ class Outcome:
 
 
 class FinishedRuns:
-    """Finished runs on disk, one JSON file each. A file is whole or not there, whenever the process is killed."""
+    """Finished runs on disk, one JSON file each. A file is complete or missing, whenever the process is killed."""
 
     def __init__(self, directory: Path) -> None:
-        """Makes the directory. Raises `RassError` if it cannot."""
+        """Creates the directory. Raises `RassError` if that fails."""
         self.directory = directory
         with os_errors_as(RassError, directory):
             directory.mkdir(parents=True, exist_ok=True)
 
     def find(self, run: Run) -> Result | None:
-        """What a run left earlier; None if it was not finished, or its file cannot be read as such."""
+        """The results of an earlier run; None if it was not finished, or its file cannot be read."""
         path = self.directory / run.file_name
         try:
             result = msgspec.json.decode(path.read_bytes(), type=Result)
@@ -57,9 +57,9 @@ class FinishedRuns:
         return result if result.key == run.key else None
 
     def keep(self, run: Run, result: Result) -> None:
-        """Write a finished run. Raises `RassError` if the disk does not take it."""
+        """Store a finished run. Raises `RassError` if it cannot be written."""
         path = self.directory / run.file_name
-        # The same call may run twice at a time: each writes a file of its own, and both rename the same content.
+        # The same call may run twice at a time: each writes its own file, and both rename the same content.
         draft = path.with_suffix(f".{os.getpid()}.part")
         with os_errors_as(RassError, path):
             try:
@@ -74,9 +74,9 @@ def run_all(
 ) -> Outcome:
     """Do those of `runs` that are not in `directory` yet.
 
-    `jobs`: processes at a time, at least 1. `dask`: address of a Dask scheduler that is used instead. After an
-    interruption the same call goes on where it was; at most `jobs` unfinished runs are done again.
-    Raises `RassError` if a run or a worker fails; what is finished stays.
+    `jobs`: processes at a time, at least 1. `dask`: address of a Dask scheduler to use instead. After an interruption
+    the same call continues where it stopped; at most `jobs` unfinished runs are done again. Raises `RassError` if a run
+    or a worker fails; finished runs stay.
     """
     archive = FinishedRuns(directory)
     code = code_fingerprint()
@@ -84,7 +84,7 @@ def run_all(
     found = {run.file_name: archive.find(run) for run in runs}
     waiting = list({run.file_name: run for run in runs if found[run.file_name] is None}.values())
     show = progress or _silent
-    # Closed at once when somebody interrupts while a result is being written: workers end then.
+    # Closed at once when the user interrupts while a result is being written: workers then end.
     with show(len(waiting)) as advance, contextlib.closing(_execute_all(waiting, jobs, dask)) as finished:
         for run, result in finished:
             archive.keep(run, result)
@@ -112,12 +112,13 @@ def _execute_all(runs: Sequence[Run], jobs: int, dask: str | None) -> Generator[
             for future in concurrent.futures.as_completed(futures):
                 yield futures[future], future.result()
         except BrokenProcessPool:
-            raise RassError("a worker process died; finished runs are kept, the same command goes on") from None
+            raise RassError("a worker process died; finished runs are kept, the same command continues") from None
 
 
 @contextlib.contextmanager
 def _processes(count: int) -> Iterator[concurrent.futures.Executor]:
-    """Processes that are started afresh (spawn): the same on every system, and nothing is inherited by accident."""
+    """Processes that are started from scratch (spawn): the same on every system, and nothing is inherited by
+    accident."""
     context = multiprocessing.get_context("spawn")
     level = logging.getLogger().getEffectiveLevel()
     others = set(multiprocessing.active_children())
@@ -127,8 +128,8 @@ def _processes(count: int) -> Iterator[concurrent.futures.Executor]:
         try:
             yield pool
         except BaseException:
-            # Runs that have begun are given up: nobody waits for them. The pool finds its workers gone and drops the
-            # rest; cancelling that first would make the pool's own thread stumble (Python 3.10 and 3.11).
+            # Runs that have begun are given up. The pool finds its workers gone and drops the rest; cancelling that
+            # first would make the pool's own thread fail (Python 3.10 and 3.11).
             for child in set(multiprocessing.active_children()) - others:
                 child.terminate()
             raise
@@ -164,5 +165,5 @@ def _cluster(address: str) -> Iterator[concurrent.futures.Executor]:
         try:
             yield pool
         finally:
-            # Does not wait: all is done, or what is not is given up.
+            # Does not wait: either all runs are done, or the others are given up.
             pool.shutdown(wait=False)

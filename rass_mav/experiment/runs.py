@@ -1,4 +1,4 @@
-"""One run of an experiment: what determines it, how it is done, what it leaves."""
+"""One run of an experiment: what determines it, how it is done, and its results."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
 
-#: Raised when what a run leaves changes its form.
+#: Increase it when the form of a run's results changes.
 FORMAT = 1
 
 _PACKAGE = Path(__file__).parents[1]
-#: What a run's outcome depends on: these rooms with their data files, and this room's modules that look.
+#: What a run's outcome depends on: these packages with their data files, and this package's measuring modules.
 _ROOMS = ("config", "core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm")
 _MODULES = ("experiment/measures.py", "experiment/oracle.py", "experiment/runs.py")
 
 
 @functools.cache
 def code_fingerprint() -> str:
-    """SHA-256 over the source files that a run's outcome depends on: other code is another run."""
+    """SHA-256 over the source files that a run's outcome depends on: with other code it is another run."""
     digest = hashlib.sha256()
     files = [path for room in _ROOMS for path in (_PACKAGE / room).rglob("*") if path.is_file()]
     files += [_PACKAGE / module for module in _MODULES]
@@ -43,18 +43,18 @@ def code_fingerprint() -> str:
 
 @dataclass(frozen=True)
 class Run:
-    """One run, to be done here or in another process."""
+    """One run, in this process or another."""
 
     world: str
     """The experiment's name for its scenario: `paper`, `reference`, `five-drones`."""
     variant: str
-    """What else sets it apart within its experiment, or empty."""
+    """Further distinction within its experiment, or empty."""
     scenario: Scenario
-    """All keys, the seed and the policy among them."""
+    """All keys, including the seed and the policy."""
     measures: tuple[str, ...] = ()
     """Names in `MEASURES`."""
     code: str = ""
-    """`code_fingerprint` of who asks for the run; empty: do not compare."""
+    """`code_fingerprint` of the process that requested the run; empty: do not compare."""
 
     @property
     def policy(self) -> str:
@@ -75,7 +75,7 @@ class Run:
 
 
 class Extent(NamedTuple):
-    """How much an experiment does of each of its cases."""
+    """How many runs an experiment does for each of its cases."""
 
     runs: int
     """Seeds 0 .. runs - 1."""
@@ -93,7 +93,7 @@ class Extent(NamedTuple):
         keys: Mapping[str, Any] | None = None,
         measures: tuple[str, ...] = (),
     ) -> list[Run]:
-        """The runs of a scenario under each policy. `keys`: what differs from the scenario. Raises `ConfigError`."""
+        """The runs of a scenario under each policy. `keys`: differences from the scenario. Raises `ConfigError`."""
         planned = []
         for policy in policies:
             options = {"policy.name": policy, "steps": self.steps, **(keys or {})}
@@ -103,7 +103,7 @@ class Extent(NamedTuple):
 
 
 class Result(msgspec.Struct):
-    """What a run leaves: one small JSON file."""
+    """The results of a run: one small JSON file."""
 
     key: str
     world: str
@@ -124,7 +124,7 @@ class Result(msgspec.Struct):
 
 
 def execute(run: Run) -> Result:
-    """Do a run. Raises `RassError` if this process has other code than the one that asked."""
+    """Do a run. Raises `RassError` if the code of this process differs from that of the requesting one."""
     if run.code and run.code != code_fingerprint():
         raise RassError("a worker has another version of rass_mav than this process: install the same one")
     world = World(run.scenario)
@@ -136,7 +136,7 @@ def execute(run: Run) -> Result:
         for measure in watching:
             measure.after(world)
 
-    # The swarm lives to the end: the garbage collector need not look through it again and again.
+    # The swarm lives to the end: the garbage collector need not check it again and again.
     gc.collect()
     gc.freeze()
     try:

@@ -1,11 +1,16 @@
-"""Means over runs and how sure they are."""
+"""Means over runs and their confidence."""
 
 from __future__ import annotations
 
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
+
+#: So many runs make an interval worth drawing. With fewer, figures show each run by itself.
+ENOUGH_RUNS = 5
+#: How a figure shows an interval.
+Interval: TypeAlias = Literal["band", "error bars"]
 
 
 class Estimate(NamedTuple):
@@ -14,8 +19,34 @@ class Estimate(NamedTuple):
     mean: float
     half_width: float | None
     """Half of the confidence interval; None with fewer than two values."""
-    runs: int
-    """How many."""
+    values: tuple[float, ...]
+    """Of each run."""
+
+    @property
+    def runs(self) -> int:
+        """How many."""
+        return len(self.values)
+
+    @property
+    def drawn(self) -> float | None:
+        """Half of the interval, where a figure shows it."""
+        return self.half_width if self.runs >= ENOUGH_RUNS else None
+
+    @property
+    def singles(self) -> tuple[float, ...]:
+        """What a figure shows in its place: the runs, if there is more than one."""
+        return self.values if 1 < self.runs < ENOUGH_RUNS else ()
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """From where to where a figure shows it."""
+        shown = (self.mean - (self.drawn or 0.0), self.mean + (self.drawn or 0.0), *self.singles)
+        return min(shown), max(shown)
+
+    def times(self, factor: float) -> Estimate:
+        """The same in another unit."""
+        half = None if self.half_width is None else factor * self.half_width
+        return Estimate(factor * self.mean, half, tuple(factor * value for value in self.values))
 
     def text(self, digits: int = 2) -> str:
         """For tables: mean +- half width."""
@@ -27,24 +58,28 @@ class Estimate(NamedTuple):
 def estimate(values: Sequence[float], confidence: float = 0.95) -> Estimate | None:
     """Mean and its two-sided confidence interval by Student's t. None without values.
 
-    The half width is t s / sqrt(n): s the sample's standard deviation, t the quantile for n - 1 degrees of freedom.
-    It says how sure the mean is, not how far single runs scatter.
+    The half width is t s / sqrt(n): s is the sample's standard deviation, t the quantile for n - 1 degrees of freedom.
+    It shows how sure the mean is, not how far single runs scatter.
     """
     n = len(values)
     if not n:
         return None
     mean = math.fsum(values) / n
     if n == 1:
-        return Estimate(mean, None, 1)
+        return Estimate(mean, None, tuple(values))
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / (n - 1))
-    return Estimate(mean, t_quantile(0.5 + confidence / 2, n - 1) * deviation / math.sqrt(n), n)
+    return Estimate(mean, t_quantile(0.5 + confidence / 2, n - 1) * deviation / math.sqrt(n), tuple(values))
 
 
-def counted(runs: int, interval: str = "") -> str:
-    """So many runs, in words; `interval`: how a figure shows the confidence interval that several runs have."""
+def counted(runs: int, interval: Interval | None = None) -> str:
+    """The number of runs, in words. `interval`: how a figure shows the confidence interval of several runs."""
     if runs == 1:
         return "1 run"
-    return f"{runs} runs" + (f", {interval}: 95 % confidence interval" if interval else "")
+    if interval is None:
+        return f"{runs} runs"
+    if runs >= ENOUGH_RUNS:
+        return f"{runs} runs, {interval}: 95 % confidence interval"
+    return f"{runs} runs, {'thin lines' if interval == 'band' else 'dots'}: the single runs"
 
 
 def t_between(t: float, degrees: int) -> float:

@@ -11,12 +11,12 @@ from rass_mav.errors import RassError, os_errors_as
 from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import Estimate
 
-#: Columns of runs.csv that say which run a row is; the summary's scalars follow.
+#: Columns of runs.csv that identify a row's run; the summary's scalars follow.
 RUN_COLUMNS = ("world", "topology", "policy", "variant", "seed", "steps")
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
-    """A CSV file with a header; None is an empty field. Raises `RassError` if the disk does not take it."""
+    """A CSV file with a header; None is an empty field. Raises `RassError` if it cannot be written."""
     with os_errors_as(RassError, path), path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -25,7 +25,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object
 
 
 def write_text(path: Path, text: str) -> Path:
-    """A text file. Raises `RassError` if the disk does not take it."""
+    """A text file. Raises `RassError` if it cannot be written."""
     with os_errors_as(RassError, path):
         path.write_text(text, encoding="utf-8")
     return path
@@ -49,7 +49,7 @@ def flatten(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, obj
 def write_runs(path: Path, results: Sequence[Result]) -> Path:
     """runs.csv: a row a run, `RUN_COLUMNS`, then the scalars of the summary."""
     flat = [dict(flatten(result.summary)) for result in results]
-    # Some runs have more to tell than others: whole-robot failures, for one.
+    # Some runs have more columns than others: those with failures of robots, for example.
     columns = [key for key in dict.fromkeys(key for values in flat for key in values) if key not in RUN_COLUMNS]
     rows = [
         [r.world, r.topology, r.policy, r.variant, r.seed, r.steps, *(values.get(c) for c in columns)]
@@ -59,7 +59,7 @@ def write_runs(path: Path, results: Sequence[Result]) -> Path:
 
 
 def cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> str:
-    """A figure in a Markdown table; `sign`: what stands before a mean that is not negative."""
+    """A figure in a Markdown table; `sign`: the text before a mean that is not negative."""
     if value is None:
         return "n/a"
     if not isinstance(value, Estimate):

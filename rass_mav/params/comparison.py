@@ -131,6 +131,8 @@ def _row(entry: Entry, read: Exchange, renamed: dict[str, str], autopilot: Autop
     if not fits(entry.value, live.kind):
         return Row(entry, live, "unfit", f"its type there is {live.kind}, which does not hold {entry.value:.9g}")
     equal = same(entry.value, live.value, live.kind, bytewise=autopilot.bytewise)
+    if equal and entry.name in SYSTEM_ID_NAMES and live.value != autopilot.system_id:
+        return Row(entry, live, "same", f"but the vehicle still uses {autopilot.system_id}: reboot it")
     return Row(entry, live, "same" if equal else "differs")
 
 

@@ -12,7 +12,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 
 from .fitness import FitnessPolicy
 
-#: The authors' neighbour tables are hash tables with so many buckets, each bucket a list.
+#: Buckets of the hash tables that hold the authors' neighbours; each bucket is a list.
 BUCKETS = 10
 
 

@@ -36,8 +36,8 @@ class SurvivalPolicy:
     own_share = 0.4
 
     def __init__(self, *, hop_cost: float = 0.05, hold: float = 100.0, hysteresis: float = 0.8) -> None:
-        """`hop_cost` a > 0; `hold` >= 1: where no base is reachable, staying costs as much as so many hops;
-        `hysteresis` in (0, 1]: another place is chosen only if it costs less than this share of staying."""
+        """`hop_cost` a > 0; `hold` >= 1: the cost of staying where no base is reachable, in hops; `hysteresis` in (0,
+        1]: another place is chosen only if it costs less than this share of staying."""
         if hop_cost <= 0 or hold < 1 or not 0 < hysteresis <= 1:
             raise ValueError("hop_cost must be > 0, hold >= 1, hysteresis in (0, 1]")
         self.hop_cost = hop_cost

@@ -1,1 +1,1 @@
-"""Recorded logs through the nodes in virtual time: real positions and readings, the mock swarm's radio."""
+"""Recorded logs played through the nodes in virtual time: real positions and readings, the mock swarm's radio."""

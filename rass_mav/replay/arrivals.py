@@ -17,13 +17,13 @@ class Arrival(NamedTuple):
     """One datum at the base. Unknown values are None; a CSV leaves them empty."""
 
     origin: int
-    """Node id of the vehicle that made it."""
+    """Node id of the vehicle that created it."""
     system_id: int
     """MAVLink system id of that vehicle."""
     sequence: int
     """Number among its data, from 0."""
     time: str
-    """When it was made, UTC, ISO 8601, to the millisecond."""
+    """When it was created, UTC, ISO 8601, to the millisecond."""
     latitude: float | None
     """Degrees."""
     longitude: float | None
@@ -37,17 +37,17 @@ class Arrival(NamedTuple):
     delay_s: float
     """From its creation to its arrival, seconds."""
     hops: int
-    """Hand-overs on its way."""
+    """Hand-overs so far."""
 
 
 def utc(time_us: int) -> str:
     """Microseconds since 1970 as UTC in ISO 8601, to the millisecond."""
-    # Adding is exact, and knows no year 2038 or local time.
+    # Adding is exact, and unaffected by the year 2038 or local time.
     return (_EPOCH + timedelta(microseconds=time_us)).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def arrivals(swarm: ReplaySwarm) -> list[Arrival]:
-    """What lies at the base, in order of creation."""
+    """The data at the base, in order of creation."""
     ledger, base, recording = swarm.ledger, swarm.stores[0], swarm.recording
     rows = []
     for id, step in sorted(ledger.arrived.items(), key=lambda item: (ledger.born[item[0]], item[0])):
@@ -83,7 +83,7 @@ def write_csv(rows: list[Arrival], file: IO[str]) -> None:
 
 
 def summary(swarm: ReplaySwarm, rows: list[Arrival]) -> dict[str, Any]:
-    """What `replay --json` prints, but for the wall times: the summary of a swarm, and what concerns the logs."""
+    """What `replay --json` prints, except the wall times: the summary of a swarm, and the figures about the logs."""
     recording = swarm.recording
     risk = swarm.agents[0].settings.risk
     readings = [row.reading for row in rows if row.reading is not None]

@@ -1,4 +1,5 @@
-"""A bGeigie log as what an autopilot would have said: so a counter that was driven about replays as a vehicle."""
+"""A bGeigie log as the frames that an autopilot would have sent, so that a counter that was driven around replays as a
+vehicle."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ def system_id_of(log: BgeigieLog) -> int:
 
 
 def spoken(log: BgeigieLog, system_id: int, reading_name: str, meter: DoseMeter) -> Iterator[Record]:
-    """For each measurement a heartbeat, the position where there was a fix, and the reading where it was valid.
+    """For each measurement a heartbeat, the position if there was a fix, and the reading if it was valid.
 
     :param log: with at least one record.
     """

@@ -1,4 +1,4 @@
-"""Where nodes are in metres, and who is in range of whom."""
+"""The places of nodes in metres, and which nodes are in range of each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Point = tuple[float, float, float]
 class Projection:
     """An equirectangular projection around a place: metres east, north and up of it.
 
-    Within 10 km of the place, and below 70 degrees of latitude, distances are right to 1 %.
+    Within 10 km of the place, and below 70 degrees of latitude, distances are accurate to 1 %.
     """
 
     def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
@@ -26,7 +26,7 @@ class Projection:
         self._east = METRES_PER_DEGREE * math.cos(math.radians(latitude))
 
     def point(self, latitude: float, longitude: float, altitude: float) -> Point:
-        """A place in metres. The shorter way round the Earth counts."""
+        """A place in metres, by the shorter way round the Earth."""
         east = (longitude - self._longitude + 540.0) % 360.0 - 180.0
         north = latitude - self._latitude
         return east * self._east, north * METRES_PER_DEGREE, altitude - self._altitude
@@ -35,7 +35,7 @@ class Projection:
 def links(points: Sequence[Point | None], range_m: float) -> list[list[int]]:
     """For each node the ids at most `range_m` metres away (in three dimensions), ascending.
 
-    Who is nowhere (None) has no neighbours. The work is quadratic in the number of nodes.
+    A node without a place (None) has no neighbours. The work is quadratic in the number of nodes.
     """
     neighbours: list[list[int]] = [[] for _ in points]
     limit = (range_m + TOLERANCE_M) ** 2

@@ -1,4 +1,4 @@
-"""What the logs hold: vehicles with their frames, where home is, the largest reading."""
+"""The content of the logs: vehicles with their frames, the place of home, the largest reading."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rass_mav.sensor.settings import CountsSettings
 from .bgeigie import spoken, system_id_of
 from .tlog import Record, TlogReader
 
-# How many bytes of a file are searched for a sentence of a bGeigie.
+# How many bytes of a file are searched for a bGeigie sentence.
 _HEAD = 4096
 
 
@@ -43,7 +43,7 @@ class LogFile:
     used: int
     """Intact records."""
     vehicles: list[Vehicle]
-    """In order of system id; none if no autopilot speaks in it."""
+    """In order of system id; none if it contains no autopilot."""
 
     @property
     def rejected(self) -> int:
@@ -57,7 +57,7 @@ class Recording:
 
     files: list[LogFile]
     vehicles: list[Vehicle] = field(init=False)
-    """In order of file, then system id. The node id of a vehicle is its place here, counted from 1."""
+    """In order of file, then system id. The node id of a vehicle is its index here, counted from 1."""
     start_us: int = field(init=False)
     """The first record of a vehicle, microseconds since 1970."""
     end_us: int = field(init=False)
@@ -80,12 +80,12 @@ class Recording:
 
 
 def has_fix(position: Position) -> bool:
-    """False for latitude and longitude 0, which autopilots say before their first fix; the altitude may be known."""
+    """False for latitude and longitude 0, which autopilots send before their first fix; the altitude may be known."""
     return bool(position.latitude or position.longitude)
 
 
 class _Scan:
-    """One system id of one file, seen by the telemetry that a node uses."""
+    """One system id of one file, with the telemetry that a node uses."""
 
     def __init__(self, system_id: int, reading_name: str) -> None:
         self.records: list[tuple[int, bytes]] = []
@@ -111,7 +111,8 @@ class _Scan:
 
     @property
     def is_vehicle(self) -> bool:
-        """Whether an autopilot speaks: by its heartbeat, or (heartbeats may be damaged) by what only it says."""
+        """Whether it has an autopilot: by its heartbeat, or (heartbeats may be damaged) by messages that only one
+        sends."""
         telemetry = self._telemetry
         return any((telemetry.heartbeat_at is not None, telemetry.position, telemetry.reading, telemetry.home))
 
@@ -121,13 +122,12 @@ def _placed(time_us: int, position: Position | None) -> tuple[int, Position] | N
 
 
 def read_logs(paths: Sequence[str], *, reading_name: str = "RAD", meter: DoseMeter | None = None) -> Recording:
-    """Read logs, damaged ones as far as possible. Vehicles are not the same because they share a system id: each
-    file has its own.
+    """Read logs, damaged ones as far as possible. Two vehicles may share a system id: each file has its own.
 
     :param reading_name: of the NAMED_VALUE_FLOAT that is the reading.
     :param meter: turns the counts of bGeigie logs into readings; None: uSv/h as Safecast does.
     :raises ConfigError: a file cannot be opened.
-    :raises LogError: a file has no valid record, or no vehicle speaks in any.
+    :raises LogError: a file has no valid record, or none contains a vehicle.
     """
     meter = meter or CountsSettings().meter()
     files: list[LogFile] = []
@@ -137,12 +137,12 @@ def read_logs(paths: Sequence[str], *, reading_name: str = "RAD", meter: DoseMet
         files.append(file)
         scans += found
     if not scans:
-        raise LogError(f"{', '.join(paths)}: no vehicle in it: no autopilot (component 1) speaks")
+        raise LogError(f"{', '.join(paths)}: no vehicle in it: no autopilot (component 1) sends frames")
     homes = [scan.home for scan in scans if scan.home] or [scan.first for scan in scans if scan.first]
     readings = [scan.highest for scan in scans if scan.highest is not None]
     return Recording(
         files,
-        # By time, and at the same time by order of vehicles.
+        # By time; records of the same time in the order of vehicles.
         home=min(homes, key=lambda placed: placed[0])[1] if homes else None,
         highest=max(readings, default=None),
     )
@@ -172,7 +172,7 @@ def _read(path: str, reading_name: str, meter: DoseMeter) -> tuple[LogFile, list
     found = {system_id: scan for system_id, scan in sorted(scans.items()) if scan.is_vehicle}
     vehicles = []
     for system_id, scan in found.items():
-        # Stable: what was recorded at the same microsecond stays in the order of the file.
+        # Stable: records of the same microsecond stay in the order of the file.
         scan.records.sort(key=lambda record: record[0])
         vehicles.append(Vehicle(path, system_id, scan.records))
     return LogFile(path, reader.read, used, vehicles), list(found.values())

@@ -1,4 +1,4 @@
-"""What can be set of a replay: the keys of a scenario, but for those that the logs decide."""
+"""The settings of a replay: the keys of a scenario, except those that the logs determine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rass_mav.swarm.scenario import NodeSection, RadioSection
 
 
 class ReplayNodeSection(NodeSection):
-    """What concerns every node."""
+    """Settings of every node."""
 
     step_s: Positive = 1.0
     """Length of a step, seconds."""
@@ -30,15 +30,15 @@ class ReplayRadioSection(RadioSection):
     """The air between the nodes."""
 
     range_m: Positive = 100.0
-    """Who is at most this far away hears, metres in three dimensions."""
+    """Nodes at most this far away hear a frame, metres in three dimensions."""
 
 
 class ReplayRadiationSection(Section):
     """What radiation does to stored data."""
 
     corruption: bool = False
-    """Whether data in a drone's store are struck in each step, with the risk that its reading means as probability
-    (Eq. 2, the reading taken for one source). Where the reading is unknown nothing is struck."""
+    """Whether data in a drone's store are struck in each step. The probability is the risk from its reading (Eq. 2,
+    with the reading taken for one source). Where the reading is unknown nothing is struck."""
 
 
 class ReplaySettings(Section):
@@ -58,8 +58,8 @@ class ReplaySettings(Section):
     radiation: ReplayRadiationSection = ReplayRadiationSection()
 
     def with_highest(self, highest: float | None) -> ReplaySettings:
-        """`risk.high` at the largest reading of the logs, above background; if that is not above `risk.low` (or there
-        is no reading), 1 above it, so that every reading there means risk 0."""
+        """Set `risk.high` to the largest reading of the logs, above background. If that is not above `risk.low` (or
+        there is no reading), set it 1 above `risk.low`, so that every reading means risk 0."""
         low = self.risk.low
         above = None if highest is None else highest - self.risk.background
         high = above if above is not None and above > low else low + 1.0
@@ -88,7 +88,7 @@ def load_settings(range_m: float | None = None, assignments: Sequence[str] = ())
 
     :param range_m: `--range`.
     :param assignments: of `--set`, each `key.path=value`; they come last.
-    :returns: the settings, and whether `risk.high` was left open: then `with_highest` is to fill it in.
+    :returns: the settings, and whether `risk.high` was left open: `with_highest` must then fill it in.
     :raises ConfigError: names the key.
     """
     raw: dict[str, Any] = {}
@@ -100,7 +100,7 @@ def load_settings(range_m: float | None = None, assignments: Sequence[str] = ())
     is_open = isinstance(risk, dict) and "high" not in risk
     low = risk.get("low", 0.0) if is_open else None
     if isinstance(low, (int, float)):
-        # Some value above `low`, until the logs are read.
+        # Any value above `low`, until the logs have been read.
         risk["high"] = low + 1.0
     settings = build_with(raw, ReplaySettings, mistakes)
     mistakes.check()

@@ -1,17 +1,17 @@
 """Reading telemetry logs (.tlog), damaged ones too.
 
-A record is 8 bytes, big-endian microseconds since 1970, then one MAVLink frame. Three things prove a record: a time
-that can be, a frame that is whole, and its checksum. What is not proved is rejected and counted: one for each record as
-far as records can be told apart, else one for each damaged stretch. Behind a damaged stretch the reader looks for the
-next record that is proved.
+A record is 8 bytes, big-endian microseconds since 1970, then one MAVLink frame. Three things prove a record: a
+plausible time, a complete frame, and its checksum. Unproved records are rejected and counted: one for each record as
+far as records can be distinguished, else one for each damaged stretch. After a damaged stretch the reader looks for the
+next proved record.
 
-A message that the common dialect does not know has an unknown CRC_EXTRA. It is believed if it stands where a record is
-expected and some CRC_EXTRA makes its checksum good: a damaged frame passes that test once in 256 times, and nodes
+A message that the common dialect does not know has an unknown CRC_EXTRA. It is accepted if it is where a record is
+expected and some CRC_EXTRA makes its checksum good. A damaged frame passes that test once in 256 times, and nodes
 ignore the message anyway.
 
-A damaged time cannot be seen by itself. A record more than `NEAR_S` away from the one before waits for the next, and is
-rejected unless that one agrees with it: it is near (the clock was set, or nothing was recorded for a while), or the
-three are in order and little was recorded, a record every `SILENCE_S` at least.
+Nothing in a record shows that its time is damaged. A record more than `NEAR_S` away from the one before waits for the
+next, and is rejected unless that one agrees with it: it is near (the clock was set, or nothing was recorded for a
+while), or the three are in order and little was recorded, with a record at least every `SILENCE_S`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAGIC = re.compile(rb"[\xfd\xfe]")
 _MAX_US = 1 << 52
 _NEAR_US = int(NEAR_S * 1e6)
 _SILENCE_US = int(SILENCE_S * 1e6)
-# Enough to judge a record and the head of the one behind it.
+# Enough to judge a record and the head of the next one.
 _LOOKAHEAD = 2 * (_STAMP + MAX_FRAME)
 _CHUNK = 1 << 16
 _SIGNED = 1
@@ -54,7 +54,7 @@ class Record(NamedTuple):
 
 
 def _agree(before: int | None, doubtful: int, after: int) -> bool:
-    """Whether the next record's time speaks for a doubtful one. All in microseconds."""
+    """Whether the next record's time confirms a doubtful one. All in microseconds."""
     if abs(after - doubtful) <= _NEAR_US:
         return True
     since = 0 if before is None else doubtful - before
@@ -62,7 +62,7 @@ def _agree(before: int | None, doubtful: int, after: int) -> bool:
 
 
 class TlogReader:
-    """Iterate over it once to get the records of a log. Never raises for what is in the file.
+    """Iterate over it once to get the records of a log. Never raises because of the file's content.
 
     At most one chunk of the file is in memory, and the work is linear in its size.
     """
@@ -115,15 +115,15 @@ class TlogReader:
             self.read += 1
             self.rejected += 1
             left = len(self._buffer) - self._at
-            # Where the framing fits, the damage is inside this one record. Or it is in the length, which happens to
-            # end where another record does: then there are proved ones before.
+            # If the framing fits, the damage is inside this one record. Or it is in the length, which happens to end
+            # where another record does: then there are proved ones before.
             if size and (size == left or (size < left and self._size(size))):
                 self._at += self._first_inside(size)
             else:
                 self._search()
 
     def _fill(self) -> bool:
-        """Read on until a record and the head of the next are in the buffer. False: nothing is left."""
+        """Read until a record and the head of the next are in the buffer. False: nothing is left."""
         while not self._ended and len(self._buffer) - self._at < _LOOKAHEAD:
             chunk = self._file.read(_CHUNK)
             self._ended = not chunk
@@ -156,7 +156,7 @@ class TlogReader:
         return Record(int.from_bytes(self._buffer[start : start + _STAMP], "big"), raw, frame)
 
     def _strange(self, raw: bytes) -> bool:
-        """Whether a frame is intact as far as one can tell without knowing its message."""
+        """Whether a frame is intact, as far as can be determined without knowing its message."""
         if raw[0] == MAGIC_V2:
             end, message_id = 10 + raw[1], int.from_bytes(raw[7:10], "little")
         else:
@@ -184,7 +184,7 @@ class TlogReader:
         return size
 
     def _search(self) -> None:
-        """Go on to the next record that is proved, or to the end."""
+        """Go to the next proved record, or to the end."""
         self._at += 1
         while self._fill():
             found = _MAGIC.search(self._buffer, self._at + _STAMP)

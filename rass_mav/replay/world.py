@@ -1,4 +1,4 @@
-"""The swarm of a recording: places and readings are those of the logs."""
+"""The swarm of a recording: places and readings come from the logs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .places import Point, Projection, links
 from .recording import Recording
 from .settings import ReplaySettings
 
-#: A vehicle of which the log has said nothing for longer than this is out of everybody's range, seconds.
+#: A vehicle whose log has been silent for longer than this is out of range of all others, seconds.
 SILENT_S = 10.0
 #: The longest replay, steps.
 MAX_STEPS = 1_000_000
 
 
 class Place(NamedTuple):
-    """Where the base stands."""
+    """The place of the base."""
 
     latitude: float
     """Degrees, -90..90."""
@@ -53,7 +53,7 @@ class ReplaySwarm(VirtualSwarm):
         if self.span_steps > MAX_STEPS:
             raise LogError(
                 f"the logs span {recording.span_s / 86400:.1f} days, more than {MAX_STEPS} steps of {step_s:g} s: "
-                "replay together what was recorded together, or set node.step_s"
+                "replay only logs together that were recorded together, or set node.step_s"
             )
         systems = [None, *(vehicle.system_id for vehicle in recording.vehicles)]
         super().__init__(
@@ -65,7 +65,7 @@ class ReplaySwarm(VirtualSwarm):
         )
         home = recording.home
         self.base: Place | None = None
-        """Where the base stands; None: no log has a position, so nobody is anywhere."""
+        """The place of the base; None: no log has a position, so no node has a place."""
         if home is not None:
             latitude, longitude = base or (home.latitude, home.longitude)
             self.base = Place(latitude, longitude, home.altitude)
@@ -82,7 +82,7 @@ class ReplaySwarm(VirtualSwarm):
         return self._neighbours
 
     def drain(self, steps: int, *, after: Callable[[ReplaySwarm], None] | None = None) -> int:
-        """Go on with the last places of the logs, without new data, until all has arrived or for `steps` steps.
+        """Continue with the last places of the logs, without new data, until all have arrived or for `steps` steps.
 
         Returns how many were needed.
         """

@@ -45,7 +45,7 @@ def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int
             write_numbers(new, "meta", meta)
             own = close_epochs(new, OwnNumbers(life, epoch, 0, 0, 0), node_id, {life: given}, 0)
             write_own(new, own._replace(written=count_rows(new)))
-    return OpenReport(converted=aside, closed=((life, given),), reason="made by the last version")
+    return OpenReport(converted=aside, closed=((life, given),), reason="created by the previous version")
 
 
 def check_old(connection: sqlite3.Connection) -> str:
@@ -57,12 +57,12 @@ def check_old(connection: sqlite3.Connection) -> str:
         "AND length(payload) = size) IS NOT 1 LIMIT 1"
     ).fetchall()
     if bad:
-        return f"row {bad[0][0]} of table datum does not hold what it should"
+        return f"row {bad[0][0]} of table datum has values of a wrong type"
     numbers = read_numbers(connection, "meta")
     read_numbers(connection, "counter")
     if not 0 <= numbers.get("store.epoch", -1) < 1 << 32 or not 0 <= numbers.get("store.next_sequence", -1) <= 1 << 32:
         return "a number of the store's own in table meta is missing, or out of range"
     fates = {row[0] for row in connection.execute("SELECT fate FROM loss").fetchall()}
     if not fates <= _FATES.keys():
-        return "table loss holds a fate that is none"
+        return "table loss has an invalid fate"
     return ""

@@ -198,7 +198,7 @@ class MemoryStore:
 
     def write(self, batch: object) -> None:
         """Never called, since `take` returns nothing; RuntimeError if it is."""
-        raise RuntimeError("a MemoryStore hands out no batches")
+        raise RuntimeError("a MemoryStore has no batches")
 
     def close(self) -> None:
         """Nothing to release."""

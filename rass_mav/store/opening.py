@@ -115,7 +115,7 @@ class Opening(NamedTuple):
         )  # fmt: skip
 
     def _convert(self, aside: Path) -> OpenReport:
-        with explained(self.path, "converting the store of the last version"):
+        with explained(self.path, "converting the store of the previous version"):
             return convert(self.path, aside, self.draw_epoch, self.node_id, self.vfs)
 
     def _find_remains(self) -> str:
@@ -124,7 +124,7 @@ class Opening(NamedTuple):
             # It must go: SQLite would replay it into the new database.
             return "a write-ahead log without its database"
         mark = read_mark(beside(self.path, MARK))
-        return "the database is gone" if mark is not None and (mark.given or mark.rows) else ""
+        return "the database is missing" if mark is not None and (mark.given or mark.rows) else ""
 
     def _examine(self) -> tuple[str, Repairs | None]:
         """What is wrong with the file; if nothing is, the repairs. Neither: it is of the previous version."""
@@ -208,7 +208,7 @@ def version_of(connection: sqlite3.Connection, path: Path) -> int:
     version = int(connection.execute("PRAGMA user_version").fetchall()[0][0])
     if version > SCHEMA_VERSION:
         # Not damage: a person who went back to an older program wants these data, so we refuse to start without them.
-        raise StoreError(f"{path}: made by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
+        raise StoreError(f"{path}: created by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
     if version not in (OLD_VERSION, SCHEMA_VERSION):
         raise Unsound(f"schema version {version}")
     return version

@@ -37,7 +37,7 @@ class SqliteReader:
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
                 if version_of(self._connection, self._path) != schema.SCHEMA_VERSION:
-                    raise StoreError(f"{self._path}: made by the last version, and not converted yet: start the node")
+                    raise StoreError(f"{self._path}: of the previous version, and not converted yet: start the node")
                 self._meta = schema.read_numbers(self._connection, "meta")
                 own = schema.read_own(self._meta)
                 self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given

@@ -77,7 +77,7 @@ def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
         if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
             raise Unsound("another program's database")
         if version_of(connection, path) == OLD_VERSION:
-            raise StoreError(f"{path}: made by the last version, and cannot be converted where nothing can be written")
+            raise StoreError(f"{path}: of the previous version, and cannot be converted where nothing can be written")
         for table in ("datum", "apart"):
             for _ in read_infos(connection, table):
                 pass

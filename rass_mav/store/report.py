@@ -35,9 +35,11 @@ class OpenReport(NamedTuple):
         if self.unwritable:
             said.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
         if self.converted is not None:
-            said.append(f"store of the last version converted, the old one is {self.converted.name}")
+            said.append(f"store of the previous version converted, the old one is {self.converted.name}")
         if self.set_aside is not None:
-            said.append(f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, began anew")
+            said.append(
+                f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store made"
+            )
         elif self.salvaged:
             said.append(f"{self.salvaged} data salvaged from a damaged log")
         if self.lost:

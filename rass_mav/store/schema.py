@@ -126,7 +126,7 @@ def read_numbers(connection: sqlite3.Connection, table: str) -> dict[str, int]:
     """All numbers in `meta` or `counter`, the store's own included."""
     numbers, unsound = sound_numbers(connection, table)
     if unsound:
-        raise Unsound(f"the number {unsound[0]!r} in table {table} does not fit its complement, or is no number")
+        raise Unsound(f"the number {unsound[0]!r} in table {table} does not match its complement, or is not a number")
     return numbers
 
 
@@ -194,7 +194,7 @@ def read_datum(connection: sqlite3.Connection, id: DatumId, apart_crc: int | Non
     if not rows:
         return None
     if tuple(map(type, rows[0])) != _DATUM_TYPES:
-        raise Unsound(f"the row of datum {id} holds values of a wrong type")
+        raise Unsound(f"the row of datum {id} has values of a wrong type")
     kind, created, hops, crc, payload, at_least = rows[0]
     return Datum(id, kind, created, hops, crc, payload, bool(at_least))
 
@@ -210,7 +210,7 @@ def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator
         rows = connection.execute(_SELECT_INFOS.format(table), (after,)).fetchall()
         for row in rows:
             if tuple(map(type, row)) != _INFO_TYPES:
-                raise Unsound(f"row {row[0]} of table {table} holds values of a wrong type")
+                raise Unsound(f"row {row[0]} of table {table} has values of a wrong type")
             _, origin, epoch, sequence, kind, created, hops, crc, size, at_least = row
             yield StoredInfo(DatumId(origin, epoch, sequence), kind, created, hops, crc, size, bool(at_least))
         if not rows:
@@ -224,7 +224,7 @@ def read_losses(connection: sqlite3.Connection) -> dict[DatumId, Fate]:
     """The table of losses."""
     losses, unsound = sound_losses(connection)
     if unsound:
-        raise Unsound(f"{len(unsound)} rows of table loss do not fit their checksum")
+        raise Unsound(f"{len(unsound)} rows of table loss do not match their checksum")
     return losses
 
 

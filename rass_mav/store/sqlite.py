@@ -31,7 +31,7 @@ from .repairs import Repairs
 from .repairs import apply as repair
 from .report import OpenReport
 
-#: So many removals wait for other changes before `take` returns them alone.
+#: Removals that wait for other changes until `take` returns them alone.
 MAX_WAITING_REMOVALS = 512
 #: Bytes (payload and `ROW_OVERHEAD`) that may wait in memory for the next commit. The limit is reached when the disk
 #: fails or does not keep up; then `put` refuses. A batch that is being written is not counted, so twice as much may
@@ -120,13 +120,15 @@ class SqliteStore:
     ) -> SqliteStore:
         """Open the store at `path`, or create a new one. Blocking; up to seconds for a large file.
 
-        `node_id`: the node that owns it; losses are recorded under it. `draw_epoch`: called for a life or an epoch (32
-        bits) when a new one is due. `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound.
+        `node_id`: the node that owns it; losses are recorded under it.
+        `draw_epoch`: called for a life or an epoch (32 bits) when a new one is due.
+        `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound.
         `file_limit`: bound of the database file in bytes, rounded down to pages; a commit beyond it fails as on a full
-        disk. None: no bound. `suspect`: check the whole file whatever its size; for opening again after
-        `StoreDamagedError`. `check_limit`: size of file in bytes up to which the whole file is checked in any case.
-        `busy_timeout`: seconds that a commit waits for another program that has locked the database. `vfs`: SQLite's
-        name of the file system layer to use, only letters, digits and _ -; None: its default.
+        disk. None: no bound.
+        `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
+        `check_limit`: size of file in bytes up to which the whole file is checked in any case.
+        `busy_timeout`: seconds that a commit waits for another program that has locked the database.
+        `vfs`: SQLite's name of the file system layer to use, only letters, digits and _ -; None: its default.
 
         Damage is repaired; or the file is set aside under a new name, and what it still holds is salvaged. Where
         nothing can be written, the existing data are read and no new ones accepted. `report` describes it. Raises
@@ -199,7 +201,7 @@ class SqliteStore:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without gaps."""
         sequence = self._sequence
         if self._committer is None:
-            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}), so no number is given")
+            raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable}), no number is assigned")
         if sequence == 1 << 32:
             raise StoreFullError(f"{self._path}: all sequence numbers of this epoch are used up")
         self._sequence = self._changes.sequence = sequence + 1
@@ -238,7 +240,7 @@ class SqliteStore:
         old = self._sizes.get(id)
         used = charge(self.used_bytes, 0 if old is None else old + ROW_OVERHEAD, size, self._quota)
         if self._buffered + size + ROW_OVERHEAD > MAX_BUFFERED_BYTES:
-            raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, no more fit in memory")
+            raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, which is the limit")
         self._release(id)
         self._changes.put(datum, older=old is not None)
         self._sizes.pop(id, None)
@@ -325,7 +327,7 @@ class SqliteStore:
         """Whether rows on disk do not show yet that they are older. Call it before reading them."""
         return self._changes.aged or self._in_flight().aged
 
-    # -- what is stored ------------------------------------------------------------------------------------------------
+    # -- stored data ---------------------------------------------------------------------------------------------------
 
     def get(self, id: DatumId) -> Datum | None:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
@@ -437,7 +439,7 @@ class SqliteStore:
         """
         out = self._checked(batch)
         if out.state not in (BatchState.TAKEN, BatchState.FAILED):
-            raise RuntimeError(f"a batch that is {out.state.value} cannot be given back")
+            raise RuntimeError(f"a batch that is {out.state.value} cannot be restored")
         self._changes = out.changes.followed_by(self._changes)
         self._buffered = self._changes.bytes
         self._out = None
@@ -452,7 +454,7 @@ class SqliteStore:
         # That the data may be older than recorded was known before anything changed.
         self._changes = Changes(aged=self._changes.aged)
         self._buffered = 0
-        with explained(self._path, "reading what is stored"):
+        with explained(self._path, "reading the stored data"):
             self._load(waiting)
 
     def write(self, batch: object) -> None:
@@ -483,7 +485,7 @@ class SqliteStore:
             raise RuntimeError("not the batch that was taken last")
         return out
 
-    # -- the end -------------------------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Write buffered changes and release the files, also if writing fails. Waits for a write in flight."""

@@ -1,1 +1,1 @@
-"""The mock swarm: virtual time, radio, mobility, radiation, mock flight controllers, and the very same agents."""
+"""The mock swarm: virtual time, radio, mobility, radiation, mock flight controllers, and the same agents that fly."""

@@ -1,19 +1,18 @@
-"""The process that the air of a swarm of real processes lives in, be it a mock swarm or one that flies.
+"""The process that simulates the air of a swarm of real processes, a mock swarm or one that flies.
 
-Every node has two sockets of its own here, both on 127.0.0.1. To the first one the node sends all that it says to its
-neighbours; the air passes it on to those in range, with loss, doubling, overtaking and latency as the scenario has
-them. Behind the second one is the node's flight controller. All ports are chosen by the system, here and in the nodes,
-so none can be in use: the parent tells each node its two ports, and the air learns a node's ports from the source of
-what it sends.
+Every node has two sockets of its own here, both on 127.0.0.1. To the first one the node sends its frames to its
+neighbours; the air passes them on to those in range, with the scenario's loss, duplication, overtaking and latency. The
+second one is the node's flight controller. The system chooses all ports, here and in the nodes, so none can be in use:
+the parent tells each node its two ports, and the air learns a node's ports from the source of its datagrams.
 
-The process is started with the name of an `AirOrder` file (JSON). It says its `Ports` in one line on stdout, takes
-orders on stdin, a line each, and says its `Figures` in the last line. When stdin ends, so does the process: it never
+The process is started with the name of an `AirOrder` file (JSON). It prints its `Ports` in one line on stdout, takes
+orders on stdin, a line each, and prints its `Figures` in the last line. When stdin ends, so does the process: it never
 outlives its parent.
 
-    start           a mock world begins to turn; until then it stands at step 0
-    off NODE        this node's process is dead: what it said last is passed on, then it hears nothing until it speaks
+    start           a mock world starts; until then it stays at step 0
+    off NODE        this node's process is dead: its last frames are passed on, then it hears nothing until it sends
     down NODE       only where vehicles fly: this node's autopilot is dead
-    stop            say the figures and end
+    stop            print the figures and end
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ _MAX_ORDER = 4096
 
 
 class AirOrder(msgspec.Struct):
-    """What the air is made of."""
+    """How the air is set up."""
 
     scenario: Scenario
     record: str | None = None
@@ -54,7 +53,7 @@ class AirOrder(msgspec.Struct):
 
 
 class Ports(msgspec.Struct):
-    """The first line: where a node is listened to on 127.0.0.1, by node id."""
+    """The first line: the ports on 127.0.0.1 for each node, by node id."""
 
     air: list[int]
     vehicle: list[int]
@@ -71,7 +70,7 @@ class Figures(msgspec.Struct):
     dropped: int = 0
     """Frames lost, one for each hearer that lost it; by the scenario's loss, or because a socket was full."""
     malformed: int = 0
-    """What was sent to the air and is not one frame of ours."""
+    """Datagrams to the air that are not one frame of ours."""
     bytes_sent: int = 0
     sha256: str = ""
     """Over all frames put on the air, in order."""
@@ -80,9 +79,9 @@ class Figures(msgspec.Struct):
     max_hop_count: int = 0
     """Largest hop count in any beacon."""
     heartbeats: int = 0
-    """Heartbeats of nodes that their flight controllers got."""
+    """Heartbeats of nodes that their flight controllers received."""
     late_steps: int = 0
-    """Steps that were made up for because the machine was late; mock flight controllers kept silent in them."""
+    """Steps that were caught up because the machine was late; mock flight controllers were silent in them."""
 
 
 F = TypeVar("F", bound=Figures)
@@ -93,7 +92,7 @@ class Air(ABC, Generic[F]):
     """Sockets and the radio. `wires.poll`, `step` and `look` do all the work; the caller brings the time."""
 
     def __init__(self, order: AirOrder, graph: RangeGraph, counted: F) -> None:
-        """`graph`: who hears whom; `counted`: the figures, all 0.
+        """`graph`: which nodes hear each other; `counted`: the figures, all 0.
 
         Raises `ConfigError` for a file that cannot be written, `LinkError` for a port in use.
         """
@@ -113,9 +112,9 @@ class Air(ABC, Generic[F]):
         self._step = 0
         self.step_s = scenario.node.step_s
         self.started = False
-        """Whether the order `start` was heard."""
+        """Whether the order `start` has come."""
         self.counted = counted
-        """So far, but for what `figures` adds."""
+        """So far, without what `figures` adds."""
 
     @property
     def ports(self) -> Ports:
@@ -128,17 +127,17 @@ class Air(ABC, Generic[F]):
         return (self._step + 1) * self.step_s
 
     def step(self) -> None:
-        """A step later: frames that were late arrive."""
+        """Advance one step: delayed frames arrive."""
         self._step += 1
         self._radio.begin_step(self._step)
         self._deliver()
 
     @abstractmethod
     def look(self, now: float) -> float:
-        """Let the flight controllers say what is due at `now`, and say when to do so again; seconds since the start."""
+        """Let the flight controllers send what is due at `now`. Returns when to call again; seconds since the start."""
 
     def off(self, node: int) -> None:
-        """The process of a node is dead. It hears nothing until its successor speaks."""
+        """The process of a node is dead. It hears nothing until its successor sends."""
         self._air[node].forget()
         self._companion[node].forget()
 
@@ -168,7 +167,7 @@ class Air(ABC, Generic[F]):
             return self._files.enter_context(Path(path).open(mode))
 
     def _hear_node(self, node: int, frame: bytes) -> None:
-        """What a node says to its neighbours, a frame a datagram."""
+        """A frame from a node to its neighbours, one a datagram."""
         self._count(frame)
         self._put_on_air(node, frame)
 
@@ -187,7 +186,7 @@ class Air(ABC, Generic[F]):
                     self.counted.dropped += 1
 
     def _hear_companion(self, node: int, data: bytes) -> None:
-        """What a node says to its flight controller."""
+        """Data from a node to its flight controller."""
         frames = self._companion[node].reader.feed(data)
         self.counted.heartbeats += sum(frame.message_id == HEARTBEAT for frame in frames)
 
@@ -255,7 +254,7 @@ def serve(air: Air[Any], orders: int) -> bool:
     while not (told.stopped or told.orphaned):
         air.wires.poll(min(air.due, next_look) - (time.monotonic() - boot))
         now = time.monotonic() - boot
-        # A step that is missed is made up for, so that the world keeps the time.
+        # A missed step is caught up, so that the world keeps the time.
         while air.due <= now:
             air.counted.late_steps += air.due + air.step_s <= now
             air.step()
@@ -265,9 +264,9 @@ def serve(air: Air[Any], orders: int) -> bool:
 
 
 def main(make: Callable[[A], Air[Any]], kind: type[A], arguments: Iterable[str]) -> int:
-    """The process: 0 when it was told to stop, 1 when its parent has gone, or a port or a file cannot be had.
+    """The process: 0 when it was told to stop, 1 when its parent has gone, or a port or a file is not available.
 
-    `make`: the air, by its order, which is one of this `kind`.
+    `make`: creates the air from its order, which is of this `kind`.
     """
     (path,) = arguments
     order = msgspec.json.decode(Path(path).read_bytes(), type=kind)

@@ -1,7 +1,7 @@
-"""Where the robots of the authors' experiment stood and how they moved: `mobility.layout: authors`.
+"""Places and motion of the robots in the authors' experiment: `mobility.layout: authors`.
 
-Source: the authors' repository MISTLab/RASS at d362ebf. The grid is confirmed by their logs. The rest are readings of
-settings that changed while the runs were made; what is a guess of ours is called so below.
+Source: the authors' repository MISTLab/RASS at d362ebf. The authors' logs confirm the grid. The rest are readings of
+settings that changed between the runs. Guesses of ours are marked as such below.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ GRID_FIRST_M = 9.0
 #: Robots placed at random: uniform in +- this along each axis, metres. The authors had 9 and 10 at different times.
 SCALE_FREE_M = 10.0
 LJ_START_M = 9.0
-#: Where the base drives to from its random place: the corner of its quadrant, this far from both axes, metres.
+#: The goal of the base from its random place: the corner of its quadrant, this far from both axes, metres.
 CORNER_M = 7.5
 #: Walls of the arena, metres from the centre.
 WALL_M = 11.0
@@ -30,7 +30,7 @@ LJ_DISTANCE_M = 2.83
 #: The most a robot drives in a step: the base to its corner, any robot under Lennard-Jones, metres (guesses).
 HOMING_STEP_M = 0.1
 LJ_STEP_M = 0.003
-#: Random walk: the share of the way to its target that a robot drives in a step (a guess).
+#: Random walk: the share of the distance to its target that a robot drives in a step (a guess).
 WALK_SHARE = 0.03
 #: Lennard-Jones: metres a step for a force of one (a guess).
 LJ_GAIN = 0.1
@@ -43,7 +43,7 @@ WALK_BOX_M = 10.0
 
 
 class Homing(Mobility):
-    """Robots that stay where they are, but for the base (id 0): it drives to the corner of its quadrant."""
+    """Robots that stay where they are, except the base (id 0): it drives to the corner of its quadrant."""
 
     def __init__(self, positions: list[Position]) -> None:
         super().__init__(positions)
@@ -90,8 +90,8 @@ class AuthorsLennardJones(Homing):
 class Chase(Mobility):
     """Every robot, the base too, drives after a target of its own, which does a random walk in a box.
 
-    It starts at its target, and in each step it drives `WALK_SHARE` of the way to it. So the grid dissolves slowly at
-    first, as it does in the authors' curves: for the first ten steps they are those of the grid.
+    It starts at its target, and in each step it drives `WALK_SHARE` of the distance to it. So the grid dissolves slowly
+    at first, as it does in the authors' curves: for the first ten steps they are those of the grid.
     """
 
     def __init__(self, positions: list[Position], rng: Random) -> None:
@@ -146,7 +146,7 @@ def _uniform(nodes: int, reach_m: float, rng: Random) -> list[Position]:
 
 
 def towards(position: Position, goal: Position, step_m: float) -> Position:
-    """Where a robot is a step later that drives to a goal: there, or `step_m` nearer."""
+    """Where a robot that drives to a goal is a step later: there, or `step_m` nearer."""
     distance = math.dist(position, goal)
     if distance <= step_m:
         return goal

@@ -1,4 +1,4 @@
-"""The mock flight controller: what an autopilot says about a simulated vehicle, as real MAVLink frames."""
+"""The mock flight controller: an autopilot's frames about a simulated vehicle, as real MAVLink."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rass_mav.mavlink.messages import (
     named_value_float_payload,
 )
 
-#: Where the centre of the arena lies on Earth: degrees, degrees, metres above mean sea level.
+#: Where the centre of the arena is on Earth: degrees, degrees, metres above mean sea level.
 ORIGIN = (45.0, -73.0, 100.0)
 #: Metres in a degree of latitude (WGS 84, mean).
 METRES_PER_DEGREE = 111_319.5
@@ -34,9 +34,11 @@ def to_earth(x: float, y: float) -> tuple[float, float]:
 
 
 class MockAutopilot:
-    """Speaks as ArduPilot does: HEARTBEAT at 1 Hz, GLOBAL_POSITION_INT at `position_hz`, the reading when it is taken.
+    """Sends as ArduPilot does: HEARTBEAT at 1 Hz, GLOBAL_POSITION_INT at `position_hz`, the reading when it is
+    measured.
 
-    It does not fly: it says where the mock swarm puts it. docs/simulation.md says what it does not simulate.
+    It does not fly: it reports the place where the mock swarm puts it. docs/simulation.md lists what it does not
+    simulate.
     """
 
     __slots__ = ("_heartbeat_at", "_position_at", "_position_s", "_reading_name", "_writer")
@@ -50,9 +52,9 @@ class MockAutopilot:
         self._position_at = 0.0
 
     def frames(self, now: float, x: float, y: float, reading: float | None) -> list[bytes]:
-        """What it says at `now` (seconds since boot) at (x, y), metres east and north of the arena's centre.
+        """The frames it sends at `now` (seconds since boot) at (x, y), metres east and north of the arena's centre.
 
-        `reading` None: the sensor says nothing.
+        `reading` None: the sensor sends nothing.
         """
         out = []
         boot_ms = int(now * 1000.0)

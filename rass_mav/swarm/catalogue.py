@@ -15,7 +15,7 @@ from rass_mav.swarm.scenario import Scenario
 S = TypeVar("S", bound=Scenario)
 
 _SHIPPED = Path(__file__).parent / "scenarios"
-#: What `swarm` runs when it is told nothing, and with `--transport udp`.
+#: What `swarm` runs without arguments, and with `--transport udp`.
 DEFAULT = "demo"
 DEFAULT_UDP = "udp-line"
 

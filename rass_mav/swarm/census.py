@@ -17,8 +17,8 @@ class Census:
     """Counts distinct data over all stores: created = delivered + held + lost.
 
     A datum is created when it was durable in its origin's store: it has a sequence number below the next one that this
-    store knows. What is durable in no store at the end, neither at a base nor on a drone nor in a table of losses, has
-    vanished; with custody that never happens.
+    store knows. Data that are durable in no store at the end, neither at a base nor on a drone nor in a table of
+    losses, have vanished; with custody that never happens.
     """
 
     def __init__(self, stores: Sequence[Path], bases: int, step_s: float, *, first: int = 0) -> None:
@@ -43,14 +43,14 @@ class Census:
         self.overflow = 0
         """Measurements that full nodes refused; after `close`."""
         self.altered = 0
-        """Data at bases with a checksum that does not fit; after `close`."""
+        """Data at bases with a checksum that does not match; after `close`."""
         self.held = 0
         """Data on drones that have not arrived; after `close`."""
         self._lost: Counter[Fate] = Counter()
 
     @property
     def created(self) -> int:
-        """Data created, with those that were refused."""
+        """Data created, including those that were refused."""
         return sum(self._created.values()) + self.overflow
 
     @property
@@ -63,7 +63,7 @@ class Census:
         return {fate.value: self._lost[fate] for fate in LOST}
 
     def look_at_bases(self, now: float) -> None:
-        """Note what has arrived since the last look. `now`: seconds since 1970."""
+        """Record what has arrived since the last look. `now`: seconds since 1970."""
         for node_id in self._bases:
             with self._open(node_id) as store:
                 offset = date_offset(store.meta())
@@ -85,12 +85,13 @@ class Census:
         return sum(self._created.values()) == len(self.delays)
 
     def on_disk(self, node_id: int) -> list[DatumId]:
-        """What is in a node's store. More than the node holds: rows wait to be deleted until something is written."""
+        """The content of a node's store. More than the node holds: rows wait to be deleted until something is
+        written."""
         with self._open(node_id) as store:
             return store.ids()
 
     def sample(self, held: Iterable[Iterable[DatumId]]) -> None:
-        """Count copies. `held`: what each drone holds at this moment."""
+        """Count copies. `held`: what each drone holds now."""
         copies = Counter(id for ids in held for id in ids)
         waiting = [count for id, count in copies.items() if id not in self.delays]
         self.samples += 1
@@ -99,7 +100,7 @@ class Census:
         self.waiting_copies += sum(waiting)
 
     def close(self, now: float) -> None:
-        """The last look, when all nodes have ended. Raises `InvariantError` for data that nobody created."""
+        """The last look, when all nodes have ended. Raises `InvariantError` for data that no node created."""
         self.look_at_bases(now)
         on_drones: set[DatumId] = set()
         losses: dict[DatumId, Fate] = {}
@@ -116,7 +117,7 @@ class Census:
         created = {DatumId(*key, sequence) for key, count in self._created.items() for sequence in range(count)}
         found = on_drones | self.delays.keys()
         if not found <= created:
-            raise InvariantError(f"data that nobody created: {sorted(found - created)[:3]}")
+            raise InvariantError(f"data that no node created: {sorted(found - created)[:3]}")
         self.held = len(on_drones - self.delays.keys())
         self._lost = Counter(losses.get(id, Fate.VANISHED) for id in created - found)
         self._lost[Fate.OVERFLOW] += self.overflow

@@ -18,9 +18,9 @@ from rass_mav.errors import SwarmError
 
 #: How long a process may take to end after SIGTERM, seconds.
 STOP_S = 20.0
-# A process that has closed its pipes is given so long to be gone, seconds.
+# The time that a process which has closed its pipes gets to end, seconds.
 _LAST_BREATH_S = 2.0
-# How much of a dead child's stderr is told: characters, and lines.
+# How much of a dead child's stderr is reported: characters, and lines.
 _TAIL_CHARACTERS = 4000
 _TAIL_LINES = 5
 
@@ -56,7 +56,7 @@ class Child:
             raise self.failed() from None
 
     def read(self) -> None:
-        """Take in what it has written on stdout; call it when there is something. Raises `SwarmError`: it has ended."""
+        """Read what it has written on stdout; call it when there is something. Raises `SwarmError`: it has ended."""
         assert self._process.stdout is not None
         data = self._process.stdout.read(65536)
         if not data:
@@ -65,11 +65,11 @@ class Child:
         self._lines += lines
 
     def next_line(self) -> bytes | None:
-        """The next whole line that was read, or None."""
+        """The next complete line that was read, or None."""
         return self._lines.pop(0) if self._lines else None
 
     def wait_line(self, timeout_s: float) -> bytes:
-        """Wait for the next line. Raises `SwarmError`: it has ended, or says nothing."""
+        """Wait for the next line. Raises `SwarmError`: it has ended, or sends nothing."""
         until = time.monotonic() + timeout_s
         with selectors.DefaultSelector() as selector:
             selector.register(self.file, selectors.EVENT_READ)
@@ -79,7 +79,7 @@ class Child:
                     return line
                 left = until - time.monotonic()
                 if left <= 0:
-                    raise SwarmError(f"{self.name}: says nothing for {timeout_s:g} s{self._tail()}")
+                    raise SwarmError(f"{self.name}: sent nothing for {timeout_s:g} s{self._tail()}")
                 if selector.select(left):
                     self.read()
 
@@ -94,17 +94,17 @@ class Child:
         self._process.terminate()
 
     def wait_stopped(self, timeout_s: float = STOP_S) -> None:
-        """Wait until it has ended of itself. Raises `SwarmError`: it does not, or it failed."""
+        """Wait until it has ended. Raises `SwarmError`: it does not, or it failed."""
         try:
             code = self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            raise SwarmError(f"{self.name}: does not end within {timeout_s:g} s of SIGTERM{self._tail()}") from None
+            raise SwarmError(f"{self.name}: did not end within {timeout_s:g} s of SIGTERM{self._tail()}") from None
         self._close()
         if code:
             raise self.failed()
 
     def failed(self, otherwise: str = "closed its output") -> SwarmError:
-        """The error that says how it ended, with the last lines of its stderr; `otherwise`, if it has not."""
+        """The error that describes how it ended, with the last lines of its stderr; `otherwise`, if it has not."""
         try:
             code = self._process.wait(_LAST_BREATH_S)
         except subprocess.TimeoutExpired:
@@ -151,7 +151,7 @@ class Children:
         del self._all[child]
 
     def wait(self, until: float) -> None:
-        """Until a time of `time.monotonic`, or until one of them says something. Raises `SwarmError` if one ended."""
+        """Until a time of `time.monotonic`, or until one of them writes something. Raises `SwarmError` if one ended."""
         with selectors.DefaultSelector() as selector:
             for child, heard in self._all.items():
                 selector.register(child.file, selectors.EVENT_READ, heard)

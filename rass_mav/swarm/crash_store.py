@@ -10,9 +10,10 @@ from rass_mav.store.sqlite import MAX_WAITING_REMOVALS
 class CrashStore(MemoryStore):
     """A `MemoryStore` whose `restart` finds what a durable store would have had on its disk.
 
-    Commits take no time in virtual time: what is put, noted as lost or set is on the disk before a frame that rests on
-    it leaves. But removals alone wait for company, as in the durable store. So a restart brings back what was removed
-    since the last commit: spare copies of data that somebody else has by now, and losses that were told already.
+    Commits take no time in virtual time: what is put, recorded as lost or set is on disk before a frame that depends on
+    it leaves. But removals alone wait for other changes, as in the durable store. So a restart brings back what was
+    removed since the last commit: spare copies of data that another node has by now, and losses that were already
+    reported.
     """
 
     __slots__ = ("_found", "_removed")
@@ -20,7 +21,7 @@ class CrashStore(MemoryStore):
     def __init__(self, epoch: int, *, quota_bytes: int | None = None) -> None:
         """As for a `MemoryStore`."""
         super().__init__(epoch, quota_bytes=quota_bytes)
-        # What is removed, but still on the disk: fewer than MAX_WAITING_REMOVALS of both together.
+        # Removed, but still on the disk: fewer than MAX_WAITING_REMOVALS of both together.
         self._removed: dict[DatumId, Datum] = {}
         self._found: dict[DatumId, Fate | None] = {}
 
@@ -41,7 +42,7 @@ class CrashStore(MemoryStore):
         self._commit()
 
     def remove(self, id: DatumId, fate: Fate) -> None:
-        """Forget a datum; note the loss if it was corrupted or expired. Unknown ids are ignored."""
+        """Forget a datum; record the loss if it was corrupted or expired. Unknown ids are ignored."""
         datum = self.get(id)
         super().remove(id, fate)
         if datum is None:
@@ -53,12 +54,12 @@ class CrashStore(MemoryStore):
             self._wait()
 
     def lose(self, id: DatumId, fate: Fate) -> None:
-        """Note a loss elsewhere. The first fate that is noted for an id stays."""
+        """Record a loss elsewhere. The first fate recorded for an id stays."""
         super().lose(id, fate)
         self._commit()
 
     def found(self, id: DatumId) -> None:
-        """Take an entry out of the table of losses. Unknown ids are ignored."""
+        """Remove an entry from the table of losses. Unknown ids are ignored."""
         self._found.setdefault(id, self._losses.get(id))
         super().found(id)
         self._wait()

@@ -1,4 +1,4 @@
-"""What a mock swarm raises when it is wrong itself."""
+"""The error that a mock swarm raises when it is wrong itself."""
 
 
 class InvariantError(AssertionError):

@@ -1,4 +1,4 @@
-"""Which robots fail, and when. Nothing here depends on what the nodes do: the same failures hit every policy."""
+"""Which robots fail, and when. What the nodes do has no influence: the same failures hit every policy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rass_mav.swarm.scenario import FailureSection
 
 
 class Failure(NamedTuple):
-    """A node goes off in a step, before its turn. What it had in memory is lost."""
+    """A node goes off in a step, before its turn. The content of its memory is lost."""
 
     node: int
     back: int | None
@@ -24,7 +24,7 @@ class Failures:
     """The failures of a run, step by step.
 
     Each kind has a generator of its own, and draws are made for drones that are off too. So the failures of one kind do
-    not shift when another kind is switched on, and a higher rate hits all that a lower one hits, and more.
+    not shift when another kind is switched on. A higher rate hits all drones that a lower one hits, and more.
     """
 
     def __init__(self, settings: FailureSection, *, seed: int, steps: int, nodes: int, bases: int) -> None:
@@ -48,7 +48,7 @@ class Failures:
 
         rng = random.Random(f"{seed}:failures:die_rate")
         # A drone dies when the sum of its hazards passes an exponential threshold. So it dies in each step with the
-        # probability of that step, and one number a drone decides for the whole run.
+        # probability of that step, and one number for each drone decides for the whole run.
         self._endures = [-log1p(-rng.random()) for _ in range(nodes)]
 
         self._batteries = [random.Random(f"{seed}:failures:battery:{node}") for node in range(nodes)]
@@ -56,7 +56,7 @@ class Failures:
         """The step in which each drone's battery is empty."""
 
     def due(self, t: int, levels: Sequence[float]) -> list[Failure]:
-        """The failures of step `t`; to be asked once for each step, in order.
+        """The failures of step `t`; call it once for each step, in order.
 
         `levels`: the radiation at each node in this step, Eq. 1 without noise.
         """

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rass_mav.swarm.disk.power import Power
     from rass_mav.swarm.virtual import VirtualSwarm
 
-#: How many of the numbers that follow each other are looked up, the last ones.
+#: How many of the consecutive numbers are looked up: the last ones.
 LOOKED_AT = 32
 
 
@@ -29,11 +29,11 @@ def check(world: VirtualSwarm) -> None:
     copies = Counter(id for agent in world.agents if not agent.node.base for id in agent.node.holdings)
     if world.power is not None:
         copies = _check_disks(world, world.power)
-    # With liars about, some copies are of what nobody made: the ledger leaves them out.
+    # With attackers present, some copies are of data that no node created: the ledger leaves them out.
     if world.hostile is None and copies != Counter(ledger.copies):
         raise InvariantError(f"step {world.t - 1}: the ledger's copies are not those in the inventories")
     flips = world.power is not None and world.power.settings.flip_rate > 0.0
-    # Flipped bits may make a node forget its last number, and then two data bear the same.
+    # Flipped bits may make a node forget its last number, and then two data have the same.
     if ledger.altered and not flips:
         raise InvariantError(f"step {world.t - 1}: {ledger.altered} data were delivered with other bytes than created")
     if world.loops:
@@ -45,9 +45,9 @@ def check(world: VirtualSwarm) -> None:
         holdings = node.holdings
         stored = list(world.stores[node_id].ids())
         if not node.sink and (len(stored), set(stored)) != (len(holdings), set(holdings)):
-            raise InvariantError(f"step {world.t - 1}: node {node_id}: its store is not what it holds")
+            raise InvariantError(f"step {world.t - 1}: node {node_id}: its store does not match its records")
         capacity = node.settings.capacity_items
-        # What is salvaged from a damaged store may be more than it held: data that were passed on come back.
+        # More may be salvaged from a damaged store than it held: data that were passed on come back.
         if capacity is not None and len(holdings) > capacity and not flips:
             raise InvariantError(f"step {world.t - 1}: node {node_id} holds {len(holdings)} > {capacity}")
         if len(node.routing.neighbours) > agent.settings.routing.max_neighbours:
@@ -63,14 +63,14 @@ def check(world: VirtualSwarm) -> None:
 
 
 def _check_disks(world: VirtualSwarm, power: Power) -> Counter[DatumId]:
-    """Every datum whose commit is done is on a disk, or at a base, or something that may take it has taken it.
+    """Every datum whose commit is done is on a disk, or at a base, or an attacker that may take it has taken it.
 
     Returns the copies on drones' disks.
     """
     losses = world.ledger.losses()
     lost = losses[Fate.VANISHED.value] + losses[Fate.UNFOUNDED.value]
     if lost and world.agents[0].settings.custody.mode == "acknowledged":
-        raise InvariantError(f"step {world.t - 1}: {lost} data are lost that a disk had, and nothing took them")
+        raise InvariantError(f"step {world.t - 1}: {lost} data that a disk had are lost, and no attacker took them")
     copies: Counter[DatumId] = Counter()
     for node_id, computer in enumerate(power.computers):
         told = computer.diary.stored
@@ -80,17 +80,18 @@ def _check_disks(world: VirtualSwarm, power: Power) -> Counter[DatumId]:
             continue
         stored = set(computer.store.ids())
         if not {id for id in stored if computer.store.durable(id)} <= told <= stored.union(computer.diary.leaving):
-            raise InvariantError(f"step {world.t - 1}: node {node_id}: its disk does not have what it was told")
+            raise InvariantError(f"step {world.t - 1}: node {node_id}: its disk does not have what it should")
     return copies
 
 
 def _check_receipts(world: VirtualSwarm, node_id: int) -> None:
-    """A node knows of no arrival that never was."""
+    """A node knows of no arrival that never happened."""
     receipts = world.agents[node_id].node.receipts
     for (origin, epoch), known in receipts.known().items():
         for first, end in known:
             for sequence in range(max(first, end - LOOKED_AT), end):
                 id = DatumId(origin, epoch, sequence)
-                # What is on its way to a base's disk has not arrived yet, and the base says nothing of it.
+                # A datum that is being written to a base's disk has not arrived yet, and the base states nothing about
+                # it.
                 if id not in world.ledger.arrived and world.stores[node_id].durable(id):
-                    raise InvariantError(f"step {world.t - 1}: node {node_id} thinks that {id} has arrived")
+                    raise InvariantError(f"step {world.t - 1}: node {node_id} believes that {id} has arrived")

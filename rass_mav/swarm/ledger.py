@@ -16,11 +16,11 @@ LOST = (Fate.CORRUPTED, Fate.OVERFLOW, Fate.EXPIRED, Fate.DIED, Fate.VANISHED, F
 class Ledger:
     """Counts distinct data, incrementally: created = delivered + held + lost.
 
-    A datum is lost when its last copy goes; should a copy turn up again (a late frame), it is held again.
+    A datum is lost when its last copy goes. If a copy turns up again (in a late frame), the datum is held again.
     """
 
     def __init__(self, *, custody: bool) -> None:
-        """`custody`: nodes keep data until somebody else has them."""
+        """`custody`: nodes keep data until another node has them."""
         self._baseless = Fate.UNFOUNDED if custody else Fate.VANISHED
         self.step = 0
         """The present step; the world sets it."""
@@ -49,9 +49,9 @@ class Ledger:
         self.waiting_copies = 0
         """Their copies."""
         self.lies = False
-        """Whether somebody may hand over what nobody made; such data are not counted."""
+        """Whether a node may hand over data that no node created; such data are not counted."""
         self.false_delivered = 0
-        """Data that arrived at a base and that no node made."""
+        """Data that arrived at a base and that no node created."""
 
     def book(self, *, base: bool) -> Observer:
         """A book for one node."""
@@ -59,7 +59,7 @@ class Ledger:
 
     @property
     def created(self) -> int:
-        """Data created, with those that were refused."""
+        """Data created, including those that were refused."""
         return len(self.born) + self.overflow
 
     @property
@@ -78,11 +78,11 @@ class Ledger:
         return [step - self.born[id] for id, step in self.arrived.items()]
 
     def is_genuine(self, datum: Datum) -> bool:
-        """Whether a node of the swarm made it, byte by byte."""
+        """Whether a node of the swarm created it, byte by byte."""
         return self.payloads.get(datum.id) == datum.payload
 
     def gain(self, id: DatumId) -> None:
-        """A drone has a copy more."""
+        """A drone has one copy more."""
         copies = self.copies.get(id, 0) + 1
         self.copies[id] = copies
         self.stored += 1
@@ -93,7 +93,7 @@ class Ledger:
                 self.lost.pop(id, None)
 
     def drop(self, id: DatumId, fate: Fate) -> None:
-        """A drone has a copy less."""
+        """A drone has one copy less."""
         copies = self.copies.get(id, 0)
         if copies:
             copies -= 1
@@ -111,13 +111,13 @@ class Ledger:
                 self.spoilt[id] = fate
         else:
             self.waiting -= 1
-            # Another node was trusted to have it, and there is no copy: it has lost it since, and that is why it is
-            # lost. If nobody has, it was sent without custody, and is in the air until it turns up; or, with custody,
-            # it was deleted on a word that was not true.
+            # Another node was believed to have it, and there is no copy: that node has lost it since, and this is why
+            # it is lost. If no node did, it was sent without custody, and is in the air until it turns up; or, with
+            # custody, it was deleted because of a false message.
             self.lost[id] = self.spoilt.get(id, self._baseless) if trusted else fate
 
     def decline(self, id: DatumId) -> None:
-        """A datum sent without custody was not taken in. Unless there is another copy, it is lost."""
+        """A datum sent without custody was not accepted. Unless there is another copy, it is lost."""
         if id not in self.copies and id not in self.arrived:
             self.lost[id] = Fate.OVERFLOW
 
@@ -142,7 +142,7 @@ class _Book(Observer):
         self._ledger = ledger
         self._base = base
         self._false: set[DatumId] = set()
-        """What is held here that nobody made."""
+        """The data held here that no node created."""
 
     def created(self, datum: Datum) -> None:
         ledger = self._ledger
@@ -180,21 +180,21 @@ class _Book(Observer):
     def kept_apart(self, datum: Datum) -> None:
         self._ledger.apart += 1
         if self._ledger.is_genuine(datum):
-            # Somebody else had made one under its id before.
+            # Another node had created one under its id before.
             self._ledger.deliver(datum)
 
 
 class Diary(Observer):
-    """The book of a node with a disk. It is told of what the disk knows: news wait for the commit that covers them, and
-    a power cut forgets those that wait. A datum is created when its commit is done."""
+    """The book of a node with a disk. It follows the disk: changes wait for the commit that covers them, and a power
+    cut forgets those that wait. A datum is created when its commit is done."""
 
     def __init__(self, ledger: Ledger, *, base: bool) -> None:
         self.stored: set[DatumId] = set()
-        """What is on disk by all commits that are done, and has not been let go of."""
+        """What is on disk by all completed commits, and has not been released."""
         self._ledger = ledger
         self._book = ledger.book(base=base)
         self._tell = self._book.delivered if base else self._book.gained
-        # A datum that is here, or the fate of one that is not any more.
+        # A datum that is here, or the fate of one that no longer is.
         self._waiting: list[tuple[DatumId, Datum | Fate]] = []
         self._begun: list[tuple[DatumId, Datum | Fate]] = []
 
@@ -217,11 +217,11 @@ class Diary(Observer):
 
     @property
     def leaving(self) -> dict[DatumId, Fate]:
-        """What has been let go of since the last commit that is done."""
+        """What has been released since the last completed commit."""
         return {id: news for id, news in self._begun + self._waiting if isinstance(news, Fate)}
 
     def begin(self) -> None:
-        """A commit of all that has changed up to now begins; or the last one, which failed, is tried again."""
+        """A commit of all changes so far begins; or the last one, which failed, is tried again."""
         self._begun += self._waiting
         self._waiting = []
 
@@ -235,16 +235,16 @@ class Diary(Observer):
                 self._let_go(id, news)
 
     def wake(self, store: Store, *, damaged: bool) -> None:
-        """The power is back, and this is what was on disk: what no commit had acknowledged may be there, or not.
+        """The power is back, and this is what was on disk. Data that no commit had acknowledged may be there or not.
 
-        `damaged`: by flipped bits; else all that is `stored` must be there, or `InvariantError` is raised.
+        `damaged`: by flipped bits; otherwise all that is `stored` must be there, or `InvariantError` is raised.
         """
         self._waiting = []
         leaving, self._begun = self.leaving, []
         found = set(store.ids())
         for id in sorted(self.stored - found):
             if not damaged and id not in leaving:
-                raise InvariantError(f"{id} was on disk, and is not there after a power cut")
+                raise InvariantError(f"{id} was on disk, and is missing after a power cut")
             self._let_go(id, leaving.get(id, Fate.DIED))
         for id in sorted(found - self.stored):
             datum = store.get(id)
@@ -257,7 +257,7 @@ class Diary(Observer):
             self._let_go(id, Fate.DIED)
 
     def _keep(self, datum: Datum) -> None:
-        # Replaced: by a newer value, or by another datum when flipped bits have made a node forget its last number.
+        # Replaced: by a newer value, or by another datum if flipped bits have made a node forget its last number.
         if datum.id in self.stored:
             return
         self.stored.add(datum.id)

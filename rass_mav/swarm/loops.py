@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def count_loops(next_hops: Sequence[int | None]) -> int:
-    """Cycles in the graph of next hops (each node has one at most). Who is not in the swarm has none."""
+    """Cycles in the graph of next hops (each node has at most one). Nodes outside the swarm have none."""
     loops = 0
     state = [0] * len(next_hops)
     for start in range(len(next_hops)):

@@ -1,7 +1,7 @@
 """How the nodes of a mock swarm move, step by step.
 
-A `Mobility` starts in the positions of step 0 and is asked for one step after the other. All chance comes from the
-generator passed in, robots are handled in id order, so the same seed gives the same positions in any process.
+A `Mobility` starts with the positions of step 0 and is asked for one step after the other. All random numbers come from
+the generator passed in, and robots are handled in id order, so the same seed gives the same positions in any process.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Mobility(ABC):
 
     def __init__(self, positions: list[Position]) -> None:
         self.positions = positions
-        """Current position of each node in metres, by id. A step that moves anything makes a new list."""
+        """Current position of each node in metres, by id. A step that moves anything creates a new list."""
         self._next_step = 0
 
     def step(self, t: int) -> bool:
@@ -95,10 +95,10 @@ class RandomWalk(Mobility):
 class LennardJones(Mobility):
     """Robots that keep their distance from those within range, like the particles of a fluid.
 
-    Neighbour at distance r: the force on the robot, along the direction to the neighbour, is
-    -((d0/r)^4 - (d0/r)^2)/r with d0 = 1.7 m: repulsive when nearer than d0, attractive when farther. In a step a robot
-    moves by the sum of these forces (0.1 m for a force of one) plus a small random motion, at most 0.05 m in all, and
-    stops at the walls. All robots move at once, by the positions of the step before.
+    Neighbour at distance r: the force on the robot, along the direction to the neighbour, is -((d0/r)^4 - (d0/r)^2)/r
+    with d0 = 1.7 m: repulsive when nearer than d0, attractive when farther. In a step a robot moves by the sum of these
+    forces (0.1 m for a force of one) plus a small random motion, at most 0.05 m in all, and stops at the walls. All
+    robots move at once, by the positions of the step before.
     """
 
     def __init__(self, positions: list[Position], range_m: float, wall_m: float, rng: Random) -> None:
@@ -134,7 +134,7 @@ class LennardJones(Mobility):
                 dx, dy = positions[j][0] - x, positions[j][1] - y
                 r2 = dx * dx + dy * dy
                 if r2 == 0.0:
-                    continue  # no direction to push in; the random motion parts them
+                    continue  # no direction to push in; the random motion separates them
                 ratio2 = LJ_DISTANCE_M**2 / r2
                 # Force over r, and (dx, dy) over r for the direction: together one division by r^2.
                 pull = (ratio2 - ratio2 * ratio2) / r2
@@ -193,12 +193,12 @@ def make_mobility(
 
     `nodes` counts the bases, which have the ids 0 .. bases-1; `range_m` and `arena_m` (the arena's side) in metres.
     Options: `pitch_m` of `line`, metres, default 0.8 range_m; `split_step`, `rejoin_step` and `gap_m` of `islands`;
-    `positions` of `positions`, one [x, y] in metres for each node. Other names leave these unused.
+    `positions` of `positions`, one [x, y] in metres for each node. Other names do not use these.
 
-    Several bases stand far apart in `grid`, `line`, `islands` and at the start of `random-walk`
-    (`topology.spread_bases`); in the others they stand where chance or the list puts them.
+    Several bases are far apart in `grid`, `line`, `islands` and at the start of `random-walk`
+    (`topology.spread_bases`); in the others they are where chance or the list puts them.
 
-    Raises `ConfigError` for an unknown name or numbers that make no swarm.
+    Raises `ConfigError` for an unknown name or impossible numbers.
     """
     if name not in TOPOLOGIES:
         raise ConfigError(f"topology: expected one of {', '.join(TOPOLOGIES)}, got {name!r}")

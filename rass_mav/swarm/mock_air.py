@@ -1,4 +1,5 @@
-"""The air of a mock swarm of real processes: a world that turns step by step, and a flight controller for each node."""
+"""The air of a mock swarm of real processes: a world that advances step by step, and a flight controller for each
+node."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from rass_mav.swarm.surroundings import Surroundings
 
 
 class MockAir(Air[Figures]):
-    """Nodes move and sources drift as in virtual time, once the air was told to start."""
+    """Nodes move and sources drift as in virtual time, once the air has been told to start."""
 
     def __init__(self, order: AirOrder) -> None:
         """See `Air`."""
@@ -23,13 +24,13 @@ class MockAir(Air[Figures]):
         self._autopilots = [MockAutopilot(system_id(node), reading_name=name) for node in range(scenario.nodes)]
 
     def step(self) -> None:
-        """A step later: the world turns, and frames that were late arrive."""
+        """Advance one step: the world moves, and delayed frames arrive."""
         if self.started:
             self.surroundings.step()
         super().step()
 
     def look(self, now: float) -> float:
-        """The flight controllers speak once a step; in steps that are made up for they are silent."""
+        """The flight controllers send once a step; in steps that are caught up they are silent."""
         surroundings = self.surroundings
         for node, wire in enumerate(self._companion):
             if wire.peer is None:

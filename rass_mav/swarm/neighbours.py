@@ -1,7 +1,7 @@
-"""Who hears whom: the graph of nodes within radio range of each other.
+"""Which nodes hear each other: the graph of nodes within radio range.
 
-Distances are looked up by spatial hashing. The plane is cut into square cells a little larger than the range, so the
-neighbours of a node lie in its own cell or in one of the eight around it. The cost of a rebuild grows with the number
+Spatial hashing finds the distances. The plane is cut into square cells a little larger than the range, so the
+neighbours of a node are in its own cell or in one of the eight around it. The cost of a rebuild grows with the number
 of nodes times the number of neighbours each has, not with the square of the number of nodes.
 """
 
@@ -13,19 +13,19 @@ from collections.abc import Iterable, Iterator, Sequence
 #: A node's position (x, y) in metres; the arena's centre is the origin.
 Position = tuple[float, float]
 
-#: Two nodes hear each other at a distance of at most range + TOLERANCE_M: rounding must not part nodes that are exactly
-#: the range away.
+#: Two nodes hear each other at a distance of at most range + TOLERANCE_M: rounding must not separate nodes that are
+#: exactly the range apart.
 TOLERANCE_M = 1e-9
 
-# Half of the eight cells around a cell. Looking only there, and within the cell, visits each pair of cells once.
+# Half of the eight cells around a cell. Checking only those, and the cell itself, visits each pair of cells once.
 _FORWARD = ((0, 1), (1, -1), (1, 0), (1, 1))
 _AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
 
 
 class Cells:
-    """Points hashed into square cells, to which one point at a time can be added.
+    """Points hashed into square cells, to which points can be added one at a time.
 
-    `reach_m` is the largest distance that will be asked for, > 0.
+    `reach_m` is the largest distance that will be requested, > 0.
     """
 
     def __init__(self, reach_m: float) -> None:
@@ -111,7 +111,7 @@ class RangeGraph:
     def _cast_shadow(self, positions: Sequence[Position], cylinder: Position) -> None:
         radius = self._cylinder_m
         limit = self.range_m + radius
-        # Who is farther away has no edge that reaches the cylinder.
+        # A node farther away has no edge that reaches the cylinder.
         near = [i for i, position in enumerate(positions) if math.dist(position, cylinder) <= limit]
         for i in near:
             self.neighbours[i] = [
@@ -119,7 +119,7 @@ class RangeGraph:
             ]
 
     def hops_from(self, bases: Iterable[int]) -> list[int | None]:
-        """Fewest hops from each node to the nearest of `bases` (0 for a base), None where there is no way."""
+        """Fewest hops from each node to the nearest of `bases` (0 for a base), None where there is no route."""
         hops: list[int | None] = [None] * len(self.neighbours)
         wave = sorted(set(bases))
         for base in wave:

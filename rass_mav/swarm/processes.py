@@ -1,6 +1,6 @@
 """The mock swarm as real processes in real time: one `rass-mav run` a node, one for the radio, UDP between them.
 
-docs/simulation-udp.md says what this shows that virtual time cannot, and how each figure is obtained.
+docs/simulation-udp.md describes what this shows that virtual time cannot, and how each figure is obtained.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ from rass_mav.swarm.workplace import workplace
 
 log = logging.getLogger(__name__)
 
-#: More processes than this are no test of anything but the machine.
+#: More processes than this test nothing but the machine.
 MAX_NODES = 64
-#: Kept configurations listen on ports from here on, below those that systems give to whoever asks for any.
+#: Kept configurations listen on ports from here on, below those that systems assign themselves.
 KEPT_PORT = 14600
 # Each directory has one of so many ranges of `MAX_NODES` ports.
 _KEPT_RANGES = 128
-#: After the scenario's steps, data that are on their way get at least so long to arrive, seconds.
+#: The time that data in transit get to arrive after the scenario's steps, seconds, at least.
 DRAIN_S = 10.0
 # Further steps for each node: with loss, a hop takes more than one.
 _DRAIN_STEPS_A_NODE = 5
@@ -64,7 +64,7 @@ START_S = 20.0
 _START_EACH_S = 2.0
 # Seconds between two looks at the drones' stores and next hops.
 _SAMPLE_S = 1.0
-# An answer of a node may take so long, seconds.
+# The longest time that an answer of a node may take, seconds.
 _ANSWER_S = 5.0
 # Looks at the bases' stores take at most this part of the time.
 _LOOK_SHARE = 0.1
@@ -73,17 +73,17 @@ P = TypeVar("P", bound=Ports)
 
 
 class NodeProcess(RunningNode):
-    """One node of a scenario: what it is told, and what it said of itself last."""
+    """One node of a scenario: its orders, and its last status."""
 
     def __init__(self, node_id: int, directory: Path, socket: Path) -> None:
         """`directory`: for configuration, store and log. `socket`: of the control socket, at most 107 bytes."""
         super().__init__(node_id, directory, socket, f"node-{node_id}")
         self.until_step = 0
-        """Steps in which this life of the node makes data."""
+        """Steps in which this life of the node creates data."""
         self.status: dict[str, Any] = {}
         """Last answer to `status` in this life."""
         self.earlier = {"malformed": 0, "skipped_steps": 0}
-        """Sums over earlier lives, as far as they were asked."""
+        """Sums over earlier lives, as far as they were read."""
         self._config: RunConfig
         self._client: ControlClient | None = None
 
@@ -134,7 +134,7 @@ class NodeProcess(RunningNode):
 
     def _wiring(self, settings: AgentSettings, ports: Ports) -> tuple[str | None, LinkSection]:
         """The autopilot's URL, and the link to the neighbours."""
-        # The node speaks first, from any free port: so the radio learns where it is, and no port can be in use.
+        # The node sends first, from any free port: so the radio learns its address, and no port can be in use.
         radio = PeerSection(address=f"127.0.0.1:{ports.air[self.node_id]}")
         link = LinkSection(listen="127.0.0.1:0", peers=(radio,))
         return f"udpout:127.0.0.1:{ports.vehicle[self.node_id]}", link
@@ -149,7 +149,7 @@ class NodeProcess(RunningNode):
         return next_hop
 
     def ask_held(self) -> list[DatumId]:
-        """Ask for what it holds. Raises `SwarmError`."""
+        """Ask for the data it holds. Raises `SwarmError`."""
         names = [parse_name(entry["id"]) for page in self._ask("ls") for entry in page["data"]]
         return [id for id, apart in names if apart is None]
 
@@ -167,16 +167,16 @@ class NodeProcess(RunningNode):
 
     @property
     def creates(self) -> bool:
-        """Whether it may still make data, as far as it was asked."""
+        """Whether it may still create data, as of its last status."""
         return not self.status or bool(self.status["steps"] < self.until_step)
 
     @property
     def empty(self) -> bool:
-        """Whether it held nothing when it was asked last."""
+        """Whether it held nothing at its last status."""
         return bool(self.status) and not self.status["store"]["items"]
 
     def hang_up(self) -> None:
-        """End the conversation: the life is over."""
+        """End the connection: the life is over."""
         for key in self.earlier:
             self.earlier[key] = self.total(key)
         self.status = {}
@@ -186,7 +186,7 @@ class NodeProcess(RunningNode):
 
 
 class ProcessSwarm:
-    """A swarm of processes from start to end. `run` does it all; see there."""
+    """A swarm of processes from start to end. `run` does everything; see there."""
 
     _figures_kind: type[Figures] = Figures
 
@@ -203,7 +203,7 @@ class ProcessSwarm:
         self._kill_rng = random.Random(f"{scenario.seed}:kills")
         self._radio: Child
         self._world: Child
-        """Which process makes the world go on."""
+        """The process that advances the world."""
         self._ports: Ports
         self._begun = 0.0
         self._next_look = self._next_sample = 0.0
@@ -218,7 +218,7 @@ class ProcessSwarm:
     # -- the phases ----------------------------------------------------------------------------------------------------
 
     def start(self, record: Path | None) -> None:
-        """Start the radio, then the nodes; returns when all are ready and the world turns."""
+        """Start the radio, then the nodes; returns when all are ready and the world runs."""
         self._surround(None if record is None else str(record.absolute()))
         until = self._until_step()
         for node in self._nodes:
@@ -235,12 +235,12 @@ class ProcessSwarm:
         self._world.tell("start")
 
     def _surround(self, record: str | None) -> None:
-        """Start what the nodes are to find. `record`: see `AirOrder`."""
+        """Start what the nodes need. `record`: see `AirOrder`."""
         self._ports = self._start_radio("rass_mav.swarm.mock_air", AirOrder(self._scenario, record), Ports)
         self._world = self._radio
 
     def fly(self, progress: Callable[[int], None] | None) -> None:
-        """The scenario's steps, in real time, with its failures."""
+        """Run the scenario's steps, in real time, with its failures."""
         every = self._scenario.failures.kill_every_s
         end = self._begun + self._scenario.steps * self._step_s
         if every is not None and self._drones:
@@ -260,7 +260,7 @@ class ProcessSwarm:
         return self._next_kill
 
     def drain(self) -> None:
-        """Let arrive what is on its way, until all has or nothing is left; at most `DRAIN_S` and some steps."""
+        """Let data in transit arrive, until all have or nothing is left; at most `DRAIN_S` and some steps."""
         deadline = time.monotonic() + DRAIN_S + _DRAIN_STEPS_A_NODE * self._scenario.nodes * self._step_s
         complete = 0
         # Twice in a row: what was created in the last step may not have been durable yet at the first look.
@@ -274,7 +274,8 @@ class ProcessSwarm:
             self._children.wait(min(deadline, now + max(self._step_s, 0.1)))
 
     def stop(self) -> Figures:
-        """End the nodes with SIGTERM, then the radio, and read the ledger. Raises `SwarmError` for who does not."""
+        """End the nodes with SIGTERM, then the radio, and read the ledger. Raises `SwarmError` for a node that does not
+        end."""
         self._ask_all()
         self.hang_up()
         for node in self._nodes:
@@ -288,7 +289,7 @@ class ProcessSwarm:
         return figures
 
     def hang_up(self) -> None:
-        """End all conversations with nodes."""
+        """Close all connections to nodes."""
         for node in self._nodes:
             node.hang_up()
 
@@ -303,7 +304,7 @@ class ProcessSwarm:
     # -- meanwhile -----------------------------------------------------------------------------------------------------
 
     def _process(self, name: str, module: str, order: msgspec.Struct, heard: Callable[[], None] | None = None) -> Child:
-        """Start a module that takes its order from a file; `heard`: see `Children.start`."""
+        """Start a module that reads its order from a file; `heard`: see `Children.start`."""
         path = self._directory / f"{name}.json"
         path.write_bytes(msgspec.json.encode(order))
         return self._children.start(name, ["-m", module, str(path)], self._directory / f"{name}.log", heard)
@@ -313,7 +314,7 @@ class ProcessSwarm:
         return msgspec.json.decode(self._radio.wait_line(START_S), type=kind)
 
     def _await(self, missing: Callable[[], list[str]], within_s: float) -> None:
-        """Wait until nobody is missing. Raises `SwarmError` that names who still is."""
+        """Wait until nothing is missing. Raises `SwarmError` that names what still is."""
         deadline = time.monotonic() + within_s
         while names := missing():
             if time.monotonic() > deadline:
@@ -330,14 +331,14 @@ class ProcessSwarm:
         self._children.kill(node.child)
         node.hang_up()
         self._radio.tell(f"off {node.node_id}")
-        # The new life counts its steps from 0 again; it makes data as long as the others do.
+        # The new life counts its steps from 0 again; it creates data as long as the others do.
         gone = int((time.monotonic() - self._begun) / self._step_s)
         node.configure(self._scenario, self._ports, max(0, self._until_step() - gone))
         node.start(self._children)
         self.kills += 1
 
     def _look(self, now: float) -> None:
-        """At the bases' stores about once a step; at the drones and their next hops about once a second."""
+        """Check the bases' stores about once a step, and the drones and their next hops about once a second."""
         if now < self._next_look:
             return
         if now >= self._next_sample:
@@ -354,18 +355,19 @@ class ProcessSwarm:
         )
         before = self._ask_all()
         if count_loops(before):
-            # Not all were asked at the same moment. A next hop that is the same after as before was so in between.
+            # Not all were asked at the same moment. A next hop that is the same before and after was the same in
+            # between.
             after = self._ask_all()
             self._loops += count_loops([b if b == a else None for b, a in zip(before, after, strict=True)])
 
     def _ask_all(self) -> list[int | None]:
-        """Ask all nodes for their status. Returns their next hops; None also for who is just starting."""
+        """Ask all nodes for their status. Returns their next hops; None also for a node that is just starting."""
         return [node.ask() if node.ready else None for node in self._nodes]
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def summary(self, radio: Figures) -> dict[str, Any]:
-        """What `swarm --json` prints, but for the wall times (docs/simulation-udp.md)."""
+        """What `swarm --json` prints, except the wall times (docs/simulation-udp.md)."""
         scenario, census = self._scenario, self._census
         created = census.created
         lost = census.losses()
@@ -432,8 +434,8 @@ def run(
     if scenario.nodes > MAX_NODES:
         raise ConfigError(f"nodes: expected at most {MAX_NODES} with transport udp, got {scenario.nodes}")
     for key in scenario.failures.of_robots:
-        raise ConfigError(f"failures.{key}: needs transport loopback; udp knows failures.kill_every_s only")
-    Surroundings(scenario)  # says here, and not in the radio process, what cannot be placed
+        raise ConfigError(f"failures.{key}: needs transport loopback; udp supports only failures.kill_every_s")
+    Surroundings(scenario)  # `Surroundings(scenario)` reports here, and not in the radio process, what cannot be placed
     return conduct(scenario, lambda *where: ProcessSwarm(scenario, *where), keep, record, progress)
 
 
@@ -444,9 +446,9 @@ def conduct(
     record: Path | None,
     progress: Callable[[int], None] | None,
 ) -> dict[str, Any]:
-    """Start a swarm of processes, let it run, and end it whatever comes. The rest as in `run`.
+    """Start a swarm of processes, let it run, and end it in any case. The rest as in `run`.
 
-    `make`: the swarm, by its directory, the one of its control sockets, and its children.
+    `make`: creates the swarm from its directory, that of its control sockets, and its children.
     """
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:

@@ -67,7 +67,7 @@ class RadiationField:
         rng: Random | None = None,
         bounds: float = 10.0,
     ) -> None:
-        """Make a field.
+        """Create a field.
 
         `decay` is lambda of Eq. 1, >= 0, in 1/m^2. `drift` is how far each source moves in a step, 0 to 2 `bounds`, in
         metres; above 0 it needs `rng`, and the sources do not leave the square of +-`bounds` metres.
@@ -111,8 +111,8 @@ class RadiationField:
     def step(self) -> bool:
         """Let every source drift: `drift` metres in a new uniform direction, mirrored at the walls. True if any moved.
 
-        With a heading drawn anew each step a source does a random walk; after n steps it is about drift sqrt(n) away.
-        One that starts beyond a wall moves inwards only, and stays once it is inside.
+        With a new heading in each step a source does a random walk; after n steps it is about drift sqrt(n) away. A
+        source that starts beyond a wall only moves inwards, and stays once it is inside.
         """
         if not self.moves or self._rng is None:
             return False

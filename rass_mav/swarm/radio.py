@@ -1,4 +1,4 @@
-"""The mock radio: who hears a frame, and what happens to it on the way."""
+"""The mock radio: which nodes hear a frame, and what happens to it in transit."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from collections.abc import Callable, Iterator, Sequence
 
 from rass_mav.swarm.scenario import RadioSection
 
-#: A frame that is overtaken lets this many others pass at most; if fewer are on their way, it waits for the next step.
+#: The most frames that overtake another; if fewer are in transit, it waits for the next step.
 _OVERTAKEN_BY = 16
 
 #: Called with each frame put on the air, and its step.
 Record = Callable[[bytes, int], None]
-# Frames are digested together when there are so many bytes of them: one call for each would cost more than its bytes.
+# Bytes of frames that are digested together: one call for each frame would cost more than its bytes.
 _DIGEST_BYTES = 1 << 14
 
-#: A frame, and before it who hears it, each as often as it does.
+#: A frame, preceded by the nodes that hear it, each as often as it does.
 Arrival = tuple[Sequence[int], bytes]
 
 
 class Radio:
-    """The air. Puts frames on it, and says in order who hears what. Every frame is heard as bytes."""
+    """The air. Accepts frames, and determines in order which node hears what. Every frame is heard as bytes."""
 
     def __init__(self, settings: RadioSection, rng: random.Random, *, record: Record | None) -> None:
         """`record` is called with each frame put on the air and its step, in order."""
@@ -59,14 +59,14 @@ class Radio:
             self._now.append((sender, frame, None))
 
     def begin_step(self, step: int) -> None:
-        """Frames that are due at the beginning of this step come to the front."""
+        """Move frames that are due at the beginning of this step to the front."""
         later = self._later
         while later and later[0][0] <= step:
             _, sender, frame, hearers = later.popleft()
             self._now.append((sender, frame, hearers))
 
     def arrivals(self, step: int, neighbours: Sequence[Sequence[int]]) -> Iterator[Arrival]:
-        """Who hears what now, until the air is quiet; frames that are sent meanwhile are heard too (latency 0).
+        """Which node hears what now, until the air is quiet; frames that are sent meanwhile are heard too (latency 0).
 
         `neighbours`: for each node the ids in its range.
         """

@@ -1,4 +1,4 @@
-"""Scenarios: what a mock swarm is made of. YAML files, typed and checked (docs/simulation.md)."""
+"""Scenarios: the descriptions of mock swarms. YAML files, typed and checked (docs/simulation.md)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rass_mav.swarm.hostile.kinds import kinds
 
 
 class NodeSection(Section):
-    """What concerns every node."""
+    """Settings of every node."""
 
     step_s: Positive = 0.2
     """Length of a step, seconds."""
     forward: Forward = "immediate"
-    """step: what came in after a step leaves at the next one at the earliest; immediate: at once, within the step's
-    bandwidth."""
+    """step: a datum that comes in after a step leaves in the next one at the earliest; immediate: at once, within the
+    step's bandwidth."""
 
 
 class MobilitySection(Section):
@@ -45,10 +45,10 @@ class MobilitySection(Section):
 
 
 class RadioSection(Section):
-    """The air between the nodes. Frames are lost, doubled and overtaken for each hearer by itself."""
+    """The air between the nodes. Loss, duplication and overtaking are drawn separately for each hearer."""
 
     range_m: Positive = 3.0
-    """Who is at most this far away hears, metres."""
+    """Nodes at most this far away hear a frame, metres."""
     loss: Fraction = 0.0
     """Probability that a hearer does not get a frame."""
     duplicate: Fraction = 0.0
@@ -65,7 +65,7 @@ class RadiationSection(Section):
     sources: list[tuple[float, float, NonNegative]] | None = None
     """[x, y, intensity] of each source, metres, the arena's centre as origin; null: `random_sources` by the seed."""
     sets: list[list[tuple[float, float, NonNegative]]] | None = None
-    """Sources of several runs: seed k has set k mod their number. Instead of `sources`."""
+    """Sources of several runs: seed k has set k mod their number. Replaces `sources`."""
     random_sources: Annotated[int, Meta(ge=0)] = 3
     """How many, x and y uniform in +-spread_m, intensity uniform in 0..1."""
     spread_m: NonNegative = 3.5
@@ -88,28 +88,28 @@ class RadiationSection(Section):
     cylinder_m: NonNegative = 0.0
     """Radius of the sources as cylinders that block the radio's line of sight, metres; 0: they block nothing."""
     cylinders: Literal["own", "slipped"] = "own"
-    """Whose they are. slipped: seed k shows those of set (k mod sets - 1) mod 10, as in the authors' experiment."""
+    """Whose cylinders. slipped: seed k uses those of set (k mod sets - 1) mod 10, as in the authors' experiment."""
 
     def sources_of(self, seed: int) -> list[tuple[float, float, float]] | None:
         """The sources of a run; None: `random_sources`."""
         return self.sets[seed % len(self.sets)] if self.sets else self.sources
 
     def cylinders_of(self, seed: int) -> list[tuple[float, float, float]]:
-        """The sources whose cylinders stand in the way in a run; only sources that are given have cylinders."""
+        """The sources whose cylinders block the radio in a run; only sources that are given have cylinders."""
         if self.cylinders == "slipped" and self.sets:
             run = seed % len(self.sets)
-            # Of the number of the run before only the last digit was read.
+            # Only the last digit of the previous run's number was read.
             return self.sets[max(run - 1, 0) % 10 % len(self.sets)]
         return self.sources_of(seed) or []
 
     def mistakes(self) -> Iterator[str]:
-        """What no single key can say."""
+        """Checks across several keys."""
         if self.sets is not None and (not self.sets or self.sources is not None):
             yield ("radiation.sets: expected at least one set of sources, and no radiation.sources beside them")
         if self.tolerance[0] >= self.tolerance[1]:
             yield f"radiation.tolerance: expected two rising numbers, got {list(self.tolerance)}"
         if self.cylinder_m and (self.drift or (self.sources is None and self.sets is None)):
-            yield "radiation.cylinder_m: expected 0 unless the sources are given and stay where they are"
+            yield "radiation.cylinder_m: expected 0 unless the sources are given and do not move"
 
 
 Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
@@ -136,22 +136,23 @@ class StatisticsSection(Section):
 
 
 class FailureSection(Section):
-    """What goes wrong beside radiation. All but `kill_every_s` is for virtual time; see docs/simulation.md."""
+    """Failures besides radiation. All except `kill_every_s` are for virtual time; see docs/simulation.md."""
 
     kill_every_s: Positive | None = None
-    """With the udp transport: every so many seconds a drone is killed with SIGKILL and started again; null: none."""
+    """With the udp transport: seconds between two kills, in each of which SIGKILL ends a drone that is started again;
+    null: none."""
     die_fraction: Fraction = 0.0
     """This part of the drones, rounded to the nearest number, dies for good, each at a step uniform over the run."""
     die_rate: Fraction = 0.0
     """Probability that a drone dies for good in a step where the radiation is 1; in proportion where it is less."""
     reboot_rate: Fraction = 0.0
-    """Probability that a drone reboots in a step: its store stays, what it had in memory is gone."""
+    """Probability that a drone reboots in a step: its store stays, the content of its memory is gone."""
     wipe_rate: Fraction = 0.0
     """Probability that a drone loses its store in a step, and comes back with an empty one of a new epoch."""
     reboot_steps: Annotated[int, Meta(ge=0)] = 10
     """How long a reboot takes, with the store or without, steps."""
     battery_steps: tuple[Count, Count] | None = None
-    """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: for ever."""
+    """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: without limit."""
     recharge_steps: Count | None = None
     """How long a drone that has landed is off, steps; null: for good."""
     base_off: Steps = field(default_factory=list)
@@ -160,9 +161,9 @@ class FailureSection(Section):
     """Whether bases come back with an empty store of a new epoch."""
 
     def mistakes(self) -> Iterator[str]:
-        """What no single key can say."""
+        """Checks across several keys."""
         if self.battery_steps is not None and self.battery_steps[0] > self.battery_steps[1]:
-            yield (f"failures.battery_steps: expected two numbers that do not fall, got {list(self.battery_steps)}")
+            yield (f"failures.battery_steps: expected two numbers in ascending order, got {list(self.battery_steps)}")
         if self.recharge_steps is not None and self.battery_steps is None:
             yield "failures.recharge_steps: expected null unless failures.battery_steps is given"
         if self.base_wiped and not self.base_off:
@@ -193,7 +194,7 @@ class DiskSection(Section):
     """How many bits of a node's database and log flip in a step, on average."""
 
     def mistakes(self) -> Iterator[str]:
-        """What no single key can say."""
+        """Checks across several keys."""
         yield from _wrong_spans("disk.full", self.full)
         yield from _wrong_spans("disk.read_only", self.read_only)
 
@@ -203,11 +204,11 @@ class HostileSection(Section):
 
     kind: Annotated[str, Meta(one_of=kinds)]
     near: Annotated[int, Meta(ge=0)] = 0
-    """It is where this node is: it hears, and is heard by, this node and its neighbours."""
+    """Its place is that of this node: it hears, and is heard by, this node and its neighbours."""
     begin: Annotated[int, Meta(ge=0)] = 0
-    """The first step in which it is there."""
+    """The first step in which it is present."""
     end: Count | None = None
-    """The first step in which it is there no more; null: it stays."""
+    """The first step in which it is gone; null: it stays."""
 
 
 class Scenario(Section):
@@ -244,11 +245,11 @@ class Scenario(Section):
     """null: stores are in memory."""
     statistics: StatisticsSection = StatisticsSection()
     variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
-    """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They go before the
-    file's other keys, and the command's options go before them (applied by `catalogue.load_scenario`)."""
+    """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They override the
+    file's other keys, and the command's options override them (applied by `catalogue.load_scenario`)."""
 
     def mistakes(self) -> Iterator[str]:
-        """What no single key can say."""
+        """Checks across several keys."""
         if self.bases > self.nodes:
             yield f"bases: expected at most nodes ({self.nodes}), got {self.bases}"
         if self.topology == "positions":
@@ -263,7 +264,7 @@ class Scenario(Section):
         if self.disk is not None and self.transport != "loopback":
             yield "disk: expected null unless the transport is loopback; processes have the machine's disk"
         if self.disk is not None and self.radiation.corruption:
-            yield ("radiation.corruption: expected false with a disk; disk.flip_rate flips bits where they lie on it")
+            yield ("radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk")
 
     @property
     def arena(self) -> float:
@@ -289,7 +290,7 @@ def system_id(node_id: int) -> int:
     return node_id % 255 + 1
 
 
-#: Command line options and the scenario keys that they stand for.
+#: Command line options and the scenario keys that they set.
 OPTION_KEYS: dict[str, str] = {
     "nodes": "nodes",
     "steps": "steps",

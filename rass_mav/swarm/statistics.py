@@ -15,7 +15,7 @@ from rass_mav.swarm.radio import Radio
 
 
 class Counted(Protocol):
-    """What the figures are of: a swarm in virtual time."""
+    """The subject of the figures: a swarm in virtual time."""
 
     seed: int
     topology: str
@@ -54,14 +54,14 @@ class Statistics:
         self._stored = 0
         self._copies = 0
         self._waiting = 0
-        # Of agents that are no more.
+        # Of agents that no longer exist.
         self._received = 0
         self._malformed = 0
         self._sent_data = 0
         self.max_hop_count = 0
 
     def count(self) -> None:
-        """Take the figures of this step."""
+        """Record the figures of this step."""
         ledger = self._world.ledger
         self._steps += 1
         self._stored += ledger.stored
@@ -73,13 +73,13 @@ class Statistics:
                 self.max_hop_count = hops
 
     def retire(self, agent: Agent) -> None:
-        """An agent's life ends, and another one takes its place: what it counted still counts."""
+        """An agent's life ends, and another one replaces it: its counts still count."""
         self._received += agent.peers.received
         self._malformed += agent.peers.malformed + agent.peers.reader.malformed
         self._sent_data += agent.node.pace.sent
 
     def summary(self) -> dict[str, Any]:
-        """What `swarm --json` prints, but for the wall times."""
+        """What `swarm --json` prints, except the wall times."""
         world = self._world
         settings = world.agents[0].settings
         ledger, radio = world.ledger, world.radio

@@ -1,4 +1,4 @@
-"""What a mock swarm stands in: where the nodes are, who hears whom, how much radiates there. Step by step."""
+"""The surroundings of a mock swarm, step by step: where the nodes are, which of them hear each other, the radiation."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Surroundings:
     """Places, links and levels of a scenario. The same seed gives the same ones in any process."""
 
     def __init__(self, scenario: Scenario) -> None:
-        """As they are at step 0. Raises `ConfigError` for a swarm that cannot be placed."""
+        """At step 0. Raises `ConfigError` for a swarm that cannot be placed."""
         seed = scenario.seed
-        # One generator for each purpose: what one part draws does not disturb the others. Seeding with a text is
-        # the same in every process.
+        # One generator for each purpose: the draws of one part do not disturb the others. Seeding with a text is the
+        # same in every process.
         self.mobility = _mobility(scenario, random.Random(f"{seed}:places"))
         radiation = scenario.radiation
         rng = random.Random(f"{seed}:field")
@@ -49,7 +49,7 @@ class Surroundings:
         return self.mobility.positions
 
     def step(self) -> None:
-        """Go on to the next step."""
+        """Advance to the next step."""
         self.t += 1
         moved = self.mobility.step(self.t)
         if moved:

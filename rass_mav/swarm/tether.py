@@ -1,6 +1,6 @@
-"""`python -m rass_mav.swarm.tether ...` is `python -m rass_mav ...`, but it ends when its stdin does.
+"""`python -m rass_mav.swarm.tether ...` is `python -m rass_mav ...`, but ends when its stdin does.
 
-A swarm of processes holds the other end of each node's stdin. However the parent ends, with SIGKILL too, the system
+A swarm of processes holds the other end of each node's stdin. However the parent ends, even by SIGKILL, the system
 closes it, and no node outlives the swarm.
 """
 
@@ -16,7 +16,7 @@ ORPHANED = 3
 
 
 def watch(file: int) -> None:
-    """End this process at once, as a crash would, when there is nothing more to come from a file descriptor."""
+    """End this process at once, as a crash would, when a file descriptor is closed at its other end."""
     while os.read(file, 4096):
         pass
     os._exit(ORPHANED)

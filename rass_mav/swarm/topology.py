@@ -1,8 +1,8 @@
-"""Where the nodes of a mock swarm stand at the start.
+"""Where the nodes of a mock swarm are at the start.
 
 The arena is a square of side A metres whose centre is the origin; node ids are the indices into the list of positions.
-Robots placed at random, and robots that move, stay inside walls at +-(A/2 - 0.5 m). The experiment these layouts follow
-is section IV of the paper (arXiv 2201.01349): 100 robots, an arena of 20 m by 20 m, a radio range of 3 m.
+Robots placed at random, and robots that move, stay inside walls at +-(A/2 - 0.5 m). These layouts follow the experiment
+in section IV of the paper (arXiv 2201.01349): 100 robots, an arena of 20 m by 20 m, a radio range of 3 m.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from .neighbours import TOLERANCE_M, Cells, Position
 
 #: Distance between the arena's edge and the walls that robots do not pass, metres.
 WALL_MARGIN_M = 0.5
-#: Robots placed at random stand at least this far apart, metres.
+#: Robots placed at random are at least this far apart, metres.
 MIN_SPACING_M = 0.3
-#: In a scale-free layout, the chance that a place near a well-connected robot is tried, not one anywhere.
+#: In a scale-free layout, the chance to try a place near a well-connected robot, not one anywhere.
 ATTACH_CHANCE = 0.1
 #: How far from that robot the place is, as a fraction of the radio range: uniform between the two.
 ATTACH_RANGE = (0.1, 0.98)
 #: Pitch of a line as a fraction of the radio range: one hop reaches the next node and not the one after.
 LINE_PITCH = 0.8
 
-# Places tried for one robot. The default arena needs a handful; a full one gives up within a second.
+# Places tried for one robot. The default arena needs a handful; in a full one the attempt ends within a second.
 _ATTEMPTS = 20_000
 
 
@@ -40,8 +40,8 @@ def wall_m(arena_m: float) -> float:
 def grid(nodes: int, arena_m: float) -> list[Position]:
     """`nodes` on a square grid that fills the arena, column by column, node 0 in the corner (-, -).
 
-    With side = ceil(sqrt(nodes)) and pitch = arena_m/side, node i stands at x = -arena_m/2 + pitch (1/2 + i div side),
-    y = -arena_m/2 + pitch (1/2 + i mod side), metres. Nodes hear those beside them only if the pitch is within range.
+    With side = ceil(sqrt(nodes)) and pitch = arena_m/side, node i is at x = -arena_m/2 + pitch (1/2 + i div side), y =
+    -arena_m/2 + pitch (1/2 + i mod side), metres. Nodes hear those beside them only if the pitch is within range.
     """
     side = math.isqrt(nodes - 1) + 1
     pitch = arena_m / side
@@ -58,11 +58,11 @@ def line(nodes: int, pitch_m: float) -> list[Position]:
 def scale_free(nodes: int, arena_m: float, range_m: float, rng: Random) -> list[Position]:
     """A connected layout in which well-connected robots attract more neighbours (preferential attachment).
 
-    The first robot stands anywhere inside the walls. For each next one places are tried until one is accepted. With
-    chance 0.1 a try is at 0.1 to 0.98 of the range, in a uniform direction, from a robot drawn in proportion to its
-    degree + 1 (the degree counts robots within range); otherwise it is uniform inside the walls. It is accepted inside
-    the walls and with the nearest robot 0.3 m to `range_m` away. The latter keeps the graph connected. At last the ids
-    are shuffled, so a base may stand anywhere.
+    The first robot is anywhere inside the walls. For each next one places are tried until one is accepted. With chance
+    0.1 a try is at 0.1 to 0.98 of the range, in a uniform direction, from a robot drawn in proportion to its degree + 1
+    (the degree counts robots within range); otherwise it is uniform inside the walls. It is accepted inside the walls
+    and with the nearest robot 0.3 m to `range_m` away. The latter keeps the graph connected. Finally the ids are
+    shuffled, so a base may be anywhere.
 
     Raises `ConfigError` if a robot finds no place in 20,000 tries.
     """
@@ -99,10 +99,10 @@ def scale_free(nodes: int, arena_m: float, range_m: float, rng: Random) -> list[
 def connected_uniform(nodes: int, arena_m: float, range_m: float, rng: Random) -> list[Position]:
     """Robots spread at random, yet connected, inside the walls: the start of the Lennard-Jones swarm.
 
-    Grown robot by robot: each stands uniformly at random among the places inside the walls whose nearest robot is 0.3 m
-    to `range_m` away. These places are found by rejection. Places are drawn from the smallest box that holds all within
-    range of the robots placed so far; this gives the same distribution as drawing from the whole arena, and large
-    arenas cost no more. Ids are in order of placement.
+    Grown robot by robot: each is placed uniformly at random among the places inside the walls whose nearest robot is
+    0.3 m to `range_m` away. These places are found by rejection. Places are drawn from the smallest box that holds all
+    within range of the robots placed so far; this gives the same distribution as drawing from the whole arena, and
+    large arenas cost no more. Ids are in order of placement.
 
     Raises `ConfigError` if a robot finds no place in 20,000 tries.
     """
@@ -125,9 +125,9 @@ def connected_uniform(nodes: int, arena_m: float, range_m: float, rng: Random) -
 def spread_bases(positions: list[Position], bases: int) -> list[Position]:
     """The same places with several bases (ids 0 .. bases-1) far apart instead of side by side.
 
-    Base 0 stays. Each further base changes places with the node whose nearest base so far is farthest away, the lowest
-    id of equals. On a square grid bases 0 to 3 so take the four corners, diagonal first; on a line base 1 takes the
-    other end. All other nodes keep their ids and places. With one base nothing changes.
+    Base 0 stays. Each further base changes places with the node whose nearest base so far is farthest away; among
+    equals, with the lowest id. On a square grid bases 0 to 3 so take the four corners, diagonal first; on a line base 1
+    takes the other end. All other nodes keep their ids and places. With one base nothing changes.
     """
     places = list(positions)
     nearest = [math.inf] * len(places)
@@ -142,7 +142,7 @@ def spread_bases(positions: list[Position], bases: int) -> list[Position]:
 
 
 class _Placing:
-    """Robots accepted so far, and the rule for the next: its nearest robot stands MIN_SPACING_M to the range away."""
+    """Robots accepted so far, and the rule for the next: its nearest robot is MIN_SPACING_M to the range away."""
 
     def __init__(self, range_m: float) -> None:
         self.positions: list[Position] = []
@@ -150,7 +150,7 @@ class _Placing:
         self._range2 = (range_m + TOLERANCE_M) ** 2
 
     def take(self, x: float, y: float) -> list[int] | None:
-        """Place a robot at (x, y) and return the ids within range of it, or None if the place breaks the rule."""
+        """Place a robot at (x, y) and return the ids within range of it, or None if the place violates the rule."""
         heard = []
         for j, distance2 in self._cells.near(x, y):
             if distance2 < MIN_SPACING_M**2:

@@ -1,6 +1,6 @@
 """Many agents over one mock radio in virtual time: real MAVLink bytes, no clock.
 
-What moves the nodes and what their autopilots say is left open: `swarm.world` simulates it, `replay` has it from logs.
+Motion and autopilots are left to subclasses: `swarm.world` simulates them, `replay` takes them from logs.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ S = TypeVar("S", bound="VirtualSwarm")
 
 
 class VirtualSwarm(ABC):
-    """Agents, their radio and their ledger. `step` does one step in the order that docs/simulation.md states."""
+    """Agents, their radio and their ledger. `step` does one step in the order that docs/simulation.md describes."""
 
-    #: What holds back a node's words until its store has written what they rest on.
+    #: Holds back a node's frames until its store has written what they depend on.
     make_gate = CommitGate
 
     def __init__(
@@ -53,9 +53,10 @@ class VirtualSwarm(ABC):
         record: Record | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
-        :param topology: what the summary says of it.
+        :param topology: its name in the summary.
         :param full_items: how many data in a drone's store the summary calls 100 %; None: the store's capacity.
-        :param failures: which nodes go off, and when; whoever says what surrounds them carries it out. None: none do.
+        :param failures: which nodes go off, and when; the subclass that simulates the surroundings carries it out.
+          None: none do.
         :param disk: what the nodes' disks are like; None: their stores are in memory.
         :param hostile: attackers beside the nodes.
         :param off_steps: how long a node is off after a power cut.
@@ -64,12 +65,12 @@ class VirtualSwarm(ABC):
         agents = list(agents)
         self.seed = seed
         self.topology = topology
-        # One generator for each purpose: what one part draws does not disturb the others. Seeding with a text is
-        # the same in every process.
+        # One generator for each purpose: the draws of one part do not disturb the others. Seeding with a text is the
+        # same in every process.
         self.radio = Radio(radio, random.Random(f"{seed}:radio"), record=record)
         self.ledger = Ledger(custody=agents[0].custody.mode == "acknowledged")
         self.t = 0
-        """The step that comes next."""
+        """The next step."""
         self.loops = 0
         """Cycles of next hops seen, one for each cycle and step."""
         self.failures = failures
@@ -80,7 +81,7 @@ class VirtualSwarm(ABC):
         self.stores: list[Store] = []
         self.gates: list[CommitGate] = []
         self.agents: list[Agent] = []
-        """Of a node that is off: the one that will start on its store, or with disks the one that ran there."""
+        """For a node that is off: the one that will start on its store, or with disks the one that ran there."""
         for settings in agents:
             rng = random.Random(f"{seed}:node:{settings.node_id}")
             store: Store
@@ -101,7 +102,7 @@ class VirtualSwarm(ABC):
             hostile, nodes=len(self.agents), seed=seed, payload_type=some.settings.mavlink.payload_type,
             costs=some.node.policy.costs is not None,
         )  if hostile else None  # fmt: skip
-        """None: all are honest."""
+        """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
         self._begins = bool(radio.latency_steps or radio.reorder)
         self._at_once = not radio.latency_steps
@@ -149,8 +150,8 @@ class VirtualSwarm(ABC):
             except StoreError as error:
                 self._fail(node_id, error)
         if self.hostile is not None:
-            for liar, frame in self.hostile.turn(t, now):
-                self.radio.send(liar, frame, t)
+            for attacker, frame in self.hostile.turn(t, now):
+                self.radio.send(attacker, frame, t)
         if self._at_once:
             self._deliver(t, now)
         self.loops += count_loops(
@@ -177,7 +178,7 @@ class VirtualSwarm(ABC):
                     self._fail(hearer, error)
 
     def _say(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
-        """A node has had its turn, or heard a frame. What it says leaves when what it changed is on its disk."""
+        """A node has had its turn, or heard a frame. Its frames leave when its changes are on its disk."""
         gate = self.gates[node_id]
         self._send(node_id, gate.say(frames), t)
         if self.power is not None:
@@ -187,14 +188,14 @@ class VirtualSwarm(ABC):
     def _send(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
         send = self.radio.send
         for outgoing in frames:
-            # The mock flight controllers and the ground listen to nobody.
+            # The mock flight controllers and the ground station listen to no node.
             if outgoing.way is Way.NEIGHBOURS:
                 send(node_id, outgoing.frame, t)
                 if self.hostile is not None:
-                    for liar, frame in self.hostile.overhear(
+                    for attacker, frame in self.hostile.overhear(
                         node_id, outgoing.frame, self.neighbours, t, t * self.step_s
                     ):
-                        send(liar, frame, t)
+                        send(attacker, frame, t)
 
     def _make_store(self, settings: AgentSettings, rng: random.Random) -> MemoryStore:
         """An empty store, with an epoch of its own."""
@@ -202,11 +203,11 @@ class VirtualSwarm(ABC):
         return kind(rng.getrandbits(32), quota_bytes=settings.store.quota_bytes)
 
     def crash(self, node_id: int, back: int | None, *, wiped: bool = False) -> None:
-        """A node goes off before its turn of the present step: what it had in memory is gone.
+        """A node goes off before its turn of the present step: the content of its memory is gone.
 
         :param back: the step, this or a later one, in which it has its turn again; None: never, it counts as dead.
         :param wiped: its store is gone too, and it comes back with an empty one of a new epoch.
-        :raises ValueError: `back` is over, or this swarm was made without failures.
+        :raises ValueError: `back` is over, or this swarm was created without failures.
         """
         t = self.t
         if self.failures is None or (back is not None and back < t):
@@ -240,7 +241,7 @@ class VirtualSwarm(ABC):
             self.off[node_id] = back
 
     def _fail(self, node_id: int, error: StoreError | None) -> None:
-        """A node's power was cut, or its disk has failed it so that it starts again."""
+        """A node's power was cut, or its disk failed so that it starts again."""
         if self.power is None:
             assert error is not None
             raise error
@@ -260,16 +261,16 @@ class VirtualSwarm(ABC):
         del self.off[node_id]
 
     def _rng_after(self, t: int, node_id: int) -> random.Random:
-        # A new generator: nothing that was said in the old life is said again by accident.
+        # A new generator, so that no message of the old life is repeated by accident.
         return random.Random(f"{self.seed}:node:{node_id}:off:{t}")
 
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
-        """An agent begins anew over its store, in step `start`."""
+        """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
         agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
-        # What waited for a commit was only in memory.
+        # Frames that waited for a commit were only in memory.
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 

@@ -1,4 +1,4 @@
-"""The cables of a swarm of real processes: UDP sockets on 127.0.0.1 that learn who is at their other end."""
+"""The cables of a swarm of real processes: UDP sockets on 127.0.0.1 that learn the address of their other end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LOCALHOST = "127.0.0.1"
 
 
 class Wire:
-    """One end of a cable: a socket of ours, and who has spoken to it last."""
+    """One end of a cable: a socket of ours, and the last sender to it."""
 
     def __init__(self, handle: Callable[[int, bytes], None], node: int, port: int = 0) -> None:
         """`handle` gets the node and each datagram. `port` 0: the system chooses. Raises `LinkError`: it is in use."""
@@ -32,18 +32,18 @@ class Wire:
             except BlockingIOError:
                 return False
             except OSError:
-                continue  # an earlier datagram of ours found nobody
+                continue  # an earlier datagram of ours reached no socket
             self._handle(self._node, data)
         return True
 
     def forget(self) -> None:
-        """Who was at the other end is gone. What it sent last is handled, for its port may be another's soon."""
+        """The other end is gone. What it sent last is handled first, because another may soon use its port."""
         while self.read():
             pass
         self.peer = None
 
     def send(self, data: bytes) -> bool:
-        """False: nobody has spoken yet, or there is no room."""
+        """False: no sender is known yet, or there is no space."""
         if self.peer is None:
             return False
         try:
@@ -54,7 +54,7 @@ class Wire:
 
     @property
     def overrun(self) -> int:
-        """Datagrams that found no room in the kernel."""
+        """Datagrams for which the kernel had no space."""
         return kernel_drops(self.sock)
 
 
@@ -77,7 +77,7 @@ class Wires:
         self._selector.register(file, selectors.EVENT_READ, ready)
 
     def poll(self, timeout_s: float) -> None:
-        """Handle what has arrived; wait for it at most so long."""
+        """Handle what has arrived; wait for it for at most `timeout_s` seconds."""
         for key, _ in self._selector.select(max(timeout_s, 0.0)):
             key.data()
 

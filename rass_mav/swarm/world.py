@@ -54,7 +54,7 @@ class World(VirtualSwarm):
 
     @property
     def graph(self) -> RangeGraph:
-        """Who is in whose range."""
+        """Which nodes are in range of each other."""
         return self.surroundings.graph
 
     @property
@@ -85,7 +85,7 @@ class World(VirtualSwarm):
                     self._strike(node_id, corruption[node_id])
 
     def _sense(self, now: float) -> None:
-        """Each flight controller says where it is, and what its sensor reads: Eq. 1 with noise."""
+        """Each flight controller sends its position, and its sensor's reading: Eq. 1 with noise."""
         noise = self.scenario.radiation.noise
         gauss = self._noise_rng.gauss
         positions = self.surroundings.positions

@@ -140,7 +140,7 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
         size = _DATUM.size + len(payload)
         if size > room:
             if size > MAX_TUNNEL - _TO.size:
-                raise ValueError(f"a datum of {len(payload)} bytes does not go whole")
+                raise ValueError(f"a datum of {len(payload)} bytes does not fit one frame")
             frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
             parts = []
             room = MAX_TUNNEL - _TO.size
@@ -227,7 +227,7 @@ def _encode_put(m: Put, now: float) -> list[bytes]:
         len(d.payload),
     )  # fmt: skip
     if len(head) + len(d.payload) > MAX_TUNNEL:
-        raise ValueError(f"an entry of {len(d.payload)} bytes does not go whole")
+        raise ValueError(f"an entry of {len(d.payload)} bytes does not fit one frame")
     return [head + d.payload]
 
 
@@ -281,7 +281,7 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
     rest = p[:_SEAL] + p[_SEAL + 4 :]
     fields = _BEACON_FIELDS.unpack_from(rest)
     if (crc32(rest),) != _NUMBER.unpack_from(p, _SEAL):
-        raise MalformedError("a beacon whose checksum does not fit")
+        raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
@@ -348,7 +348,7 @@ def _decode_receipt(p: bytes, now: float) -> Receipt:
         entry, at = _decode_receipt_entry(p, at)
         entries.append(entry)
     if receipt_crc(base, life, serial, entries) != crc:
-        raise MalformedError("a receipt whose checksum does not fit")
+        raise MalformedError("a receipt with a wrong checksum")
     return Receipt(base, life, serial, crc, tuple(entries))
 
 
@@ -380,13 +380,13 @@ def _decode_varint(p: bytes, at: int) -> tuple[int, int]:
             if not byte and shift:
                 break
             return number, at
-    raise MalformedError("a number that is longer than it need be")
+    raise MalformedError("a number in a longer form than necessary")
 
 
 def _decode_given(p: bytes, now: float) -> Given:
     given = Given._make(_GIVEN.unpack_from(p)[1:])
     if given_crc(*given[:3]) != given.crc:
-        raise MalformedError("a word on numbers given whose checksum does not fit")
+        raise MalformedError("a Given with a wrong checksum")
     return given
 
 

@@ -25,8 +25,8 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.settings import StoreSettings
 from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackLink
+from tests.patience import PATIENCE_S
 
-TIMEOUT_S = 10.0
 STEP_S = 0.02
 PAYLOAD_TYPE = 33200
 
@@ -55,7 +55,7 @@ class Arrivals(Observer):
     async def until(self, count: int) -> None:
         while len(self.data) < count:
             self._changed.clear()
-            await asyncio.wait_for(self._changed.wait(), TIMEOUT_S)
+            await asyncio.wait_for(self._changed.wait(), PATIENCE_S)
 
 
 class HeldExecutor(Executor):
@@ -107,7 +107,7 @@ class NeighbourEnd:
     async def until(self, done: Callable[[list[Message]], bool]) -> None:
         while not done(self.hear()):
             self._wake.clear()
-            await asyncio.wait_for(self._wake.wait(), TIMEOUT_S)
+            await asyncio.wait_for(self._wake.wait(), PATIENCE_S)
 
     async def beacons(self, count: int) -> None:
         """Wait until so many more beacons have been heard."""
@@ -139,7 +139,7 @@ async def running(
     finally:
         driver.stop()
         try:
-            await asyncio.wait_for(task, TIMEOUT_S)
+            await asyncio.wait_for(task, PATIENCE_S)
         finally:
             own.shutdown()
 

@@ -11,15 +11,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
 from rass_mav.app.client import ControlClient
+from rass_mav.cli import main
+from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
-DEADLINE_S = 30.0
 STEP_S = 0.05
 
 
@@ -34,17 +37,39 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def command(directory: Path, *arguments: str, stdin: bytes | None = None) -> subprocess.CompletedProcess[bytes]:
-    """Run `rass-mav` to its end."""
+def process(directory: Path, *arguments: str, stdin: bytes | None = None) -> subprocess.CompletedProcess[bytes]:
+    """Run `rass-mav` to its end, as a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "rass_mav", *arguments],
         cwd=directory,
         env=environment(),
         input=stdin,
         capture_output=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
     )
+
+
+def command(directory: Path, *arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    """Run `rass-mav` to its end, in this process: to start one takes longer than most commands do."""
+    streams = {
+        name: TextIOWrapper(BytesIO(content)) for name, content in (("stdin", stdin), ("stdout", b""), ("stderr", b""))
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(directory)
+        for name, stream in streams.items():
+            patch.setattr(sys, name, stream)
+        try:
+            code = main(arguments)
+        except SystemExit as end:
+            code = int(end.code or 0)
+    said = []
+    for name in ("stdout", "stderr"):
+        streams[name].flush()
+        buffer = streams[name].buffer
+        assert isinstance(buffer, BytesIO)
+        said.append(buffer.getvalue())
+    return subprocess.CompletedProcess(arguments, code, *said)
 
 
 def environment() -> dict[str, str]:
@@ -78,7 +103,7 @@ class RunningNode:
                 stderr=log,
             )
         assert self.process.stdout is not None
-        ready, _, _ = select.select([self.process.stdout], [], [], DEADLINE_S)
+        ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
         line = self.process.stdout.readline() if ready else b""
         assert line, f"{self.name} did not start: {self.log()}"
         self.about = json.loads(line)
@@ -108,7 +133,7 @@ class RunningNode:
         """Ask again and again until it is so. A node that ends, or a deadline that passes, is a failure."""
         assert self.process is not None
         assert self.process.stdout is not None
-        deadline = time.monotonic() + DEADLINE_S
+        deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline, f"{self.name}: not in time; {self.log()}"
             # Waits for the next step or so; returns at once when the process ends.
@@ -124,7 +149,7 @@ class RunningNode:
     def _signal(self, number: int) -> int:
         assert self.process is not None
         self.process.send_signal(number)
-        code = self.process.wait(DEADLINE_S)
+        code = self.process.wait(PATIENCE_S)
         if self.process.stdout is not None:
             self.process.stdout.close()
         self.process = None

@@ -30,8 +30,9 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
 from tests.nodes import node_of
+from tests.patience import PATIENCE_S
 
-from .app_drivers import STEP_S, TIMEOUT_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
+from .app_drivers import STEP_S, Arrivals, HeldExecutor, NeighbourEnd, run, running, settings
 
 STATUSTEXT = 253
 
@@ -57,7 +58,7 @@ def test_two_agents_over_the_loopback_bring_data_to_the_base() -> None:
         ):
             for payload in (b"one", b"two", os.urandom(3000)):
                 sent[await drone.put(payload, 0)] = payload
-            await asyncio.wait_for(arrivals.until(3), TIMEOUT_S)
+            await asyncio.wait_for(arrivals.until(3), PATIENCE_S)
             assert a.reaches(1), "the base's address was learned from its beacons"
         assert {id: datum.payload for id, datum in arrivals.data.items()} == sent
 
@@ -74,13 +75,13 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
         neighbour = NeighbourEnd(a, 9)
         async with running(b, store, settings(1, base=True), executor=disk) as driver:
             # A base stores its announcement number first of all.
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             disk.release()
             await neighbour.beacons(1)
             disk.arrived.clear()
             first = a_datum(0)
             neighbour.hand_over(1, 100, first)
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             # It is held in memory, but not durable: only beacons go out, and what arrives meanwhile is the next batch.
             assert first.id in node_of(driver.agent).keeper.arrived
             neighbour.hand_over(1, 101, a_datum(1))
@@ -93,7 +94,7 @@ def test_the_answer_leaves_after_the_commit_and_beacons_do_not_wait(tmp_path: Pa
             disk.release()
             await neighbour.until(lambda heard: any(isinstance(m, Committed) for m in heard))
             assert [m.committed for m in neighbour.heard if isinstance(m, Committed)] == [((100, first.crc),)]
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             disk.arrived.clear()
             disk.release()
             await neighbour.until(lambda heard: sum(isinstance(m, Committed) for m in heard) == 3)
@@ -117,7 +118,7 @@ async def _release_all(disk: HeldExecutor) -> None:
 
 async def driver_done(driver: object) -> None:
     """The loop gets a turn; `running` waits for the end."""
-    await asyncio.wait_for(asyncio.get_running_loop().run_in_executor(None, int), TIMEOUT_S)
+    await asyncio.wait_for(asyncio.get_running_loop().run_in_executor(None, int), PATIENCE_S)
 
 
 def test_a_put_is_answered_when_it_is_durable(tmp_path: Path) -> None:
@@ -127,10 +128,10 @@ def test_a_put_is_answered_when_it_is_durable(tmp_path: Path) -> None:
         store = open_store(tmp_path / "node.db")
         async with running(link, store, settings(3), executor=disk) as driver:
             putting = asyncio.ensure_future(driver.put(b"hello", 0))
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             assert not putting.done()
             disk.release()
-            id = await asyncio.wait_for(putting, TIMEOUT_S)
+            id = await asyncio.wait_for(putting, PATIENCE_S)
             for wrong in (b"", bytes((1 << 20) + 1)):
                 with pytest.raises(DatumError):
                     await driver.put(wrong, 0)
@@ -157,16 +158,16 @@ def test_with_immediate_forwarding_data_leave_after_their_commit_and_not_after_t
             tag = driver.agent.node.policy.tag
             base.say(Beacon(1, 5, 0, BEACON_BASE, 1, 5, 0, 0, 0, 0, 0, UNBOUNDED_FREE, tag, POTENTIAL_BASE, 0), 3)
             base.hand_over(3, 7, a_datum(0))
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             assert base.kinds() == []
             disk.arrived.clear()
             disk.release()
             await base.until(lambda heard: base.kinds() == [Committed, Data])
             putting = asyncio.ensure_future(driver.put(b"hello", 0))
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             assert base.kinds() == [Committed, Data]
             disk.release()
-            id = await asyncio.wait_for(putting, TIMEOUT_S)
+            id = await asyncio.wait_for(putting, PATIENCE_S)
             await base.until(lambda heard: base.kinds() == [Committed, Data, Data])
             [said] = [m for m in base.heard[-1:] if isinstance(m, Data)]
             assert [handover.datum.id for handover in said.handovers] == [id]
@@ -197,7 +198,7 @@ def test_stopping_commits_what_waits(tmp_path: Path) -> None:
             putting = [asyncio.ensure_future(driver.put(b"%d" % n, 0)) for n in range(10)]
             await driver_done(driver)
             driver.stop()
-            ids = await asyncio.wait_for(asyncio.gather(*putting), TIMEOUT_S)
+            ids = await asyncio.wait_for(asyncio.gather(*putting), PATIENCE_S)
             with pytest.raises(StoreError, match="stopping"):
                 await driver.put(b"too late", 0)
         store.abandon()
@@ -323,7 +324,7 @@ def test_a_disk_that_refuses_holds_promises_back_and_a_later_try_keeps_them(
             with disk_that_refuses():
                 neighbour.hand_over(3, 100, a_datum(0))
                 with pytest.raises(StoreError, match="not on disk yet"):
-                    await asyncio.wait_for(driver.put(b"mine", 0), TIMEOUT_S)
+                    await asyncio.wait_for(driver.put(b"mine", 0), PATIENCE_S)
                 while driver.writer.gate.failures < 3:
                     await neighbour.beacons(1)
                 assert neighbour.kinds() == [], "nothing is promised"
@@ -348,7 +349,7 @@ def test_a_full_database_file_is_told_as_a_full_disk(tmp_path: Path, caplog: pyt
             async with running(link, store, settings(3, capacity_items=None)) as driver:
                 with pytest.raises(StoreError, match="full"):  # noqa: PT012
                     for _ in range(100):
-                        await asyncio.wait_for(driver.put(os.urandom(4000), 0), TIMEOUT_S)
+                        await asyncio.wait_for(driver.put(os.urandom(4000), 0), PATIENCE_S)
         store.abandon()
 
     run(scenario)
@@ -372,7 +373,7 @@ def test_damage_ends_the_run(tmp_path: Path) -> None:
             agent = Agent(settings(3), store, random.Random(1), now=clock.now())
             driver = Driver(agent, [link], None, clock.now, executor)
             with pytest.raises(StoreDamagedError, match=r"node\.db: "):
-                await asyncio.wait_for(driver.run(), TIMEOUT_S)
+                await asyncio.wait_for(driver.run(), PATIENCE_S)
         store.abandon()
 
     run(scenario)

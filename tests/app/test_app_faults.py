@@ -19,9 +19,10 @@ from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store import SqliteStore
 from rass_mav.wire import decode, encode
 from tests.link.loopback import LoopbackHub
+from tests.patience import PATIENCE_S
 
-from .app_drivers import PAYLOAD_TYPE, TIMEOUT_S, HeldExecutor, NeighbourEnd, run, running, settings
-from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_drivers import PAYLOAD_TYPE, HeldExecutor, NeighbourEnd, run, running, settings
+from .app_nodes import RunningNode, free_ports
 
 POISON = b"poison"
 
@@ -53,7 +54,7 @@ def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dro
         neighbour = NeighbourEnd(a, 9)
 
         async def written() -> None:
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             disk.arrived.clear()
             disk.release()
 
@@ -61,7 +62,7 @@ def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dro
             await neighbour.beacons(1)
             first = asyncio.ensure_future(driver.put(b"mine", 0))
             neighbour.hand_over(3, 100, a_datum(0))
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             # The first batch is on its way; what comes now is in the next one.
             second = asyncio.ensure_future(driver.put(b"dropped", 0))
             neighbour.hand_over(3, 101, a_datum(1))
@@ -69,14 +70,14 @@ def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dro
             before = driver.agent.node
             neighbour.say(Data(8, 3, (Handover(102, a_datum(2, POISON)),)), 3)
             with pytest.raises(StoreError, match="hit a fault; try again"):
-                await asyncio.wait_for(second, TIMEOUT_S)
+                await asyncio.wait_for(second, PATIENCE_S)
             assert driver.agent.node is not before
             await neighbour.beacons(3)
             assert numbers(neighbour.heard) == set()
             assert not first.done()
             disk.arrived.clear()
             disk.release()
-            own = await asyncio.wait_for(first, TIMEOUT_S)
+            own = await asyncio.wait_for(first, PATIENCE_S)
             await neighbour.until(lambda heard: numbers(heard) == {100})
             assert set(store.ids()) == {own, a_datum(0).id}
             # Whoever was not answered says it again.
@@ -86,7 +87,7 @@ def test_with_a_commit_under_way_the_node_goes_on_and_only_the_next_batch_is_dro
             await neighbour.until(lambda heard: numbers(heard) == {100, 103})
             again = asyncio.ensure_future(driver.put(b"dropped", 0))
             await written()
-            assert (await asyncio.wait_for(again, TIMEOUT_S)).sequence == own.sequence + 1
+            assert (await asyncio.wait_for(again, PATIENCE_S)).sequence == own.sequence + 1
         store.abandon()
         with SqliteStore.open(tmp_path / "node.db", node_id=7, draw_epoch=lambda: 78) as found:
             assert {id.sequence for id in found.ids() if id.origin == 9} == {0, 1}
@@ -122,7 +123,7 @@ class Neighbour:
     def __init__(self, port: int, node: int, node_port: int) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", port))
-        self.socket.settimeout(DEADLINE_S)
+        self.socket.settimeout(PATIENCE_S)
         self.to = ("127.0.0.1", node_port)
         self.node = node
         self.writer = FrameWriter(200, 191)

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from rass_mav.agent.parameters import INDEX
+from tests.patience import PATIENCE_S
 
-from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_nodes import RunningNode, free_ports
 from .app_relay import autopilot
 
 SYSTEM, COMPANION = 12, 191
@@ -49,7 +50,7 @@ class MavProxy:
     def until(self, pattern: str) -> re.Match[str]:
         """Wait for text behind what has been waited for before."""
         assert self._process.stdout is not None
-        deadline = time.monotonic() + DEADLINE_S
+        deadline = time.monotonic() + PATIENCE_S
         while True:
             found = re.compile(pattern).search(self.text, self._read)
             if found:

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.parameters import INDEX
+from tests.patience import PATIENCE_S
 
-from .app_nodes import DEADLINE_S, RunningNode, free_ports
+from .app_nodes import RunningNode, free_ports
 from .app_relay import autopilot
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
@@ -70,7 +71,7 @@ class Station:
                         return fields
             raise AssertionError(f"no {name}")
 
-        return await asyncio.wait_for(first(), DEADLINE_S)
+        return await asyncio.wait_for(first(), PATIENCE_S)
 
     async def command(self, command: int, param1: float) -> None:
         fields: dict[str, float] = {
@@ -90,7 +91,7 @@ async def station(sdk: Any, port: int) -> Station:
         await asyncio.sleep(0)  # so that it listens
         await sdk.add_any_connection(f"udpin://127.0.0.1:{port}")
         while True:
-            await asyncio.wait_for(new, DEADLINE_S)
+            await asyncio.wait_for(new, PATIENCE_S)
             # Until the autopilot has been heard, the node speaks under an id of its own: that may come first.
             for system in await sdk.get_systems():
                 if await system.get_system_id() == SYSTEM:

@@ -20,8 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.app.notify import Notifier
+from tests.patience import PATIENCE_S
 
-from .app_nodes import DEADLINE_S, RunningNode, environment, free_ports
+from .app_nodes import RunningNode, environment, free_ports
 
 
 class Manager:
@@ -31,7 +32,7 @@ class Manager:
         self.address = address
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
-        self.socket.settimeout(DEADLINE_S)
+        self.socket.settimeout(PATIENCE_S)
 
     def next(self) -> str:
         return self.socket.recv(4096).decode()
@@ -158,7 +159,7 @@ def logged(journal: str | None) -> list[str]:
             [sys.executable, "-c", _LOG],
             env={**environment(), **variables},
             stderr=writing,
-            timeout=DEADLINE_S,
+            timeout=PATIENCE_S,
             check=True,
         )
     finally:

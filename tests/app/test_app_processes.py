@@ -21,9 +21,10 @@ import pytest
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import autopilot_heartbeat
 from rass_mav.mavlink.reader import FrameReader
+from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float
 
-from .app_nodes import DEADLINE_S, RunningNode, command, environment, free_ports, line_of
+from .app_nodes import RunningNode, command, environment, free_ports, line_of, process
 
 STATUSTEXT = 253
 HEARTBEAT = 0
@@ -62,7 +63,7 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
     line_id = said.stdout.decode().strip()
     said = command(tmp_path, "put", "-c", "n3.yaml", "photo.jpg", "--json")
     photo_id = json.loads(said.stdout)["id"]
-    said = command(tmp_path, "put", "-c", "n3.yaml", "-", stdin=b"\0\xff stdin\n")
+    said = process(tmp_path, "put", "-c", "n3.yaml", "-", stdin=b"\0\xff stdin\n")
     stdin_id = said.stdout.decode().strip()
 
     base.until(lambda: {line_id, photo_id, stdin_id} <= set(base.listing()))
@@ -148,7 +149,7 @@ def test_a_measurement_carries_what_the_autopilot_says(tmp_path: Path, tidy: Tid
         )
     ).start()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
-        autopilot.settimeout(DEADLINE_S)
+        autopilot.settimeout(PATIENCE_S)
         autopilot.bind(("127.0.0.1", 0))
         writer = FrameWriter(42, 1)
 
@@ -183,7 +184,7 @@ def test_a_measurement_carries_what_the_autopilot_says(tmp_path: Path, tidy: Tid
 def test_a_second_node_under_the_same_id_is_reported(tmp_path: Path, tidy: Tidy) -> None:
     first_port, second_port = free_ports(2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
-        ground.settimeout(DEADLINE_S)
+        ground.settimeout(PATIENCE_S)
         ground.bind(("127.0.0.1", 0))
         first = tidy(
             RunningNode(
@@ -213,7 +214,7 @@ def test_a_second_node_under_the_same_id_is_reported(tmp_path: Path, tidy: Tidy)
 
 
 def fails(tmp_path: Path, config: str, code: int) -> str:
-    said = command(tmp_path, "run", config)
+    said = process(tmp_path, "run", config)
     assert said.returncode == code
     assert said.stdout == b""
     lines = said.stderr.decode().splitlines()
@@ -264,7 +265,7 @@ def test_a_reader_that_has_seen_enough_does_no_harm(tmp_path: Path, tidy: Tidy) 
     )  # fmt: skip
     os.close(write)
     os.close(read)
-    _, errors = listing.communicate(timeout=DEADLINE_S)
+    _, errors = listing.communicate(timeout=PATIENCE_S)
     assert errors == b""
     assert listing.returncode == 1
     assert len(node.listing()) == 200
@@ -284,7 +285,7 @@ def test_a_store_that_is_rubbish_is_set_aside_and_the_ground_is_told(tmp_path: P
 def test_what_a_running_node_refuses_is_one_line(tmp_path: Path, tidy: Tidy) -> None:
     node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as raw:
-        raw.settimeout(DEADLINE_S)
+        raw.settimeout(PATIENCE_S)
         raw.connect(os.path.relpath(node.directory / "n1.sock"))
         answers = raw.makefile("rb")
         for line in (b"rubbish", b"{}", b'{"command": "fly"}', b'{"command": "put", "payload": "?"}', b"\xff\x00"):

@@ -16,10 +16,11 @@ from rass_mav.agent.agent import Agent
 from rass_mav.app.driver import Driver
 from rass_mav.sensor.base import Sensor, SensorReading, SensorState
 from rass_mav.store import MemoryStore
+from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.sensor.sentences import sentence
 
-from .app_drivers import TIMEOUT_S, run, settings
+from .app_drivers import run, settings
 from .app_nodes import RunningNode, command, free_ports
 
 
@@ -69,7 +70,7 @@ class Driven:
             while self.agent.steps < aim:
                 await asyncio.sleep(0)
 
-        await asyncio.wait_for(look(), TIMEOUT_S)
+        await asyncio.wait_for(look(), PATIENCE_S)
 
     async def __aenter__(self) -> Driven:
         self._task = asyncio.create_task(self.driver.run())
@@ -78,7 +79,7 @@ class Driven:
 
     async def __aexit__(self, *failure: object) -> None:
         self.driver.stop()
-        await asyncio.wait_for(self._task, TIMEOUT_S)
+        await asyncio.wait_for(self._task, PATIENCE_S)
         self._executor.shutdown()
 
 

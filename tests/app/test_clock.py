@@ -23,8 +23,9 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.sqlite import SqliteStore
 from tests.extent import examples
+from tests.patience import PATIENCE_S
 
-from .app_drivers import STEP_S, TIMEOUT_S, run
+from .app_drivers import STEP_S, run
 from .app_drivers import settings as about
 
 YEAR_S = 365.25 * 86400.0
@@ -279,7 +280,7 @@ def test_commits_bring_the_time_and_the_time_brings_no_commits(tmp_path: Path) -
                 await asyncio.sleep(STEP_S)
             computer.true += 5.0
             driver.stop()
-            await asyncio.wait_for(task, TIMEOUT_S)
+            await asyncio.wait_for(task, PATIENCE_S)
             return driver.writer.gate.commits, ages
 
     async def scenario() -> None:

@@ -22,8 +22,9 @@ from rass_mav.app.control import MAX_CLIENTS, MAX_LINE, ControlServer
 from rass_mav.core.store import Store
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
+from tests.patience import PATIENCE_S
 
-from .app_drivers import TIMEOUT_S, HeldExecutor, run, running, settings
+from .app_drivers import HeldExecutor, run, running, settings
 
 PATH = Path("n.sock")
 PAYLOAD = os.urandom(1 << 20)
@@ -56,20 +57,20 @@ class Client:
 
     @classmethod
     async def connect(cls) -> Client:
-        return cls(*await asyncio.wait_for(asyncio.open_unix_connection(PATH, limit=1 << 22), TIMEOUT_S))
+        return cls(*await asyncio.wait_for(asyncio.open_unix_connection(PATH, limit=1 << 22), PATIENCE_S))
 
     async def ask(self, command: str, **fields: Any) -> dict[str, Any]:
         self.writer.write(json.dumps({"command": command, **fields}).encode() + b"\n")
         return await self.answer()
 
     async def answer(self) -> dict[str, Any]:
-        line = await asyncio.wait_for(self.reader.readline(), TIMEOUT_S)
+        line = await asyncio.wait_for(self.reader.readline(), PATIENCE_S)
         answer: dict[str, Any] = json.loads(line)
         return answer
 
     async def is_cut(self) -> None:
         """Returns when the node has ended the connection."""
-        assert await asyncio.wait_for(self.reader.read(), TIMEOUT_S) == b""
+        assert await asyncio.wait_for(self.reader.read(), PATIENCE_S) == b""
 
     def close(self) -> None:
         self.writer.close()
@@ -80,7 +81,7 @@ class Hanger:
 
     def __init__(self, *said: bytes) -> None:
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.sock.settimeout(TIMEOUT_S)
+        self.sock.settimeout(PATIENCE_S)
         self.said = said
 
     async def hang(self) -> Hanger:
@@ -99,7 +100,7 @@ class Hanger:
         """Returns when the node has ended the connection; without reading."""
         poll = select.poll()
         poll.register(self.sock, 0)
-        assert await asyncio.get_running_loop().run_in_executor(None, poll.poll, 1000 * TIMEOUT_S)
+        assert await asyncio.get_running_loop().run_in_executor(None, poll.poll, 1000 * PATIENCE_S)
 
 
 def close_all(clients: Iterable[Hanger]) -> None:
@@ -211,7 +212,7 @@ def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
         store = SqliteStore.open(Path("n.db"), node_id=7, draw_epoch=lambda: 7)
         async with listening(store, disk) as server:
             # A base stores its announcement number first of all; the data of all clients come in the write after it.
-            await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+            await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
             clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
             for client in clients:
                 client.writer.write(b'{"command": "put", "payload": "eA=="}\n')
@@ -222,7 +223,7 @@ def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
             newcomer.close()
             asked = [asyncio.create_task(client.answer()) for client in clients]
             while not all(task.done() for task in asked):
-                await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+                await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
                 disk.arrived.clear()
                 while disk.submitted:
                     disk.release()

@@ -29,8 +29,9 @@ from rass_mav.mavlink.messages import HEARTBEAT, NAMED_VALUE_FLOAT
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.sqlite import SqliteStore
+from tests.patience import PATIENCE_S
 
-from .app_drivers import TIMEOUT_S, HeldExecutor, run, settings
+from .app_drivers import HeldExecutor, run, settings
 
 
 class GroundStation(asyncio.DatagramProtocol):
@@ -64,7 +65,7 @@ class GroundStation(asyncio.DatagramProtocol):
                     del self.heard[: index + 1]
                     return message
             self._changed.clear()
-            await asyncio.wait_for(self._changed.wait(), TIMEOUT_S)
+            await asyncio.wait_for(self._changed.wait(), PATIENCE_S)
 
     async def value(self, name: str) -> float:
         message = await self.until(lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name)
@@ -102,7 +103,7 @@ async def node(
             while executor.submitted:
                 executor.release()
         try:
-            await asyncio.wait_for(task, TIMEOUT_S)
+            await asyncio.wait_for(task, PATIENCE_S)
         finally:
             link.close()
             station.transport.close()
@@ -129,7 +130,7 @@ def test_the_answer_waits_for_the_disk_and_nothing_else_does(tmp_path: Path) -> 
         with SqliteStore.open(tmp_path / "n.db", node_id=7, draw_epoch=lambda: 5) as store:
             async with node(store, executor=disk) as (_, station):
                 station.ask(setting("RASS_ALPHA", 2.5))
-                await asyncio.wait_for(disk.arrived.wait(), TIMEOUT_S)
+                await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
                 station.ask(setting("RASS_BETA", -1.0))
                 assert await station.value("RASS_BETA") == 10.0, "a refusal rests on nothing"
                 await station.until(lambda m: m.get_msgId() == HEARTBEAT)

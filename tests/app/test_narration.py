@@ -18,8 +18,9 @@ from rass_mav.app.narration import MAX_LOST, MOST_CHANGES, MOST_OF_NEIGHBOURS, N
 from rass_mav.commands.node import narrator
 from tests.agent.field import BASE, Field
 from tests.agent.test_agent import fit_beacon
+from tests.patience import PATIENCE_S
 
-from .app_nodes import DEADLINE_S, RunningNode, environment, free_ports
+from .app_nodes import RunningNode, environment, free_ports
 
 
 def narrated(*others: int, **about: Any) -> tuple[Field, list[str]]:
@@ -168,7 +169,7 @@ def test_a_node_says_on_a_terminal_what_it_is_and_nothing_on_stdout(tmp_path: Pa
         said = b""
         try:
             while not said.endswith(b"\n"):
-                ready, _, _ = select.select([ours], [], [], DEADLINE_S)
+                ready, _, _ = select.select([ours], [], [], PATIENCE_S)
                 assert ready
                 said += os.read(ours, 4096)
         finally:
@@ -177,4 +178,4 @@ def test_a_node_says_on_a_terminal_what_it_is_and_nothing_on_stdout(tmp_path: Pa
         assert said.decode()[9:].rstrip() == f"node 7 (drone): link udp:127.0.0.1:{port}, store n7.db; Ctrl-C stops it"
         assert node.stdout is not None
         assert node.stdout.read() == b""
-        assert node.wait(DEADLINE_S) == 0
+        assert node.wait(PATIENCE_S) == 0

@@ -31,10 +31,11 @@ from rass_mav.mavlink.messages import (
 )
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.store.memory import MemoryStore
+from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
 from tests.telemetry import named_value_float
 
-from .app_drivers import TIMEOUT_S, Arrivals, run, settings
+from .app_drivers import Arrivals, run, settings
 
 #: Fast enough for a test.
 AIRTIME = AirtimeSection(bytes_s=100_000.0, duty=1.0, frames_s=1000.0)
@@ -94,7 +95,7 @@ class Running:
 
     async def end(self) -> None:
         self.driver.stop()
-        await asyncio.wait_for(self.task, TIMEOUT_S)
+        await asyncio.wait_for(self.task, PATIENCE_S)
         for port in self.ports:
             port.close()
         self.executor.shutdown()
@@ -105,7 +106,7 @@ async def until(condition: Callable[[], bool]) -> None:
         while not condition():
             await asyncio.sleep(0)  # lets the others run
 
-    await asyncio.wait_for(wait(), TIMEOUT_S)
+    await asyncio.wait_for(wait(), PATIENCE_S)
 
 
 def reads(node: Running) -> float | None:
@@ -172,7 +173,7 @@ class Autopilot:
 
         loop.add_reader(self.device.far, readable)
         try:
-            await asyncio.wait_for(came, TIMEOUT_S)
+            await asyncio.wait_for(came, PATIENCE_S)
         finally:
             loop.remove_reader(self.device.far)
 

@@ -8,7 +8,6 @@ import select
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,15 +17,12 @@ import pytest
 import serial
 
 from rass_mav.cli import main
-from rass_mav.doctor import watch
+from rass_mav.doctor import node, service, watch
 from rass_mav.mavlink.frames import FrameWriter
 from tests.app.app_nodes import RunningNode, command, free_ports
 from tests.mock_vehicle import INT8, INT16, REAL32, MockVehicle
 from tests.ptys import SerialDevice
 from tests.wire.version_1 import VERSION_1
-
-#: Ten seconds are promised; here a busy machine is added.
-PATIENCE_S = 15.0
 
 Capture = pytest.CaptureFixture[str]
 
@@ -47,10 +43,8 @@ Tidy = Callable[[RunningNode], RunningNode]
 
 
 def examined(path: Path, capsys: Capture, code: int) -> dict[str, dict[str, Any]]:
-    """The checks by name; the command ends in time, with this exit code."""
-    began = time.monotonic()
+    """The checks by name; the command ends with this exit code."""
     assert main(["doctor", str(path), "--json"]) == code
-    assert time.monotonic() - began < PATIENCE_S
     said = capsys.readouterr()
     assert said.err == ""
     report = json.loads(said.out)
@@ -420,6 +414,10 @@ def test_a_running_node_of_another_configuration(tmp_path: Path, tidy: Tidy, cap
     found = examined(Path(node.config), capsys, 1)
     assert "runs: node 1 (base)" in found["node"]["text"]
     assert found["node"]["level"] == "fail"
+
+
+def test_all_waits_together_take_ten_seconds_at_most() -> None:
+    assert watch.MOST_S + node.ANSWER_S + service.ANSWER_S <= 10.0
 
 
 def test_rates() -> None:

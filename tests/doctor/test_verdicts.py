@@ -402,6 +402,12 @@ def test_what_positions_need_depends_on_the_firmware(
     assert remedy in found.remedy
 
 
+def test_a_system_id_that_waits_for_a_reboot(scene: tuple[RunConfig, Evidence]) -> None:
+    found = vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 8}))
+    assert (found.level, "SYSID_THISMAV is 8, but not used yet" in found.text) == ("warn", True)
+    assert vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 3})).level == "pass"
+
+
 def test_system_ids_that_several_use(scene: tuple[RunConfig, Evidence]) -> None:
     assert neighbours.system_ids(evidence(scene, nothing)).level == "pass"
     shared = [{"system_id": 3, "node_ids": [4, 7]}, {"system_id": 9, "node_ids": [11, 12]}]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.experiment.statistics import Estimate, estimate, t_between, t_quantile
+from rass_mav.experiment.statistics import Estimate, counted, estimate, t_between, t_quantile
 
 
 @pytest.mark.parametrize(
@@ -42,9 +42,25 @@ def test_an_interval_by_hand() -> None:
 
 
 def test_one_value_has_no_interval_and_none_have_no_mean() -> None:
-    assert estimate([0.25]) == Estimate(0.25, None, 1)
-    assert Estimate(0.25, None, 1).text(1) == "0.2"
+    assert estimate([0.25]) == Estimate(0.25, None, (0.25,))
+    assert Estimate(0.25, None, (0.25,)).text(1) == "0.2"
     assert estimate([]) is None
+
+
+def test_five_runs_make_an_interval_worth_drawing_and_fewer_are_shown_one_by_one() -> None:
+    few, enough, one = (estimate(values) for values in ([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0, 4.0], [7.0]))
+    assert few is not None
+    assert enough is not None
+    assert one is not None
+    assert (few.drawn, few.singles, few.reach) == (None, (0.0, 1.0, 2.0, 3.0), (0.0, 3.0))
+    assert (enough.drawn, enough.singles) == (enough.half_width, ())
+    assert enough.half_width is not None
+    assert enough.reach == (2 - enough.half_width, 2 + enough.half_width)
+    assert (one.drawn, one.singles, one.reach) == (None, (), (7.0, 7.0))
+    assert counted(1, "band") == "1 run"
+    assert counted(4, "band") == "4 runs, thin lines: the single runs"
+    assert counted(4, "error bars") == "4 runs, dots: the single runs"
+    assert counted(5, "band") == "5 runs, band: 95 % confidence interval"
 
 
 def test_what_is_out_of_range_is_our_bug() -> None:

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 from rass_mav.link.base import Datagram, Link
 from rass_mav.link.vehicle import VehicleLink
-
-TIMEOUT_S = 5.0
+from tests.patience import PATIENCE_S
 
 
 class Ear:
@@ -27,7 +26,7 @@ class Ear:
                 self._wake.clear()
                 self.heard += self.link.receive()
 
-        await asyncio.wait_for(wait(), TIMEOUT_S)
+        await asyncio.wait_for(wait(), PATIENCE_S)
         return self.heard
 
     async def frames(self, count: int) -> list[bytes]:
@@ -44,5 +43,5 @@ async def vehicle_bytes(link: VehicleLink, wake: asyncio.Event, count: int) -> l
             wake.clear()
             heard.extend(link.receive())
 
-    await asyncio.wait_for(wait(), TIMEOUT_S)
+    await asyncio.wait_for(wait(), PATIENCE_S)
     return heard

@@ -16,9 +16,8 @@ from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.serialport import SerialOpener
 from rass_mav.link.stream import LONGEST_PAUSE_S, MAX_PENDING_BYTES, OPENING_S, StreamPort
 from rass_mav.link.vehicle_stream import VehicleStream, open_vehicle
+from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice
-
-TIMEOUT_S = 10.0
 
 
 class Watched:
@@ -37,7 +36,7 @@ class Watched:
                 self._wake.clear()
                 self.heard += b"".join(self.port.receive())
 
-        await asyncio.wait_for(wait(), TIMEOUT_S)
+        await asyncio.wait_for(wait(), PATIENCE_S)
 
     async def opened(self, times: int) -> None:
         await self.until(lambda: self.port.generation >= times)
@@ -54,7 +53,7 @@ async def readable(fd: int) -> bytes:
 
     loop.add_reader(fd, arrived)
     try:
-        await asyncio.wait_for(came, TIMEOUT_S)
+        await asyncio.wait_for(came, PATIENCE_S)
     finally:
         loop.remove_reader(fd)
     return os.read(fd, 65536)
@@ -211,7 +210,7 @@ class Router:
         return number
 
     async def client(self) -> socket.socket:
-        sock, _ = await asyncio.wait_for(asyncio.get_running_loop().sock_accept(self.listener), TIMEOUT_S)
+        sock, _ = await asyncio.wait_for(asyncio.get_running_loop().sock_accept(self.listener), PATIENCE_S)
         sock.setblocking(False)
         return sock
 
@@ -255,7 +254,7 @@ def test_a_mistake_of_ours_in_a_port_is_not_hidden() -> None:
         told: asyncio.Future[object] = asyncio.get_running_loop().create_future()
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: told.set_result(context["exception"]))
         StreamPort(Broken("/dev/null", 57600)).start(lambda: None)
-        assert isinstance(await asyncio.wait_for(told, TIMEOUT_S), AssertionError)
+        assert isinstance(await asyncio.wait_for(told, PATIENCE_S), AssertionError)
 
     run(scenario)
 

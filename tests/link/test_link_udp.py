@@ -15,8 +15,9 @@ from rass_mav.link.base import MAX_INBOX, MAX_INBOX_BYTES, MAX_OUTBOX, MAX_TURN,
 from rass_mav.link.interface import find_interface
 from rass_mav.link.sockets import MAX_DATAGRAM, MAX_PER_WAKE, Sender
 from rass_mav.link.udp import MAX_LEARNED, Peer, UdpLink
+from tests.patience import PATIENCE_S
 
-from .link_helpers import TIMEOUT_S, Ear
+from .link_helpers import Ear
 
 ANY = ("127.0.0.1", 0)
 
@@ -130,10 +131,10 @@ def test_what_nobody_takes_stays_in_the_kernel_and_reading_goes_on_later() -> No
         for index in range(total):
             a.send(index.to_bytes(2, "big"), BROADCAST)
         for _ in range(MAX_INBOX // MAX_PER_WAKE):
-            await asyncio.wait_for(wakes.get(), TIMEOUT_S)
+            await asyncio.wait_for(wakes.get(), PATIENCE_S)
         taken: list[Datagram] = []
         while len(taken) < total:
-            await asyncio.wait_for(wakes.get(), TIMEOUT_S)
+            await asyncio.wait_for(wakes.get(), PATIENCE_S)
             taken += b.receive()
         assert [int.from_bytes(d.data, "big") for d in taken] == list(range(total))
         a.close()
@@ -163,7 +164,7 @@ def test_an_inbox_is_bounded_and_handed_out_in_turns(size: int) -> None:
             assert wakes.empty(), "others come first"
             taken += turn
             if len(inbox):
-                await asyncio.wait_for(wakes.get(), TIMEOUT_S)
+                await asyncio.wait_for(wakes.get(), PATIENCE_S)
         assert inbox.take() == []
         assert [int.from_bytes(one.data[:2], "big") for one in taken] == list(range(count))
         assert inbox.taken == count
@@ -214,7 +215,7 @@ def test_what_the_socket_does_not_take_waits_up_to_a_bound() -> None:
         assert count == sender.sent + MAX_OUTBOX + 5
         got: list[int] = []
         while len(got) < count - 5:
-            data = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(theirs, 16), TIMEOUT_S)
+            data = await asyncio.wait_for(asyncio.get_running_loop().sock_recv(theirs, 16), PATIENCE_S)
             got.append(int.from_bytes(data, "big"))
         assert got == [*range(sender.sent - MAX_OUTBOX), *range(count - MAX_OUTBOX, count)]
         sender.stop()

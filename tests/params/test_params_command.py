@@ -221,6 +221,15 @@ def test_the_system_id_changes_under_our_feet(
     assert f"  SYSID_THISMAV    written: 12{reboot}\n" in capsys.readouterr().out
 
 
+def test_a_system_id_that_waits_for_a_reboot(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
+    path, port = config
+    vehicle = ardupilot(SERIAL2_PROTOCOL=(2, INT8), SYSID_THISMAV=(12, INT16))
+    with vehicle.on_udp(port):
+        assert params(tmp_path, "check", FILE, "--live", path, "--sysid", "12") == 0
+    still = "  SYSID_THISMAV    12, but the vehicle still uses 1: reboot it\n"
+    assert still in capsys.readouterr().out
+
+
 def test_a_system_id_is_not_set_unasked(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
     path, port = config
     with MockVehicle(3).on_udp(port) as vehicle:

@@ -19,7 +19,8 @@ from rass_mav.sensor.mightyohm import MightyOhm
 from rass_mav.sensor.protocol import Protocol, Sample
 from rass_mav.sensor.radpro import RadPro
 from rass_mav.sensor.serial_sensor import MAX_READ, Patience, SerialSensor
-from tests.ptys import TIMEOUT_S, SerialDevice
+from tests.patience import PATIENCE_S
+from tests.ptys import SerialDevice
 
 METER = Tube(100.0, 0.0)
 
@@ -49,14 +50,14 @@ class Watched:
         """The next ones."""
         while not (readings := self.sensor.receive()):
             self._wake.clear()
-            await asyncio.wait_for(self._wake.wait(), TIMEOUT_S)
+            await asyncio.wait_for(self._wake.wait(), PATIENCE_S)
         return readings
 
     async def until(self, so: Callable[[SensorState], bool]) -> None:
         """Until its state is so."""
         while not so(self.sensor.state()):
             self._wake.clear()
-            await asyncio.wait_for(self._wake.wait(), TIMEOUT_S)
+            await asyncio.wait_for(self._wake.wait(), PATIENCE_S)
 
     async def connected(self, times: int = 1) -> None:
         """Until its port has been opened so often; what was said before that is flushed away."""
@@ -132,11 +133,9 @@ def test_unplugged_in_the_middle_of_a_line_and_plugged_in_again(device: SerialDe
             await watched.until(lambda state: not state.connected)
             assert watched.sensor.receive() == []
             device.plug()
-            returned = time.monotonic()
             await watched.connected(n)
             device.say(line(n))
             assert [reading.value for reading in await watched.readings()] == [float(n)]
-            assert time.monotonic() - returned < 5.0
         state = watched.sensor.state()
         assert (state.connections, state.malformed, state.trouble) == (4, 0, "")
 

@@ -138,7 +138,7 @@ def test_without_room_for_the_new_one_it_is_refused_unchanged(path: Path, monkey
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(drafts, "make_mark", full)
-    with pytest.raises(StoreError, match="last version"):
+    with pytest.raises(StoreError, match="previous version"):
         open_store(path)
     assert path.read_bytes() == before
     assert not [file for file in path.parent.iterdir() if "version-1" in file.name or "new" in file.name]

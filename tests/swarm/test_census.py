@@ -125,5 +125,5 @@ def test_altered_bytes_at_the_base_are_found(fleet: Fleet) -> None:
 def test_data_that_nobody_created_are_our_bug(fleet: Fleet) -> None:
     fleet.stores[0].put(make_datum(DatumId(1, fleet.stores[1].epoch, 7), 0, 0.0, b"ghost"))
     fleet.close()
-    with pytest.raises(InvariantError, match="nobody created"):
+    with pytest.raises(InvariantError, match="no node created"):
         fleet.census.close(10.0)

@@ -29,7 +29,6 @@ from rass_mav.swarm.sitl.air import FlightAir, FlightOrder
 from rass_mav.swarm.sitl.scenario import FlightScenario, to_arena
 from tests.telemetry import global_position_int
 
-PATIENCE_S = 5.0
 #: A base and two drones; nobody is in range of anybody.
 SCENARIO = FlightScenario(
     nodes=3,

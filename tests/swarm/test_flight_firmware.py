@@ -21,6 +21,7 @@ from rass_mav.swarm.sitl.mock_copter import NO_FORWARD, mode_after_boot, read_de
 from rass_mav.swarm.sitl.mock_flight import GUIDED
 from rass_mav.swarm.sitl.pilot import need_mavsdk
 from rass_mav.swarm.sitl.scenario import FlightScenario, load_flight
+from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 FILE = str(ROOT / "sitl" / "three-copters.yaml")
@@ -33,7 +34,6 @@ PORTS = FlightPorts(
     station=[0] * 4,
 )
 LUA = next((found for name in ("lua5.3", "lua53", "lua5.4", "lua") if (found := shutil.which(name))), None)
-PATIENCE_S = 20.0
 
 
 @pytest.fixture

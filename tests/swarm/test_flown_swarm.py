@@ -20,13 +20,13 @@ import pytest
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel
+from tests.patience import PATIENCE_S
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
 
 ROOT = Path(__file__).parents[2]
 THREE = str(ROOT / "sitl" / "three-copters.yaml")
 SIX = str(ROOT / "sitl" / "six-copters.yaml")
-DEADLINE_S = 90.0
 #: With real firmware: until its GPS is believed, the flight, and the rest.
 REAL_DEADLINE_S = 420.0
 #: A base, a relay that hovers, and a vehicle that flies out of the base's range and back; small and quick.
@@ -61,7 +61,7 @@ def environment(path: str | None = None) -> dict[str, str]:
     return variables
 
 
-def fly(*arguments: str, deadline_s: float = DEADLINE_S, path: str | None = None) -> tuple[dict[str, Any], str]:
+def fly(*arguments: str, deadline_s: float = PATIENCE_S, path: str | None = None) -> tuple[dict[str, Any], str]:
     """The summary, and what was said on stderr."""
     done = subprocess.run(
         command(*arguments, "--json"),
@@ -221,7 +221,7 @@ def test_what_cannot_be_flown_is_one_line(quick: str, tmp_path: Path, arguments:
         command(*(quick if word == "QUICK" else word for word in arguments)),
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
         env=environment(str(tmp_path)),
     )
@@ -238,7 +238,7 @@ def test_a_vehicle_that_ends_fails_the_run_with_what_it_said(quick: str, tmp_pat
         command(quick, "--binary", str(binary)),
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
         env=environment(),
     )
@@ -266,8 +266,8 @@ def test_no_process_outlives_the_command(quick: str, number: int, code: int) -> 
         # Radio, pilot, two vehicles, three nodes.
         assert len(children) == 7
         process.send_signal(number)
-        assert process.wait(DEADLINE_S) == code
-        _, alive = psutil.wait_procs(children, DEADLINE_S)
+        assert process.wait(PATIENCE_S) == code
+        _, alive = psutil.wait_procs(children, PATIENCE_S)
         assert not alive
     finally:
         process.kill()
@@ -306,7 +306,7 @@ def test_five_of_six_arducopters_fly_on_when_an_autopilot_dies() -> None:
     flight = summary["sitl"]
     assert flight["missions"] == {"finished": [1, 2, 4, 5, 6], "unfinished": [3], "not_flown": []}
     assert [vehicle["node_id"] for vehicle in flight["vehicles"] if vehicle["killed_s"] is not None] == [3]
-    assert summary["hops"]["p95"] == 4
+    assert summary["routing"]["max_hop_count"] >= 4
 
 
 @pytest.mark.skipif(shutil.which("px4") is None, reason="no px4 on PATH (docs/sitl.md says how to get it)")

@@ -21,8 +21,7 @@ from rass_mav.swarm.air_server import AirOrder, serve
 from rass_mav.swarm.mock_air import MockAir
 from rass_mav.swarm.scenario import NodeSection, RadiationSection, RadioSection, Scenario, system_id
 from rass_mav.wire import encode
-
-PATIENCE_S = 5.0
+from tests.patience import PATIENCE_S
 
 
 class Swarm:

@@ -21,8 +21,7 @@ from rass_mav.swarm.children import Children
 from rass_mav.swarm.processes import MAX_NODES, NodeProcess, run
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
-
-PATIENCE_S = 30.0
+from tests.patience import PATIENCE_S
 
 
 def line(*assignments: str) -> Scenario:
@@ -223,7 +222,7 @@ def test_what_makes_no_sense_is_refused_before_anything_starts(tmp_path: Path) -
     with pytest.raises(ConfigError, match=f"^nodes: expected at most {MAX_NODES} with transport udp, got 65$"):
         run(line("nodes=65"))
     (tmp_path / "mine").touch()
-    with pytest.raises(ConfigError, match="expected a new or an empty directory"):
+    with pytest.raises(ConfigError, match="expected a new or empty directory"):
         run(line(), keep=tmp_path)
     with pytest.raises(ConfigError, match=r"^radiation\.drift: expected"):
         run(line("radiation.drift=1e9"))

@@ -267,7 +267,7 @@ def test_the_same_bytes_say_the_same_whenever_they_are_heard_but_for_ages(name: 
 
 def test_what_does_not_go_whole_is_our_bug() -> None:
     too_large = HELLO._replace(payload=bytes(INLINE_BYTES + 1))
-    with pytest.raises(ValueError, match="does not go whole"):
+    with pytest.raises(ValueError, match="does not fit one frame"):
         encode(Data(1, 2, ((1, too_large),)), NOW)  # type: ignore[arg-type]
 
 

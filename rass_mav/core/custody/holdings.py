@@ -38,22 +38,22 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     (None, State.SPARE): "a custodian sends a spare copy",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
-    (State.SPARE, State.PASSED_ON): "the partner says that it has passed the datum on",
+    (State.SPARE, State.PASSED_ON): "the partner reports that it has passed the datum on",
     (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
     (
         State.SPARE,
         State.CUSTODY,
-    ): "the partner is gone, or a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
+    ): "the partner is gone, or a custodian asks for it; or it is offered, reported lost, or long without a receipt",
     (
         State.PASSED_ON,
         State.CUSTODY,
-    ): "a custodian asks for it; or it is offered, was told lost, or no receipt came for long",
-    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no room",
+    ): "a custodian asks for it; or it is offered, reported lost, or long without a receipt",
+    (State.CUSTODY, None): "handed over and no spare kept, corrupt, expired, or no space",
     (
         State.SPARE,
         None,
-    ): "arrived, corrupt, expired, or no room; or passed on by the partner (`mirror_until: passed-on`)",
-    (State.PASSED_ON, None): "arrived, corrupt, expired, or no room",
+    ): "arrived, corrupt, expired, or no space; or passed on by the partner (`mirror_until: passed-on`)",
+    (State.PASSED_ON, None): "arrived, corrupt, expired, or no space",
 }
 
 
@@ -190,7 +190,7 @@ class Holdings:
         """The record of a datum; None: no copy is here."""
         return self._all.get(id)
 
-    # -- room ----------------------------------------------------------------------------------------------------------
+    # -- capacity ------------------------------------------------------------------------------------------------------
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""

@@ -59,7 +59,7 @@ class Keeper:
     def _take_up(self) -> Holdings:
         return Holdings(self.store, self.settings)
 
-    # -- taking in -----------------------------------------------------------------------------------------------------
+    # -- accepting data ------------------------------------------------------------------------------------------------
 
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
         """Accept a datum that arrived complete and intact. False: no space, the giver keeps it."""
@@ -170,7 +170,7 @@ class Keeper:
         self.spares.took(holding, giver)
         self.observer.gained(datum)
 
-    # -- letting go ----------------------------------------------------------------------------------------------------
+    # -- releasing data ------------------------------------------------------------------------------------------------
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
@@ -235,7 +235,7 @@ class Keeper:
             return True
         return self.notes.take(id, note)
 
-    # -- care of what is held ------------------------------------------------------------------------------------------
+    # -- checking data -------------------------------------------------------------------------------------------------
 
     def load(self, holding: Holding) -> Datum | None:
         """A datum in custody, or a spare, ready to send. None: its bytes are corrupt, and it has been dropped."""

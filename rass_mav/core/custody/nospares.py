@@ -13,7 +13,7 @@ class NoSpares:
 
     __slots__ = ()
 
-    # -- what happens to custody ---------------------------------------------------------------------------------------
+    # -- changes of custody --------------------------------------------------------------------------------------------
 
     def make_way(self, size: int) -> None:
         """A datum of `size` bytes of payload comes into custody: drop spares until it fits beside the rest."""
@@ -44,7 +44,7 @@ class NoSpares:
     def let_go(self, holding: Holding, *, missing: bool) -> None:
         """A spare is about to go. `missing`: tell the custodian that counts on it."""
 
-    # -- what is said --------------------------------------------------------------------------------------------------
+    # -- messages ------------------------------------------------------------------------------------------------------
 
     def keep(self, giver: int, datum: Datum) -> bool:
         """A custodian sends a spare copy. Returns whether it can rely on this node."""

@@ -15,7 +15,7 @@ from rass_mav.core.messages import Accept, Chunk, Offer, Sack
 
 #: Chunks that may be unacknowledged.
 WINDOW = 32
-#: The receiver acknowledges after so many chunks, on request, and at the end.
+#: Chunks after which the receiver acknowledges. It also does so on request, and at the end.
 SACK_EVERY = 8
 #: A chunk counts as lost when one sent this much later has arrived.
 REORDER_MARGIN = 3

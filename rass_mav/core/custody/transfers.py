@@ -36,7 +36,7 @@ class Transfers:
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
 
-    # -- out -----------------------------------------------------------------------------------------------------------
+    # -- outgoing ------------------------------------------------------------------------------------------------------
 
     def free(self, neighbour: int) -> bool:
         """Whether a transfer to this neighbour can begin."""
@@ -83,7 +83,7 @@ class Transfers:
         self._pace.sent += len(chunks)
         return list(chunks)
 
-    # -- in ------------------------------------------------------------------------------------------------------------
+    # -- incoming ------------------------------------------------------------------------------------------------------
 
     def age(self, now: float) -> None:
         """Give up silent incoming transfers."""

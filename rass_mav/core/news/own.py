@@ -13,7 +13,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.store import Store
 
-#: A datum should be confirmed within so many turns in which a base is in reach: data and receipts need a while.
+#: Turns in reach of a base within which a datum should be confirmed: data and receipts need a while.
 CONFIRMED_TURNS = 300
 #: How often it looks, turns.
 LOOK_TURNS = 50

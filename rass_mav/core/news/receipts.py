@@ -32,7 +32,7 @@ from rass_mav.core.news.table import EMPTY, MAX_STATEMENTS, Identity, Kept, Pair
 from rass_mav.core.news.voice import Serials, Voice
 from rass_mav.core.routes.neighbours import Neighbour
 
-#: While there is news, one turn in so many belongs to a round that is under way.
+#: While there is news, one turn in this many belongs to a round that is under way.
 ROUND_SHARE = 4
 #: Turns that a neighbour's digest must differ before a round begins: in most cases news is already in transit.
 PATIENCE = 2
@@ -40,13 +40,13 @@ PATIENCE = 2
 PAUSE = 16
 #: The most rounds in which nothing is learned.
 MAX_ROUNDS = 6
-#: An origin's denial is sent in at most one turn of so many.
+#: An origin's denial is sent in at most one turn of this many.
 DENIAL_TURNS = 6
 #: How many denials may wait to be sent.
 MAX_DENIALS = 64
-#: For so many turns, longer than a denial may wait to be sent, the same one counts as outdated,
+#: Turns in which a repeated denial counts as outdated; longer than a denial may wait to be sent.
 HEEDED_TURNS = DENIAL_TURNS * MAX_DENIALS
-#: and its origin may have assigned so many numbers since.
+#: Numbers that its origin may have assigned since.
 GIVEN_SINCE = 1024
 
 
@@ -152,7 +152,7 @@ class Receipts(NoReceipts):
         self._hushed = 0
         """Turns before the next denial."""
 
-    # -- what is known -------------------------------------------------------------------------------------------------
+    # -- knowledge -----------------------------------------------------------------------------------------------------
 
     def __contains__(self, id: object) -> bool:
         return isinstance(id, DatumId) and id.sequence in self.statements.sum((id.origin, id.epoch)).arrived
@@ -171,7 +171,7 @@ class Receipts(NoReceipts):
     def disagreement(self) -> str:
         """What is inconsistent in its own tables, for tests; empty: nothing."""
         if not (self._news.keys() | self._round.keys()) <= self.statements.of.keys():
-            return "something is to be said that is not known"
+            return "an unknown statement is due to be sent"
         return self.statements.disagreement()
 
     # -- learning ------------------------------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ class Receipts(NoReceipts):
         if pair in self._denials or len(self._denials) < MAX_DENIALS:
             self._denials[pair] = given
 
-    # -- telling -------------------------------------------------------------------------------------------------------
+    # -- sending -------------------------------------------------------------------------------------------------------
 
     def due(self, step: int) -> bool:
         return (step + self._phase) % self._period == 0

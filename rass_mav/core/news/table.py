@@ -108,7 +108,7 @@ class Statements:
         self.gone: list[Identity] = []
         """Statements forgotten since this list was last cleared."""
 
-    # -- what is known -------------------------------------------------------------------------------------------------
+    # -- knowledge -----------------------------------------------------------------------------------------------------
 
     def sum(self, pair: Pair) -> Sum:
         """What all bases together state about an origin and epoch; sound."""
@@ -161,19 +161,19 @@ class Statements:
         for identity in self.of:
             digest ^= mark(identity)
         if digest != self.digest:
-            return "the digest is not that of what is known"
+            return "the digest does not match the statements"
         if any(not kept.live or not kept.live <= set(kept.receipt.entries) for kept in self.of.values()):
-            return "a statement is kept of which nothing lives"
+            return "a statement without a live entry is kept"
         live = [(entry, kept) for entries in self._live.values() for entry, kept in entries.items()]
         if sum(len(kept.live) for kept in self.of.values()) != len(live):
-            return "the entries that live are not those of the statements"
+            return "the live entries are not those of the statements"
         if any(entry not in kept.live or self.of.get(kept.identity) is not kept for entry, kept in live):
-            return "an entry lives of a statement that is not kept"
+            return "an entry of a statement that is not kept is live"
         if any(not self.sum(pair).sound for pair in list(self._sums)):
-            return "a sum cannot be made sound"
-        return "too much is known" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
+            return "a sum is not sound"
+        return "too many statements" if len(self.of) > self._max_statements or len(self._sources) > MAX_BASES else ""
 
-    # -- taking in -----------------------------------------------------------------------------------------------------
+    # -- adding statements ---------------------------------------------------------------------------------------------
 
     def add(self, receipt: Receipt) -> tuple[set[Pair], bool, list[Kept]]:
         """Add a sound statement that is not kept. Returns the pairs about which something new is known; whether it is
@@ -273,13 +273,13 @@ class Statements:
         self.digest ^= mark(identity)
         self.gone.append(identity)
 
-    # -- what origins deny ---------------------------------------------------------------------------------------------
+    # -- denials -------------------------------------------------------------------------------------------------------
 
     def deny(self, given: Given, since: int = 0) -> bool:
         """An origin states how many numbers it has assigned: entries that name others are dead. Returns whether there
         are any.
 
-        `since`: so many more it may have assigned since then.
+        `since`: how many more it may have assigned since then.
         """
         pair = (given.origin, given.epoch)
         false = [(entry, kept) for entry, kept in self.live_of(pair) if last_of(entry) >= given.given + since]

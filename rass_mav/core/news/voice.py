@@ -14,9 +14,9 @@ from rass_mav.core.store import Store
 
 #: Bytes for entries in a receipt frame.
 RECEIPT_BYTES = 112
-#: After a start a base listens for so many turns: what neighbours know from its earlier life need not be sent.
+#: Turns after a start in which a base only listens: what neighbours know from its earlier life need not be sent.
 LISTEN_TURNS = 24
-#: The content of a statement of which so few entries live is restated, in another statement, where there is space.
+#: The content of a statement with at most this many live entries is restated in another statement, if there is space.
 LIGHT = 5
 #: How many serials a base claims on disk at a time.
 SERIALS_CLAIMED = 256

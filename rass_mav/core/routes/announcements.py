@@ -10,10 +10,11 @@ from rass_mav.core.store import Store
 
 #: How many announcement numbers a base claims on disk at a time. When half of them are used, more are claimed.
 ANNOUNCEMENTS_CLAIMED = 256
-#: A base skips numbers at most once in so many turns. Old numbers must be forgotten before they come round again: two
-#: jumps are nearly the whole circle of 16 bits, and a route dies out in as many turns as it has hops, plus a lifetime.
+#: Turns between two occasions on which a base skips numbers. Old numbers must be forgotten before they come round
+#: again: two jumps are nearly the whole circle of 16 bits, and a route dies out in as many turns as it has hops, plus a
+#: lifetime.
 JUMP_TURNS = 30
-#: It skips at most so many numbers: fewer than half the circle, so that a node that remembers one of the last thousand
+#: The most numbers that it skips: fewer than half the circle, so that a node that remembers one of the last thousand
 #: numbers considers the new one newer.
 MOST_JUMP = 0x7C00
 _KEY = "announcement"
@@ -25,7 +26,7 @@ class Announcements:
     __slots__ = ("_claimed", "_due", "_durable", "_jumps_again", "_number", "_period", "_store", "_turns")
 
     def __init__(self, store: Store, period: int) -> None:
-        """`period`: the number is raised every so many turns; 0: on request only."""
+        """`period`: turns after which the number is raised; 0: on request only."""
         self._store = store
         self._period = period
         self._turns = 0

@@ -17,7 +17,7 @@ class CostRules:
     tag: int
     """The policy's: only costs under it can be compared."""
     hold: float
-    """>= 1: where no base is reachable, staying costs so many tolls."""
+    """>= 1: the cost of staying where no base is reachable, in tolls."""
     hysteresis: float
     """In (0, 1]: another place must cost less than this share of staying."""
     change_over: int

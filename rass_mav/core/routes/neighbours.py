@@ -22,9 +22,9 @@ _LATE_WINDOW = 32
 CLEAN_MISSED = 0.2
 #: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another,
 MOST_TURN_S = 60.0
-#: and as at most so many times the time between its last two beacons: a turn may only grow as fast as it is observed.
+#: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
 CREDIT = 4
-#: One place in so many is reserved for bases. It cannot be more: anybody can claim to be a base.
+#: One place in this many is reserved for bases. There cannot be more: anybody can claim to be a base.
 _BASES_PART = 4
 _MOST_MISSED = 8
 #: More than the rounding errors of sums of times, seconds.

@@ -16,7 +16,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 
 #: By hops, a node changes to another base when its own is out of reach, or this many hops farther than the other.
 CHANGE_OVER_HOPS = 3
-#: By costs, a neighbour silent for more than so many of its turns may have moved away.
+#: By costs, a neighbour silent for more than this many of its turns may have moved away.
 RECENT_TURNS = 1.5
 
 

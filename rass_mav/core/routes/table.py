@@ -19,7 +19,7 @@ from rass_mav.core.routes.ranks import Rank
 from rass_mav.core.routes.serial import following, newer
 from rass_mav.core.settings import NodeSettings
 
-#: Other nodes may count on a route for so many lifetimes after its last announcement: a beacon travels for at most one,
+#: Lifetimes for which other nodes may count on a route after its last announcement: a beacon travels for at most one,
 #: is remembered for another, and forgotten only at the next step.
 HOLD_LIFETIMES = 2.5
 #: For how many bases a node remembers feasibility distances.
@@ -262,7 +262,7 @@ class RoutingTable:
 
     @property
     def longest_turn_s(self) -> float:
-        """The longest turn of this node and its neighbours, seconds: an answer may take so long."""
+        """The longest turn of this node and its neighbours, seconds: the longest time that an answer may take."""
         return self.step_s * (self.longest_s / self.lifetime_s)
 
     @property

@@ -34,9 +34,9 @@ from rass_mav.core.spares.repairs import Repairs
 from rass_mav.core.spares.speech import Speech
 from rass_mav.core.spares.unconfirmed import Unconfirmed
 
-#: A backer that has heard nothing about a datum for so many steps (turns, where they are longer) asks its custodian.
+#: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
 ASK_STEPS = 10
-#: A custodian or backer is given up after so many neighbour lifetimes without a beacon. The routing table forgets it
+#: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
 GONE_LIFETIMES = 8.0
@@ -77,7 +77,7 @@ class Mirrors(NoSpares):
         self._passed: dict[DatumId, int] = {}
         """Recently passed-on data, and the nodes they went to."""
 
-    # -- what happens to own custody -----------------------------------------------------------------------------------
+    # -- changes of custody --------------------------------------------------------------------------------------------
 
     def make_way(self, size: int) -> None:
         """Drop spares until a datum of `size` bytes of payload fits beside the rest."""
@@ -162,7 +162,7 @@ class Mirrors(NoSpares):
             self._leave(holding, backer)
             self._pair(holding, backer)
 
-    # -- what happens to spares ----------------------------------------------------------------------------------------
+    # -- changes of spares ---------------------------------------------------------------------------------------------
 
     def keep(self, giver: int, datum: Datum) -> bool:
         """A custodian sends a spare copy. Returns whether there is a good copy here now."""
@@ -285,7 +285,7 @@ class Mirrors(NoSpares):
             for holding in list(partner.backed.values()):
                 keeper.holdings.unpair(holding)
 
-    # -- what is said --------------------------------------------------------------------------------------------------
+    # -- messages ------------------------------------------------------------------------------------------------------
 
     def not_here(self, id: DatumId, asker: int) -> None:
         """Tell a node that hands over a datum which was accepted before that the datum has been passed on since."""

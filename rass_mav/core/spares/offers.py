@@ -28,9 +28,9 @@ from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
-#: An offer without an answer is repeated after so many steps (turns, where they are longer).
+#: Steps (turns, where they are longer) after which an unanswered offer is repeated.
 OFFER_STEPS = 2
-#: A neighbour that refused a spare is offered none for so many steps, or turns.
+#: Steps, or turns, in which a neighbour that refused a spare is offered none.
 REFUSED_STEPS = 5
 #: How fast the estimated share of neighbours that fall silent follows what happens.
 GONE_GAIN = 0.05

@@ -1,4 +1,4 @@
-"""Nothing rests forever: data that were handed over and bring no receipt for long are sent again, by another route.
+"""Nothing rests indefinitely: data handed over that bring no receipt for long are sent again, by another route.
 
 A node that sent COMMITTED may be an attacker, may have died, or may only claim to be a base. Only a base's receipt
 shows that a datum has arrived. So when the wait for a receipt is over and a base can be reached, the spare comes back
@@ -19,21 +19,21 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 
-#: A node waits at least so many turns for a receipt,
+#: A node waits for a receipt for at least this many turns,
 PATIENCE_TURNS = 120
-#: at least so many times as long as data recently took,
+#: and at least this many times as long as data recently took,
 PATIENCE_TIMES = 3
-#: and at first at most so many turns, however slow data seem to be.
+#: but at first at most this many turns, however slow data seem to be.
 MOST_PATIENCE_TURNS = 1200
-#: After so many turns with a route to a base, receipts that were delayed without one have come.
+#: After this many turns with a route to a base, receipts that were delayed without one have come.
 REACHABLE_TURNS = 30
-#: Each try for a datum doubles its wait, so many times.
+#: Each try for a datum doubles its wait, up to this many times.
 MOST_DOUBLINGS = 6
 #: How fast the estimated time that data take follows what happens.
 TAKES_GAIN = 0.125
-#: One datum in so many that the bandwidth allows.
+#: The share of the bandwidth for such data is one in this many.
 SHARE = 10
-#: All spares are checked once in so many turns.
+#: All spares are checked once in this many turns.
 LOOK_TURNS = 10
 
 

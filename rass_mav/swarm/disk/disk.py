@@ -1,4 +1,4 @@
-"""The disk itself: a VFS that passes SQLite's calls on to the one for Unix, and keeps account of what is durable."""
+"""The disk itself: a VFS that passes SQLite's calls on to the one for Unix, and records what is durable."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .image import Image
 
 
 class _File:
-    """A file that SQLite has opened, whatever it is called now."""
+    """A file that SQLite has opened, whatever its name is now."""
 
     __slots__ = ("deleted", "descriptor", "image", "users")
 
     def __init__(self, path: str) -> None:
-        # Stays open: so the file is found when it has been renamed, and no other gets its inode number.
+        # Stays open: so the file is found after a rename, and no other gets its inode number.
         self.descriptor = os.open(path, os.O_RDWR)
         self.image = Image(os.pread(self.descriptor, os.fstat(self.descriptor).st_size, 0))
         self.users = 0
@@ -29,9 +29,9 @@ class _File:
 
 
 class Disk:
-    """A directory of files whose power can be cut. A context manager; else to be closed with `close`.
+    """A directory of files whose power can be cut. A context manager; otherwise call `close`.
 
-    What each event and fault does: see docs/simulated-disk.md. For one thread at a time.
+    For the effect of each event and fault see docs/simulated-disk.md. For one thread at a time.
     """
 
     def __init__(self, rng: Random) -> None:
@@ -45,7 +45,7 @@ class Disk:
         self._rng = rng
         self._off = False
         self._changes_left: int | None = None
-        # By inode number: files in use, and those of which something is not durable.
+        # By inode number: files in use, and those with changes that are not durable.
         self._files: dict[int, _File] = {}
         # By address: the file, the methods for Unix, and ours, which SQLite points to as long as the file is open.
         self._opened: dict[int, tuple[_File, c.Methods, c.Methods]] = {}
@@ -81,12 +81,12 @@ class Disk:
         return self._off
 
     def cut(self, *, after: int = 0) -> None:
-        """Cut the power after so many further writes, truncations, deletions and syncs. 0: now."""
+        """Cut the power after `after` further writes, truncations, deletions and syncs. 0: now."""
         self._off = after == 0
         self._changes_left = after
 
     def restart(self) -> None:
-        """Bring the power back, after a cut or as if there had been one now, with the files as the medium has them.
+        """Bring the power back, after a cut or as if there had been one now, with the files as they are on the medium.
 
         RuntimeError if SQLite still has files open: abandon the store first.
         """
@@ -109,7 +109,7 @@ class Disk:
         self._seed_sqlite()
 
     def flip_bits(self, path: Path, count: int) -> None:
-        """Flip `count` random bits of a file; one that is drawn twice is as before. ValueError if the file is empty."""
+        """Flip `count` random bits of a file; one that is drawn twice is unchanged. ValueError if the file is empty."""
         file = self._files.get(path.stat().st_ino)
         durable = bytearray() if file is None else file.image.durable
         with path.open("r+b") as stream:
@@ -123,7 +123,7 @@ class Disk:
             stream.write(seen)
 
     def close(self) -> None:
-        """Take the disk away, and its files with it. RuntimeError if SQLite still has some of them open."""
+        """Remove the disk and its files. RuntimeError if SQLite still has some of them open."""
         if self._opened:
             raise RuntimeError(f"{len(self._opened)} files of the disk are still open")
         self._sqlite.sqlite3_vfs_unregister(self._ours)
@@ -168,7 +168,7 @@ class Disk:
         if self.read_only:
             flags = flags & ~(c.OPEN_READWRITE | c.OPEN_CREATE) | c.OPEN_READONLY
         result: int = self._unix.open(ctypes.addressof(self._unix), name, address, flags, found)
-        # A file without a name is a temporary one, which nobody finds after a power cut.
+        # A file without a name is a temporary one, which is not found after a power cut.
         if result == c.OK and name:
             file = self._file(os.fsdecode(ctypes.string_at(name)))
             methods = ctypes.c_void_p.from_address(address)
@@ -193,7 +193,7 @@ class Disk:
         return result
 
     def _randomness(self, vfs: int, count: int, out: int) -> int:
-        # The VFS for Unix must have been asked by this process, else it starts SQLite's generator anew.
+        # The VFS for Unix must have been asked by this process before, or it would restart SQLite's generator.
         self._unix.randomness(ctypes.addressof(self._unix), count, out)
         ctypes.memmove(out, self._rng.randbytes(count), count)
         return count
@@ -240,7 +240,7 @@ class Disk:
         return c.OK
 
     def _seed_sqlite(self) -> None:
-        """Start SQLite's own generator anew: it asks the default VFS, once."""
+        """Restart SQLite's own generator: it asks the default VFS, once."""
         self._sqlite.sqlite3_vfs_register(self._ours, 1)
         self._sqlite.sqlite3_randomness(0, None)
         self._sqlite.sqlite3_randomness(1, ctypes.create_string_buffer(1))

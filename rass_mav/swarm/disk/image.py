@@ -1,11 +1,11 @@
-"""What a disk holds of one file, and what is on its way there."""
+"""The content of one file on a disk, and the changes that are not durable yet."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 from random import Random
 
-#: Bytes that are written as a whole or not at all.
+#: Bytes that are written completely or not at all.
 SECTOR = 512
 
 
@@ -18,7 +18,7 @@ class Image:
         self.durable = bytearray(content)
         """What is on the medium."""
         self.exact = True
-        """False once changes have been lost: the file as programs see it is not what is on the medium any more."""
+        """False once changes have been lost: the file as programs see it then differs from the medium."""
         # Offset and data of a write, or the new length and None for a truncation.
         self._changes: list[tuple[int, bytes | None]] = []
 
@@ -28,11 +28,11 @@ class Image:
         return self.exact and not self._changes
 
     def write(self, offset: int, data: bytes) -> None:
-        """Note a write."""
+        """Record a write."""
         self._changes.append((offset, data))
 
     def truncate(self, length: int) -> None:
-        """Note a truncation."""
+        """Record a truncation."""
         self._changes.append((length, None))
 
     def sync(self) -> None:
@@ -42,11 +42,11 @@ class Image:
         self._changes.clear()
 
     def lose(self, rng: Random) -> None:
-        """Make durable what the generator picks of the changes, tearing writes between sectors, and forget the rest."""
+        """Make durable the changes that the generator picks, tearing writes between sectors, and forget the rest."""
         if not self._changes:
             return
         self.exact = False
-        # Drawn anew each time, so that all and nothing are as likely as anything in between.
+        # Drawn for each power cut, so that all and nothing are as likely as anything in between.
         kept = rng.choice((0.0, rng.random(), 1.0))
         torn = rng.choice((0.0, rng.random()))
         for offset, data in self._changes:

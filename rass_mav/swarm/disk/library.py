@@ -32,7 +32,7 @@ Randomness = CFUNCTYPE(c_int, c_void_p, c_int, c_void_p)
 
 
 class Methods(ctypes.Structure):
-    """`sqlite3_io_methods`: what can be done with an open file. Those that nobody replaces have no types."""
+    """`sqlite3_io_methods`: the operations on an open file. Those that are never replaced have no types."""
 
     _fields_ = (
         ("version", c_int),
@@ -47,7 +47,7 @@ class Methods(ctypes.Structure):
 
 
 class Vfs(ctypes.Structure):
-    """`sqlite3_vfs`: how files are opened and deleted, and where randomness comes from."""
+    """`sqlite3_vfs`: how files are opened and deleted, and the source of randomness."""
 
     _fields_ = (
         ("version", c_int),
@@ -72,7 +72,7 @@ def load(module: str | None = getattr(_sqlite3, "__file__", None)) -> ctypes.CDL
     Raises `StoreError` if it cannot be reached, or is not the one that `sqlite3` uses.
     """
     try:
-        # A name is looked up in what the module is linked with, too.
+        # A name is also looked up in what the module is linked with.
         library = ctypes.CDLL(module)
         library.sqlite3_vfs_find.restype = POINTER(Vfs)
         library.sqlite3_vfs_find.argtypes = (c_char_p,)
@@ -87,7 +87,7 @@ def load(module: str | None = getattr(_sqlite3, "__file__", None)) -> ctypes.CDL
     try:
         sqlite3.connect("file::memory:?vfs=probe", uri=True).close()
     except sqlite3.OperationalError as error:
-        raise StoreError("no simulated disk: the library that was found is not the one of sqlite3") from error
+        raise StoreError("no simulated disk: the library found is not the one that sqlite3 uses") from error
     finally:
         library.sqlite3_vfs_unregister(probe)
     return library

@@ -1,4 +1,4 @@
-"""A swarm's computers: each has a disk with a store on it, and their power is cut (`disk` in a scenario)."""
+"""A swarm's computers: each has a disk with a store on it, and power cuts (`disk` in a scenario)."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from rass_mav.swarm.scenario import DiskSection
 
 from .disk import Disk
 
-#: A cut in the middle of a commit comes after fewer changes of files than this; some commits make fewer.
+#: A cut in the middle of a commit comes after fewer file changes than this; some commits make fewer.
 CHANGES = 8
 
 
 class CutMoment(enum.Enum):
-    """When the power goes. All but `QUIET` wait for the node's next commit."""
+    """When the power goes. All except `QUIET` wait for the node's next commit."""
 
     QUIET = "quiet"
     """Before a turn of the node, between two commits."""
     BEFORE = "before_write"
     DURING = "during_write"
     AFTER = "after_write"
-    """The disk has the commit, but what waited for it has not left."""
+    """The disk has the commit, but nothing that waited for it has left."""
 
 
 class Computer:
@@ -42,7 +42,7 @@ class Computer:
         self.diary = diary
         self.draws = random.Random(f"{seed}:disk:{settings.node_id}:cuts")
         self.moment: CutMoment | None = None
-        """When the power goes next; None: that has not been drawn."""
+        """When the power goes next; None: not drawn yet."""
         self._settings = settings
         self._rng = rng
         self._flipped = False
@@ -54,7 +54,7 @@ class Computer:
         self.store = self.open()
 
     def open(self) -> SqliteStore:
-        """The power is back: open the store, and note what it has. Raises `StoreError`: not now."""
+        """The power is back: open the store, and record what it has. Raises `StoreError`: not now."""
         self.store = SqliteStore.open(
             self.disk.directory / "node.db",
             node_id=self._settings.node_id,
@@ -64,7 +64,7 @@ class Computer:
         )
         report = self.store.report
         if report.unwritable:
-            # It would stay so; this computer starts again when its disk can be written.
+            # It would stay read-only; this computer starts again when its disk can be written.
             self.store.abandon()
             raise StoreError(f"node {self._settings.node_id}: {report.unwritable}")
         self.set_aside += report.set_aside is not None
@@ -82,7 +82,7 @@ class Computer:
         self._retry_at = 0
 
     def wipe(self) -> None:
-        """What is on the disk of a computer that is off is gone."""
+        """The content of the disk of a computer that is off is gone."""
         for path in self.disk.directory.iterdir():
             path.unlink()
         self.diary.lose_all()
@@ -96,7 +96,7 @@ class Computer:
             self._flipped = True
 
     def commit(self, gate: CommitGate, t: int, steps: int) -> Sequence[Outgoing]:
-        """Begin or end a commit that takes so many steps. Returns what may leave now.
+        """Begin or end a commit that takes `steps` steps. Returns what may leave now.
 
         Raises `StoreError` if the power goes, or the store is damaged; a write that just fails is tried again.
         """
@@ -132,19 +132,19 @@ class Computer:
 
 
 class Power:
-    """The computers of a swarm, what their disks suffer, and how often their power was cut."""
+    """The computers of a swarm, the faults of their disks, and how often their power was cut."""
 
     def __init__(self, settings: DiskSection, ledger: Ledger, *, seed: int, off_steps: int) -> None:
         """`off_steps`: how long a computer whose power was cut is off; at least until the next step."""
         self.settings = settings
         self.off_steps = max(off_steps, 1)
         self.computers: list[Computer] = []
-        # By moment; None: its disk failed while it read, or was damaged, so that it started again.
+        # By moment; None: its disk failed while it was read, or was damaged, so that it started again.
         self._failed: dict[CutMoment | None, int] = dict.fromkeys([*CutMoment, None], 0)
         self._ledger = ledger
         self._seed = seed
         self.close = weakref.finalize(self, _close, self.computers)
-        """Takes the disks away, also when this object or the program ends."""
+        """Removes the disks, also when this object or the program ends."""
 
     def add(self, settings: AgentSettings, rng: random.Random) -> Computer:
         """The next node's computer, with an empty store."""
@@ -153,7 +153,7 @@ class Power:
         return self.computers[-1]
 
     def begin_step(self, t: int, off: Container[int]) -> list[int]:
-        """Let disks have their faults of this step. Returns the nodes whose power goes now, in a quiet moment."""
+        """Apply the disk faults of this step. Returns the nodes whose power goes now, in a quiet moment."""
         settings = self.settings
         quiet = []
         for node_id, computer in enumerate(self.computers):
@@ -171,7 +171,7 @@ class Power:
         return quiet
 
     def fail(self, node_id: int) -> None:
-        """A computer goes off: its power was cut, or its disk has failed it."""
+        """A computer goes off: its power was cut, or its disk failed."""
         computer = self.computers[node_id]
         self._failed[computer.moment] += 1
         computer.shut_down()

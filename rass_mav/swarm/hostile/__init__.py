@@ -1,1 +1,1 @@
-"""Liars beside a mock swarm's honest nodes (`hostile` in a scenario, docs/hostile.md)."""
+"""Attackers beside a mock swarm's honest nodes (`hostile` in a scenario, docs/hostile.md)."""

@@ -1,4 +1,4 @@
-"""What all attackers have in common: they overhear a place, know the protocol, and say what they like."""
+"""What all attackers have in common: they overhear a place, know the protocol, and send what they like."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from collections.abc import Iterable
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
 
-#: What an attacker says: a message, or a payload that is none of ours.
+#: What an attacker sends: a message, or a payload that is none of ours.
 Said = Message | bytes
-#: Senders and data of which an attacker remembers the last.
+#: How many recent senders and data an attacker remembers.
 MAX_REMEMBERED = 4096
 
 
 class Attacker:
-    """One attacker. It hears all frames of the nodes around it, whoever they are for; others' lies it does not hear."""
+    """One attacker. It hears all frames of the nodes around it, whatever their target; it does not hear other
+    attackers."""
 
     def __init__(self, id: int, rng: random.Random, *, costs: bool) -> None:
-        """`id`: the node id that it says of itself. `costs`: whether the swarm's policy has potentials that add up, so
-        that lower is better."""
+        """`id`: the node id in its frames. `costs`: whether the swarm's policy has potentials that add up, so that
+        lower is better."""
         self.id = id
         self.rng = rng
         self.costs = costs
@@ -29,19 +30,19 @@ class Attacker:
         self.begin()
 
     def begin(self) -> None:
-        """Make what else it remembers."""
+        """Set up what else it remembers."""
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
-        """A frame of a node near by. Returns what the attacker says at once: it is heard before any answer is."""
+        """A frame of a nearby node. Returns what the attacker sends at once: it is heard before any answer is."""
         if isinstance(message, Beacon) and (message.sender in self.beacons or len(self.beacons) < MAX_REMEMBERED):
             self.beacons[message.sender] = message
         return ()
 
     def turn(self, now: float) -> Iterable[Said]:
-        """Once a step, after the turns of the honest nodes. Returns what it says."""
+        """Once a step, after the turns of the honest nodes. Returns what it sends."""
         return ()
 
-    # -- what they know to do ------------------------------------------------------------------------------------------
+    # -- common actions ------------------------------------------------------------------------------------------------
 
     def base(self) -> Beacon | None:
         """A base's beacon, or that of a node with a route to one; None: none was overheard."""
@@ -53,13 +54,13 @@ class Attacker:
         return [beacon for beacon in self.beacons.values() if not is_base(beacon)]
 
     def beacon(self, template: Beacon, **changes: int) -> Beacon:
-        """A beacon of its own, like another one but for some fields."""
+        """A beacon of its own, like another one except for some fields."""
         self._number = (self._number + 1) & 0xFFFF
         own = {"sender": self.id, "life": self.id, "number": self._number, "flags": 0, "wanted_base": 0}
         return template._replace(**{**own, "wanted_number": 0, **changes})
 
     def take(self, message: Message) -> Iterable[Said]:
-        """Promise to have taken whatever is handed to it."""
+        """Confirm whatever is handed over to it."""
         taken: tuple[tuple[int, int], ...] = ()
         if isinstance(message, Data) and message.target == self.id:
             taken = tuple((number, datum.crc) for number, datum in message.handovers if number)

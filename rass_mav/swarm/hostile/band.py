@@ -1,4 +1,4 @@
-"""The attackers of one mock swarm: what they overhear, when they are there, and what they put on the air."""
+"""The attackers of one mock swarm: what they overhear, when they are present, and what they put on the air."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rass_mav.wire import decode, encode
 from .attacker import Attacker, Said
 from .kinds import KINDS
 
-#: Frames that an attacker says in a step at most: the air has no end of room, but a run has an end.
+#: The most frames that an attacker sends in a step: the air has no limit, but a run has an end.
 MOST_FRAMES = 300
 
 
@@ -40,7 +40,7 @@ class _Member:
 
 
 class Band:
-    """All attackers. On the air, and in what they say of themselves, they bear the ids behind those of the nodes."""
+    """All attackers. On the air, and in their own frames, they have the ids after those of the nodes."""
 
     def __init__(
         self, sections: Sequence[HostileSection], *, nodes: int, seed: int, payload_type: int, costs: bool
@@ -56,14 +56,14 @@ class Band:
         }
 
     def reach(self, neighbours: Sequence[Sequence[int]]) -> list[Sequence[int]]:
-        """Who hears whom: for each node, then for each attacker, the nodes in range."""
+        """Which nodes hear each other: for each node, then for each attacker, the nodes in range."""
         beside = [member.section.near for member in self._members.values()]
         return [*neighbours, *([near, *neighbours[near]] for near in beside)]
 
     def overhear(
         self, sender: int, frame: bytes, neighbours: Sequence[Sequence[int]], t: int, now: float
     ) -> Iterator[tuple[int, bytes]]:
-        """A node says a frame. Yields what attackers say at once, and who."""
+        """A node sends a frame. Yields what attackers send at once, with the attacker."""
         opened = message = None
         for id, member in self._members.items():
             near = member.section.near
@@ -82,7 +82,7 @@ class Band:
                 yield id, said
 
     def turn(self, t: int, now: float) -> Iterator[tuple[int, bytes]]:
-        """The attackers' turns. Yields what they say, and who."""
+        """The attackers' turns. Yields what they send, with the attacker."""
         for id, member in self._members.items():
             member.left = MOST_FRAMES
             if member.is_there(t):

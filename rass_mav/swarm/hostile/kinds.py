@@ -29,7 +29,7 @@ _AHEAD = 30000
 
 
 class Sinkhole(Attacker):
-    """Says that it is one hop from the base and fitter than anybody, promises to take everything, and drops it."""
+    """Claims to be one hop from the base and fitter than any node, confirms every hand-over, and drops the data."""
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
         super().overhear(message, payload, now)
@@ -41,7 +41,7 @@ class Sinkhole(Attacker):
 
 
 class FalseBase(Sinkhole):
-    """A sinkhole that says it is a base itself."""
+    """A sinkhole that claims to be a base itself."""
 
     def turn(self, now: float) -> Iterable[Said]:
         template = self.base()
@@ -54,7 +54,7 @@ class FalseBase(Sinkhole):
 
 
 class BlackHole(Sinkhole):
-    """Says what an honest node in its place would say, promises to take everything, and drops it."""
+    """Announces what an honest node in its place would announce, confirms every hand-over, and drops the data."""
 
     def turn(self, now: float) -> Iterable[Said]:
         drones = [b for b in self.nodes() if b.hops < 250]
@@ -76,7 +76,7 @@ class CommittedForger(Attacker):
 
 
 class ReceiptForger(Attacker):
-    """Says in a base's name that what it has overheard has arrived."""
+    """States in a base's name that the data it has overheard have arrived."""
 
     EACH_TURN = 8
 
@@ -100,7 +100,7 @@ class ReceiptForger(Attacker):
 
 
 class NumberSquatter(Attacker):
-    """Hands over data under the numbers that nodes near by are about to give."""
+    """Hands over data under the numbers that nearby nodes are about to assign."""
 
     def begin(self) -> None:
         self._last: dict[tuple[int, int], int] = {}
@@ -124,7 +124,7 @@ class NumberSquatter(Attacker):
 
 
 class RequestForger(Attacker):
-    """Asks for announcements that the base is far from."""
+    """Requests announcement numbers far from the base's present one."""
 
     def turn(self, now: float) -> Iterable[Said]:
         base = self.base()
@@ -135,7 +135,7 @@ class RequestForger(Attacker):
 
 
 class Impostor(Attacker):
-    """Says beacons in the base's name, with announcement numbers far ahead."""
+    """Sends beacons in the base's name, with announcement numbers far ahead."""
 
     def turn(self, now: float) -> Iterable[Said]:
         base = self.base()
@@ -151,7 +151,7 @@ class Impostor(Attacker):
 
 
 class IdInventor(Attacker):
-    """Beacons of nodes that are not, each said twice: what honest nodes around say, under other ids."""
+    """Sends beacons of nodes that do not exist, each twice: those of honest nodes around, under other ids."""
 
     EACH_TURN = 20
 
@@ -170,7 +170,7 @@ class IdInventor(Attacker):
 
 
 class Replayer(Attacker):
-    """Says again what it has overheard, some while later."""
+    """Repeats what it has overheard, some time later."""
 
     EACH_TURN = 20
     KEPT = 5000
@@ -187,7 +187,7 @@ class Replayer(Attacker):
 
 
 class JunkCustody(Attacker):
-    """Hands over data that nobody made, as fast as it can."""
+    """Hands over data that no node created, as fast as it can."""
 
     EACH_TURN = 3
 
@@ -200,7 +200,7 @@ class JunkCustody(Attacker):
 
 
 class Flooder(Attacker):
-    """Says all that a radio carries: every kind of message with fields drawn at random, and loss notes."""
+    """Sends all that a radio carries: loss notes, and messages of every kind with random fields."""
 
     EACH_TURN = 100
 
@@ -222,7 +222,7 @@ class Flooder(Attacker):
 
 
 class BitFlipper(Attacker):
-    """Says again at once what it overhears, with some bits flipped and a checksum that fits."""
+    """Repeats at once what it overhears, with some bits flipped and a matching checksum."""
 
     SHARE = 0.3
 
@@ -236,7 +236,7 @@ class BitFlipper(Attacker):
         return (bytes(flipped),)
 
 
-#: By the name that `hostile: [{kind: ...}]` gives.
+#: By the names that `hostile: [{kind: ...}]` uses.
 KINDS: dict[str, type[Attacker]] = {
     "sinkhole": Sinkhole,
     "false-base": FalseBase,
