@@ -41,7 +41,7 @@ class DatumError(RassError):
 
 
 class ConfigError(RassError):
-    """An invalid configuration, scenario or command line. Each of its lines names the file and the key."""
+    """An invalid configuration, scenario or command line. Each mistake is a line that names the file and key."""
 
     def __init__(self, *mistakes: str) -> None:
         super().__init__(*mistakes)

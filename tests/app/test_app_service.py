@@ -220,7 +220,7 @@ def test_a_configuration_edited_in_place_is_not_lost(
     (card / UNIT).unlink()
     assert main(["service", "install", drone, *here]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"{installed}: is there already, with other contents: edit it, or give --replace"
+    assert line == f"{installed}: exists with other contents: edit it, or use --replace"
     # Refused as a whole.
     assert not (card / UNIT).exists()
     assert main(["service", "install", str(installed), *here]) == 0
@@ -279,7 +279,7 @@ def test_a_program_that_the_service_could_not_see_is_refused(
     program(folder)
     assert main(["service", "install", drone, "--root", str(card)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{folder}/bin/python: the service has a /tmp and a /var/tmp of its own")
+    assert line.startswith(f"{folder}/bin/python: the service has its own /tmp and /var/tmp")
     assert line.endswith("install rass-mav elsewhere, for example in /opt/rass-mav")
     assert below(card) == set()
     # A folder of that name elsewhere is no such folder.
@@ -313,7 +313,7 @@ def test_a_file_that_the_service_could_not_see_is_refused(
     file.write_text(CONFIG + section)
     assert main(["service", "install", str(file), "--root", str(card)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{key}: the service has a /tmp and a /var/tmp of its own, so it would not find /")
+    assert line.startswith(f"{key}: the service has its own /tmp and /var/tmp, so it cannot find /")
     assert below(card) == set()
     # A relative path leads to the service's own folder.
     file.write_text(CONFIG + section.replace(": /", ": "))
