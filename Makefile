@@ -2,11 +2,12 @@
 #
 #   make demo     a mock swarm of 100 nodes, and what became of its data
 #   make test     the tests
-#   make soak     the same tests with many more examples, and those that take long: an hour or more
+#   make soak     the long forms of the tests, and many more examples of properties
 #   make lint     ruff and mypy (style, format and types by themselves)
 #   make bench    the benchmarks
 #   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)
 #   make          only the environment for these, in .venv, with this checkout installed in it
+#   make shell    the completions and the manual page, after a change of the commands
 #   make clean    removes .venv and what the tools left behind
 #
 # `make demo` creates a small environment, with what a node and the mock swarm need. The others add the tools to it.
@@ -28,7 +29,7 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 SMALL := $(VENV)/small
 READY := $(VENV)/ready
 
-.PHONY: install demo test soak lint style format types bench paper clean
+.PHONY: install demo test soak lint style format types bench paper shell clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
@@ -74,6 +75,9 @@ bench: $(READY)
 
 paper: $(READY)
 	@$(BIN)/rass-mav experiment paper --out '$(OUT)' --runs $(RUNS) --steps $(STEPS) --jobs $(JOBS)
+
+shell: $(READY)
+	@$(BIN)/python tools/shell_files.py
 
 clean:
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache

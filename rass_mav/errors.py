@@ -84,6 +84,11 @@ class ServiceError(RassError):
     """The system service could not be installed, removed or queried."""
 
 
+def installing(extra: str) -> str:
+    """How to get the packages of an extra. The project is on no package index: it is installed from its checkout."""
+    return f"pip install '.[{extra}]' in the checkout"
+
+
 def why(error: Exception) -> str:
     """The system's description of an error, in lower case, to follow a colon."""
     return (getattr(error, "strerror", None) or str(error)).lower()

@@ -8,14 +8,20 @@ import json
 import logging
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from rass_mav.errors import RassError, os_errors_as
 
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
 #: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
 VIRTUAL_START_S = 1_577_836_800.0
+#: Where there is no progress bar, long work tells how far it is every so many seconds.
+LINE_EVERY_S = 30.0
 #: What argparse calls the object that `add_subparsers` returns.
 Subparsers = Any
 
@@ -29,6 +35,35 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=_terminal_width() - 2)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        """Names stay whole: `scale-free` is not broken at its hyphen."""
+        import textwrap  # only who asks for help needs it
+
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        """With the names that `lists` knows of."""
+        help = action.help
+        names = listed(action)
+        return f"{help}: {', '.join(names).replace('%', '%%')}" if names else help
+
+
+def lists(action: argparse.Action, names: Callable[[], Iterable[str]]) -> None:
+    """The help of an option goes on with these names, which are asked for only when somebody reads it: the registry
+    that has them takes time to load. The option is not bound to them; what it means is checked where it is used."""
+    action.names = names  # type: ignore[attr-defined]
+
+
+def listed(action: argparse.Action) -> list[str]:
+    """The names of an option; none, if it has none or what has them cannot be loaded here."""
+    names: Callable[[], Iterable[str]] = getattr(action, "names", list)
+    try:
+        return list(names())
+    except ModuleNotFoundError as error:
+        if error.name != "msgspec":
+            raise
+        return []
 
 
 def _terminal_width() -> int:
@@ -54,7 +89,7 @@ def add_command(
     )
     parser.add_argument("-v", "--verbose", action="count", default=0, help="logs on stderr; -vv for more")
     parser.add_argument("--json", action="store_true", help="print exactly one JSON object")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, parser=parser)
     return parser
 
 
@@ -65,7 +100,18 @@ def add_group(
     parser = subparsers.add_parser(
         name, help=help, description=description, epilog=f"example: {example}", formatter_class=HelpFormatter
     )
-    return parser.add_subparsers(dest=actions, metavar=actions.upper(), required=True)
+    help_alone(parser)
+    return parser.add_subparsers(dest=actions, metavar=actions.upper())
+
+
+def help_alone(parser: argparse.ArgumentParser) -> None:
+    """A command that has commands of its own shows its help where none of them is given. Exit code 2."""
+
+    def show(options: argparse.Namespace) -> int:
+        say(parser.format_help().rstrip())
+        return 2
+
+    parser.set_defaults(run=show, parser=parser)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -139,6 +185,20 @@ def say(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
+def painted(text: str, colour: str, stream: TextIO) -> str:
+    """In colour, on a terminal whose user did not turn colours off (NO_COLOR)."""
+    if not stream.isatty():
+        return text
+    from termcolor import colored
+
+    return colored(text, colour)
+
+
+def warn(text: str) -> None:
+    """A line on stderr, of what is worth a look."""
+    sys.stderr.write(painted("WARNING:", "yellow", sys.stderr) + f" {text}\n")
+
+
 def clean(text: str) -> str:
     """Text from a stranger, fit for a terminal: control characters are shown as such, not carried out."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
@@ -159,17 +219,50 @@ def recorder(
         yield lambda frame, step: writer.record(frame, start_s + step * step_s)
 
 
+class ProgressLines:
+    """How far long work is, in lines: where no bar can be drawn, in a log for instance."""
+
+    def __init__(
+        self, total: int, unit: str, stream: TextIO, clock: Callable[[], float], every_s: float = LINE_EVERY_S
+    ) -> None:
+        """`total`: of the work, in units. `clock`: seconds."""
+        self._total, self._unit, self._stream, self._clock, self._every_s = total, unit, stream, clock, every_s
+        self._done = 0
+        self._begun = self._said = clock()
+
+    def advance(self, units: int) -> None:
+        """So much more is done."""
+        self._done += units
+        now = self._clock()
+        if now - self._said >= self._every_s:
+            self._said = now
+            self._stream.write(f"{self._done} of {self._total} {self._unit} done in {now - self._begun:.0f} s\n")
+            self._stream.flush()
+
+
 @contextlib.contextmanager
 def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """A progress bar on stderr: on a terminal, if tqdm is installed (the extra `sim`), and unless `quiet`."""
+    """How far long work is, on stderr, unless `quiet`: a progress bar on a terminal, else a line now and then.
+
+    The bar needs tqdm (the extra `sim`).
+    """
+    if quiet:
+        yield lambda units: None
+        return
+    bar = _bar(total, unit) if sys.stderr.isatty() else None
+    if bar is None:
+        yield ProgressLines(total, unit, sys.stderr, time.monotonic).advance
+        return
+    with bar:
+        yield bar.update
+
+
+def _bar(total: int, unit: str) -> tqdm[NoReturn] | None:
     try:
         from tqdm import tqdm
     except ImportError:
-        yield lambda steps: None
-        return
-    # disable=None: no bar unless stderr is a terminal.
-    with tqdm(total=total, unit=f" {unit}", disable=True if quiet else None, leave=False) as bar:
-        yield bar.update
+        return None
+    return tqdm(total=total, unit=f" {unit}", leave=False)
 
 
 @contextlib.contextmanager
@@ -184,3 +277,20 @@ def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], No
             done = step
 
         yield reached
+
+
+@contextlib.contextmanager
+def keeping(kept: Callable[[], str]) -> Iterator[None]:
+    """Whoever interrupts the block is told what is kept of it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept()) from None
+
+
+def kept_files(record: Path | None, keep: Path | None = None) -> str:
+    """What is kept of an interrupted run: `record`: a file of frames; `keep`: a directory."""
+    parts = [f"the frames so far are in {record}"] if record is not None else []
+    if keep is not None:
+        parts.append(f"configurations, stores and logs so far are in {keep}")
+    return "; ".join(parts) or "nothing is kept"

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
-from .common import Subparsers, add_command, answer, clean, start_logging
+from .common import Subparsers, add_command, answer, clean, painted, start_logging
+
+_COLOURS = {"skip": "cyan", "pass": "green", "warn": "yellow", "fail": "red"}
 
 
 def register(subparsers: Subparsers) -> None:
@@ -23,7 +26,10 @@ def _doctor(options: argparse.Namespace) -> int:
     # What goes wrong is what this command tells; logs would say it twice.
     start_logging(options.verbose, "critical")
     report = check_up(options.config)
-    lines = [clean(finding.line()) for finding in report.findings]
+    lines = [
+        painted(finding.level, _COLOURS[finding.level], sys.stdout) + clean(finding.line()).removeprefix(finding.level)
+        for finding in report.findings
+    ]
     counts = f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed"
     lines.append(f"{counts}, {skipped} not checked" if (skipped := report.count("skip")) else counts)
     answer(options, report.plain(), lines)

@@ -5,22 +5,29 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_group, add_set, print_json, progress, say, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_group,
+    add_set,
+    keeping,
+    lists,
+    print_json,
+    progress,
+    say,
+    start_logging,
+)
 
 if TYPE_CHECKING:
     from rass_mav.experiment.runs import Extent, Result, Run
-
-T = TypeVar("T")
-
-_TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
-_VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate", "copies-auto")
 
 
 def register(subparsers: Subparsers) -> None:
@@ -33,9 +40,9 @@ def register(subparsers: Subparsers) -> None:
 
     paper = _add(
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
-        "rass-mav experiment paper --out results --runs 2 --topology grid",
+        "rass-mav experiment paper --out results --runs 2 --topology grid", "ALL_POLICIES",
     )  # fmt: skip
-    _add_choices(paper, "--topology", _TOPOLOGIES, "four")
+    _add_names(paper, "--topology", "paper:TOPOLOGIES", "which, all by default", nargs="+")
     paper.add_argument(
         "--world", choices=("paper", "reference", "both"), default="both",
         help="paper: the text's rules; reference: what the authors' code did (default: both)",
@@ -47,31 +54,31 @@ def register(subparsers: Subparsers) -> None:
 
     _add(
         names, "five-drones", _five_drones, "the paper's physical experiment: reliability, whole and by drone",
-        "rass-mav experiment five-drones --out results",
+        "rass-mav experiment five-drones --out results", "ALL_POLICIES",
     )  # fmt: skip
 
     moving = _add(
         names, "moving-sources", _moving_sources, "what becomes of data when the sources of radiation move",
-        "rass-mav experiment moving-sources --out results --drift 0.05 0.5",
+        "rass-mav experiment moving-sources --out results --drift 0.05 0.5", "ALL_POLICIES",
     )  # fmt: skip
     moving.add_argument(
         "--drift", nargs="+", type=float, metavar="METRES", default=[0.0, 0.05, 0.2, 0.5],
         help="how far each source moves in a step (default: 0 0.05 0.2 0.5)",
     )  # fmt: skip
-    moving.add_argument("--topology", choices=_TOPOLOGIES, default="grid", help="where the drones are (default: grid)")
+    _add_names(moving, "--topology", "paper:TOPOLOGIES", "where the drones are, grid by default", default="grid")
 
     maxima = _add(
         names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
         "rass-mav experiment local-maxima --out results",
     )  # fmt: skip
-    _add_choices(maxima, "--topology", _TOPOLOGIES, "four")
+    _add_names(maxima, "--topology", "paper:TOPOLOGIES", "which, all by default", nargs="+")
 
     policies = _add(
         names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
         "rass-mav experiment policies --out results --runs 2 --topology grid",
     )  # fmt: skip
-    _add_choices(policies, "--topology", (*_TOPOLOGIES, "islands"), "five")
-    _add_choices(policies, "--variant", _VARIANTS, "five")
+    _add_names(policies, "--topology", "policies:PLACES", "which, all by default", nargs="+")
+    _add_names(policies, "--variant", "policies:VARIANTS", "which, all by default", nargs="+")
     policies.add_argument(
         "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",
         help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
@@ -81,7 +88,7 @@ def register(subparsers: Subparsers) -> None:
         names, "hostile", _hostile, "attackers beside honest nodes: what arrives, is lost, heals; who notices",
         "rass-mav experiment hostile --out results --runs 3",
     )  # fmt: skip
-    hostile.add_argument("--attacker", nargs="+", metavar="NAME", help="which (default: all; docs/hostile.md)")
+    _add_names(hostile, "--attacker", "hostile:ATTACKERS", "which, all by default", nargs="+")
 
     counting = add_command(
         names, "counting-to-infinity", _counting,
@@ -96,21 +103,26 @@ def _add_out(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="where everything is written")
 
 
-def _add_choices(parser: argparse.ArgumentParser, option: str, choices: Sequence[str], how_many: str) -> None:
-    parser.add_argument(
-        option, nargs="+", choices=choices, default=list(choices), help=f"which (default: all {how_many})"
-    )
+def _add_names(parser: argparse.ArgumentParser, option: str, known: str, help: str, **more: Any) -> None:
+    """An option that takes names. `known`: where in `rass_mav.experiment` they are, as `module:NAME`."""
+    action = parser.add_argument(option, metavar="NAME", help=help, **more)
+    lists(action, lambda: resolve_name(f"rass_mav.experiment.{known}"))
 
 
 def _add(
-    names: Subparsers, name: str, run: Callable[[argparse.Namespace], int], help: str, example: str
+    names: Subparsers,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    help: str,
+    example: str,
+    policies: str = "POLICIES",
 ) -> argparse.ArgumentParser:
-    """An experiment made of runs of the mock swarm."""
+    """An experiment made of runs of the mock swarm. `policies`: what its module calls those that it can compare."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
     parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 a run (default: 500)")
-    parser.add_argument("--policy", nargs="+", metavar="NAME", help="which to compare (docs/experiments.md)")
+    _add_names(parser, "--policy", f"{name.replace('-', '_')}:{policies}", "which to compare", nargs="+")
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)"
     )
@@ -126,31 +138,36 @@ def _paper(options: argparse.Namespace) -> int:
     given = options.reference_data
     published = load_published(default_directory() if given is None else Path(given))
     worlds = paper.WORLDS if options.world == "both" else (options.world,)
-    policies = _compared(options, paper.POLICIES, paper.ALL_POLICIES)
-    planned = paper.plan(_extent(options), worlds, _distinct(options.topology), policies)
+    policies = _chosen("--policy", options.policy or paper.POLICIES, paper.ALL_POLICIES)
+    topologies = _chosen("--topology", options.topology, paper.TOPOLOGIES)
+    planned = paper.plan(_extent(options), worlds, topologies, policies)
     return _runs(options, planned, lambda results, out: paper.report(results, out, published), "table1.md")
 
 
 def _five_drones(options: argparse.Namespace) -> int:
     from rass_mav.experiment import five_drones
 
-    planned = five_drones.plan(_extent(options), _compared(options, five_drones.POLICIES))
+    planned = five_drones.plan(
+        _extent(options), _chosen("--policy", options.policy or five_drones.POLICIES, five_drones.ALL_POLICIES)
+    )
     return _runs(options, planned, five_drones.report)
 
 
 def _moving_sources(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import moving_sources
+    from rass_mav.experiment import moving_sources, paper
 
-    policies = _compared(options, moving_sources.POLICIES)
-    planned = moving_sources.plan(_extent(options), _distinct(options.drift), options.topology, policies)
+    policies = _chosen("--policy", options.policy or moving_sources.POLICIES, moving_sources.ALL_POLICIES)
+    (topology,) = _chosen("--topology", [options.topology], paper.TOPOLOGIES)
+    planned = moving_sources.plan(_extent(options), list(dict.fromkeys(options.drift)), topology, policies)
     return _runs(options, planned, moving_sources.report)
 
 
 def _local_maxima(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import local_maxima
+    from rass_mav.experiment import local_maxima, paper
 
-    policies = _compared(options, local_maxima.POLICIES)
-    planned = local_maxima.plan(_extent(options), _distinct(options.topology), policies)
+    policies = _chosen("--policy", options.policy, local_maxima.POLICIES)
+    topologies = _chosen("--topology", options.topology, paper.TOPOLOGIES)
+    planned = local_maxima.plan(_extent(options), topologies, policies)
     return _runs(options, planned, local_maxima.report)
 
 
@@ -158,8 +175,9 @@ def _policies(options: argparse.Namespace) -> int:
     from rass_mav.experiment import policies
 
     planned = policies.plan(
-        _extent(options), _distinct(options.topology), _compared(options, policies.POLICIES),
-        _distinct(options.variant), die_fraction=options.failures,
+        _extent(options), _chosen("--topology", options.topology, policies.PLACES),
+        _chosen("--policy", options.policy, policies.POLICIES),
+        _chosen("--variant", options.variant, policies.VARIANTS), die_fraction=options.failures,
     )  # fmt: skip
     return _runs(options, planned, policies.report)
 
@@ -167,11 +185,8 @@ def _policies(options: argparse.Namespace) -> int:
 def _hostile(options: argparse.Namespace) -> int:
     from rass_mav.experiment import hostile
 
-    attackers = _distinct(options.attacker or hostile.ATTACKERS)
-    for name in attackers:
-        if name not in hostile.ATTACKERS:
-            raise ConfigError(f"--attacker: expected some of {', '.join(hostile.ATTACKERS)}, got {name!r}")
-    policies = _compared(options, hostile.POLICIES)
+    attackers = _chosen("--attacker", options.attacker, hostile.ATTACKERS)
+    policies = _chosen("--policy", options.policy, hostile.POLICIES)
     planned = hostile.plan(_extent(options), attackers, policies, list(hostile.VARIANTS))
     return _runs(options, planned, hostile.report)
 
@@ -199,9 +214,9 @@ def _extent(options: argparse.Namespace) -> Extent:
     from rass_mav.experiment.runs import Extent
 
     _begin(options)
-    for name in ("runs", "steps", "jobs"):
-        if getattr(options, name) < 1:
-            raise ConfigError(f"--{name}: expected 1 or more, got {getattr(options, name)}")
+    numbers = {name: getattr(options, name) for name in ("runs", "steps", "jobs")}
+    if wrong := [f"--{name}: expected 1 or more, got {number}" for name, number in numbers.items() if number < 1]:
+        raise ConfigError(*wrong)
     return Extent(options.runs, options.steps, options.assignments)
 
 
@@ -216,8 +231,10 @@ def _runs(
 
     out = _directory(options.out)
     begin = time.perf_counter()
+    runs = out / "runs"
     show = partial(progress, unit="runs", quiet=options.json)
-    outcome = run_all(planned, out / "runs", jobs=options.jobs, dask=options.dask, progress=show)
+    with keeping(lambda: f"{len(list(runs.glob('*.json')))} finished runs are in {runs}; the same command goes on"):
+        outcome = run_all(planned, runs, jobs=options.jobs, dask=options.dask, progress=show)
     wall = time.perf_counter() - begin
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
     _told(options, out, report(outcome.results, out), counts, table)
@@ -245,15 +262,10 @@ def _directory(path: str) -> Path:
     return out
 
 
-def _compared(options: argparse.Namespace, default: Sequence[str], known: Sequence[str] = ()) -> list[str]:
-    """The policies to compare, of those that are `known` (else of `default`). Raises `ConfigError`."""
-    names = _distinct(options.policy or default)
-    for name in names:
-        if name not in (known or default):
-            raise ConfigError(f"--policy: expected some of {', '.join(known or default)}, got {name!r}")
+def _chosen(option: str, given: Sequence[str] | None, known: Collection[str]) -> list[str]:
+    """The names that were given, each once; None: all that are `known`. Raises `ConfigError`."""
+    names = list(dict.fromkeys(given or known))
+    wrong = [f"{option}: expected some of {', '.join(known)}, got {name!r}" for name in names if name not in known]
+    if wrong:
+        raise ConfigError(*wrong)
     return names
-
-
-def _distinct(values: Sequence[T]) -> list[T]:
-    """Each once, in the order given."""
-    return list(dict.fromkeys(values))

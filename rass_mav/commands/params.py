@@ -37,7 +37,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav params write firmware_params/px4.params --live drone.yaml",
     )  # fmt: skip
     for parser in (check, write):
-        parser.add_argument("file", metavar="FILE", help=".parm (NAME VALUE) or .params (QGroundControl)")
+        parser.add_argument("file", metavar="FILE", help="parameters: .parm (NAME VALUE) or .params (QGroundControl)")
         parser.add_argument(
             "--live", metavar="CONFIG.yaml", required=parser is write, help="the node's configuration: its autopilot"
         )

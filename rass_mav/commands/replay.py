@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_set, answer, clean, progress, recorder, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    clean,
+    keeping,
+    kept_files,
+    progress,
+    recorder,
+    start_logging,
+)
 from .summary import summary_lines
 
 if TYPE_CHECKING:
@@ -83,13 +94,13 @@ def _replay(options: argparse.Namespace) -> int:
     with recorder(options.record, settings.node.step_s, recording.start_us / 1e6) as record:
         swarm = ReplaySwarm(recording, settings, base=options.base, record=record)
         watch = Stopwatch()
-        _run(swarm, options)
+        reached = _run(swarm, options)
         took = watch.figures(len(swarm.agents) * swarm.t)
     rows = arrivals(swarm)
     if options.output is not None:
         with os_errors_as(RassError, options.output), options.output.open("w", newline="", encoding="utf-8") as file:
             write_csv(rows, file)
-    result = {**summary(swarm, rows), **took}
+    result = {**summary(swarm, rows), "reachable": reached, **took}
     answer(options, result, map(clean, chain(summary_lines(result), [""], _lines(result, rows))))
     return 0
 
@@ -100,19 +111,28 @@ def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
         raise ConfigError(f"{option} {path}: this is one of the logs")
 
 
-def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> None:
-    """Play it."""
+def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> int:
+    """Play it; returns how many vehicles could reach the base in the first step."""
     from rass_mav.swarm.invariants import check
+    from rass_mav.swarm.reach import reachable
 
-    with progress(swarm.span_steps, "steps", quiet=options.json) as advance:
+    reached = 0
+    with (
+        keeping(lambda: kept_files(options.record)),
+        progress(swarm.span_steps, "steps", quiet=options.json) as advance,
+    ):
 
         def after(swarm: ReplaySwarm) -> None:
+            nonlocal reached
+            if swarm.t == 1:
+                reached = reachable(swarm.neighbours, 1)
             if options.check:
                 check(swarm)
             advance(1)
 
         swarm.run(swarm.span_steps, after=after)
         swarm.drain(int(options.drain / swarm.step_s), after=after)
+    return reached
 
 
 def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 
 from rass_mav.errors import ConfigError
 
-from .common import Subparsers, add_command, add_set, answer, progress_of_steps, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    keeping,
+    kept_files,
+    lists,
+    progress_of_steps,
+    start_logging,
+)
 from .summary import flight_lines, summary_lines
 
 
@@ -32,7 +43,8 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N of the scenario's drones")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1, from take-off")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
-    parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom (docs/policies.md)")
+    policy = parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom")
+    lists(policy, lambda: import_module("rass_mav.policy.settings").kinds())
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
     parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
@@ -59,7 +71,10 @@ def _sitl(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{HOW_TO_GET}. Flying with mock flight controllers instead.\n")
         firmware = find_firmware(mock=True)
         assert firmware is not None
-    with progress_of_steps(scenario.steps, quiet=options.json) as show:
+    with (
+        keeping(lambda: kept_files(options.record, options.keep)),
+        progress_of_steps(scenario.steps, quiet=options.json) as show,
+    ):
         summary = run(
             scenario, firmware, through=options.through, keep=options.keep, record=options.record, progress=show
         )

@@ -8,7 +8,7 @@ import os
 import termios
 from typing import TYPE_CHECKING
 
-from rass_mav.errors import LinkError
+from rass_mav.errors import LinkError, installing
 
 from .base import Address
 from .stream import READ_BYTES, Channel, Opener
@@ -46,7 +46,7 @@ class SerialOpener(Opener):
         try:
             import serial
         except ImportError:
-            raise LinkError("serial ports need pyserial: pip install 'rass-mav[drone]'") from None
+            raise LinkError(f"serial ports need pyserial: {installing('drone')}") from None
         try:
             # Locked, so that two programs that read the same port do not each get half of it.
             port = serial.Serial(

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple
 
-from rass_mav.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError, installing
 
 from .base import MAX_WAITING, Sensor, SensorReading, SensorState
 from .dose import DoseMeter
@@ -71,7 +71,7 @@ class SerialSensor(Sensor):
         try:
             import serial  # noqa: F401
         except ImportError:
-            raise ConfigError("sensor.type: a serial port needs pyserial: pip install 'rass-mav[drone]'") from None
+            raise ConfigError(f"sensor.type: a serial port needs pyserial: {installing('drone')}") from None
         self._port = port
         self._baud = baud
         self._protocol = protocol

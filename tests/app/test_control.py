@@ -221,14 +221,18 @@ def test_one_whose_request_is_carried_out_keeps_its_place() -> None:
             newcomer = await Client.connect()
             assert await newcomer.answer() == {"ok": False, "error": "too many clients"}
             newcomer.close()
-            asked = [asyncio.create_task(client.answer()) for client in clients]
-            while not all(task.done() for task in asked):
-                await asyncio.wait_for(disk.arrived.wait(), PATIENCE_S)
-                disk.arrived.clear()
-                while disk.submitted:
-                    disk.release()
-                await asyncio.wait(asked, timeout=0.01)
-            assert all(task.result()["ok"] for task in asked)
+
+            async def write() -> None:
+                while True:
+                    await disk.arrived.wait()
+                    disk.arrived.clear()
+                    while disk.submitted:
+                        disk.release()
+
+            writing = asyncio.create_task(write())
+            answers = await asyncio.gather(*(client.answer() for client in clients))
+            writing.cancel()
+            assert all(answer["ok"] for answer in answers)
             for client in clients:
                 client.close()
             # What is written at the end is written at once.

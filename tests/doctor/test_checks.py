@@ -52,7 +52,7 @@ def test_packages() -> None:
 
     lacking = sound(computer.packages(["pymavlink", "pyserial"], installed, {"pymavlink": "2.4.48"}))
     assert (lacking.level, lacking.text) == ("fail", "pymavlink is 2.4.9, needs 2.4.48, pyserial is missing")
-    assert "rass-mav[drone]" in lacking.remedy
+    assert "'.[drone]' in the checkout" in lacking.remedy
 
 
 @pytest.mark.parametrize(

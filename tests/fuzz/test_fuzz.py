@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.environment import unmeasured
 
 from .targets import TARGETS
 
@@ -28,12 +29,13 @@ def test_the_corpus(name: str) -> None:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here (x86-64 Linux only)")
-def test_a_short_run_of_each_target_finds_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("seconds", "runs"), [("1", "400"), pytest.param("30", "-1", marks=pytest.mark.soak)])
+def test_a_run_of_each_target_finds_nothing(seconds: str, runs: str, tmp_path: Path) -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz", "all", "--seconds", "1", "--runs", "400", "--scratch", str(tmp_path)],
+        [sys.executable, "-m", "tests.fuzz", "all", "--seconds", seconds, "--runs", runs, "--scratch", str(tmp_path)],
         check=False,
-        # Two tools that watch each line would be in each other's way.
-        env={name: value for name, value in os.environ.items() if not name.startswith("COV")},
+        # Besides, two tools that watch each line would be in each other's way.
+        env=unmeasured(),
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.replay.tlog import TlogReader
+from tests.environment import unmeasured
 
 from .logs import START, place, vehicle, write
 
@@ -137,7 +137,7 @@ def test_a_file_without_a_valid_record_fails_the_run(
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert "bad.tlog: not one valid MAVLink record" in captured.err
-    assert "bad.tlog" in json.loads(captured.out)["error"]
+    assert json.loads(captured.out)["error"] == [captured.err.rstrip("\n")]
 
 
 def test_a_missing_file_is_bad_usage(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -158,7 +158,7 @@ def test_the_same_logs_give_the_same_summary_in_any_process(flight: list[str]) -
     def summary(hash_seed: str, *arguments: str) -> dict[str, Any]:
         done = subprocess.run(
             [sys.executable, "-m", "rass_mav", "replay", "--json", "--range", "12", *flight, *arguments],
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            env=unmeasured(PYTHONHASHSEED=hash_seed),
             capture_output=True,
             text=True,
             check=True,

@@ -281,5 +281,5 @@ def test_closing_ends_the_thread_and_frees_the_port(device: SerialDevice) -> Non
 
 def test_without_pyserial_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(ConfigError, match=r"needs pyserial: pip install 'rass-mav\[drone\]'"):
+    with pytest.raises(ConfigError, match=r"needs pyserial: pip install '\.\[drone\]' in the checkout"):
         SerialSensor("tty", 9600, MightyOhm(), DoseMeter(METER), time.monotonic)

@@ -20,6 +20,7 @@ from rass_mav.store import OpenReport, SqliteStore
 from rass_mav.swarm.disk import Disk
 from rass_mav.swarm.disk.image import SECTOR, Image
 from rass_mav.swarm.disk.library import load
+from tests.environment import unmeasured
 from tests.extent import extents
 
 EPOCH = 0xFEDC0001
@@ -540,7 +541,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
         subprocess.run(
             [sys.executable, "-c", HISTORY],
             cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": hash_seed},
+            env=unmeasured(PYTHONPATH=str(ROOT), PYTHONHASHSEED=hash_seed),
             capture_output=True,
             text=True,
             check=True,

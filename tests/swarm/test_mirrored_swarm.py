@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from typing import Any
@@ -17,6 +16,7 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.environment import unmeasured
 from tests.extent import examples, extents
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
@@ -127,7 +127,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
             [sys.executable, "-m", "rass_mav", "swarm", "paper-grid", "--json", "--nodes", "36", "--steps", "60",
              "--loss", "0.2", "--capacity", "4", "--set", "custody.mirror=true", "--set", "custody.receipts=true",
              "--set", "node.forward=immediate"],
-            env={**os.environ, "PYTHONHASHSEED": hash_seed}, capture_output=True, text=True, check=True,
+            env=unmeasured(PYTHONHASHSEED=hash_seed), capture_output=True, text=True, check=True,
         )  # fmt: skip
         summary = json.loads(done.stdout)
         del summary["wall_s"], summary["cpu_s"], summary["robot_steps_per_s"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import subprocess
 import sys
 from itertools import pairwise
@@ -20,6 +19,7 @@ from rass_mav.errors import ConfigError
 from rass_mav.swarm import topology
 from rass_mav.swarm.mobility import LJ_DISTANCE_M, TOPOLOGIES, LennardJones, Mobility, make_mobility
 from rass_mav.swarm.neighbours import Position, RangeGraph
+from tests.environment import unmeasured
 from tests.extent import examples
 
 FIVE = [[0.0, 0.0], [1.0, 0.5], [1.0, -0.5], [2, 0.5], [3.0, 0.0]]
@@ -277,7 +277,7 @@ def test_a_seed_gives_the_same_swarm_in_any_process() -> None:
     for hash_seed in ("0", "12345"):
         there = subprocess.run(
             [sys.executable, "-c", _PRINT_DIGEST, *names],
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            env=unmeasured(PYTHONHASHSEED=hash_seed),
             cwd=Path(__file__).parents[2],
             capture_output=True,
             text=True,

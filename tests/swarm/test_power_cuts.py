@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -22,6 +21,7 @@ from rass_mav.swarm.errors import InvariantError
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.environment import unmeasured
 from tests.extent import extents
 
 #: Storms: other tests reach what these reach, and coverage would only make them slower.
@@ -246,7 +246,7 @@ def test_the_same_seed_gives_the_same_run_in_any_process() -> None:
     outputs = []
     for hash_seed in ("1", "2"):
         done = subprocess.run(
-            [*command, *options], env={**os.environ, "PYTHONHASHSEED": hash_seed}, capture_output=True, check=True
+            [*command, *options], env=unmeasured(PYTHONHASHSEED=hash_seed), capture_output=True, check=True
         )
         summary = json.loads(done.stdout)
         assert summary.pop("wall_s") > 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from typing import Any
@@ -20,6 +19,7 @@ from rass_mav.swarm.invariants import check
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.environment import unmeasured
 from tests.extent import examples
 
 CONNECTED = ["grid", "scale-free", "lennard-jones", "random-walk", "line"]
@@ -38,7 +38,7 @@ def run(**keys: Any) -> World:
 def summary_of_process(hash_seed: str, *arguments: str) -> dict[str, Any]:
     done = subprocess.run(
         [sys.executable, "-m", "rass_mav", "swarm", "--json", *arguments],
-        env={**os.environ, "PYTHONHASHSEED": hash_seed},
+        env=unmeasured(PYTHONHASHSEED=hash_seed),
         capture_output=True,
         text=True,
         check=True,

@@ -1,0 +1,40 @@
+"""`completion`: what a shell needs to complete the commands."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from .common import Subparsers, add_command, print_json
+
+#: Where the files are. tools/shell_files.py makes them.
+DIRECTORY = Path(__file__).parent / "shell"
+#: The file of each shell.
+FILES = {"bash": "rass-mav", "zsh": "_rass-mav", "fish": "rass-mav.fish"}
+MANUAL = "rass-mav.1"
+
+_HOW = """
+bash: rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav
+zsh:  rass-mav completion zsh > ~/.zfunc/_rass-mav, with `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc
+fish: rass-mav completion fish > ~/.config/fish/completions/rass-mav.fish
+"""
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    completion = add_command(
+        subparsers, "completion", _completion, help="print the completions of a shell, to be stored where it looks",
+        example="rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav",
+    )  # fmt: skip
+    completion.description = f"{completion.description}\n{_HOW}".rstrip()
+    completion.add_argument("shell", choices=tuple(FILES), metavar="SHELL", help=f"one of {', '.join(FILES)}")
+
+
+def _completion(options: argparse.Namespace) -> int:
+    text = (DIRECTORY / FILES[options.shell]).read_text(encoding="utf-8")
+    if options.json:
+        print_json({"shell": options.shell, "script": text})
+    else:
+        sys.stdout.write(text)
+    return 0
