@@ -282,7 +282,7 @@ def test_an_interrupted_experiment_says_how_to_go_on(
         "1",
     ]
     assert main(words) == 130
-    assert capsys.readouterr().err == ("interrupted: 1 finished runs are in out/runs; the same command goes on\n")
+    assert capsys.readouterr().err == ("interrupted: finished runs: 1, kept in out/runs; the same command continues\n")
 
 
 def test_help_alone_is_no_success() -> None:

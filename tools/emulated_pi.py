@@ -250,16 +250,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Installs the drone's part into emulated ARM Debians and runs a node there (docs/raspberry-pi.md).",
         epilog="example: sudo .venv/bin/python -m tools.emulated_pi armhf",
     )
-    parser.add_argument("arch", nargs="*", choices=BOARDS, help=f"which (all: {', '.join(BOARDS)})")
+    parser.add_argument("arch", nargs="*", choices=[*BOARDS, "all"], default="all", help="which systems (all)")
     parser.add_argument("--keep", metavar="DIR", type=Path, help="a new folder for the systems; else they are removed")
     options = parser.parse_args(arguments)
-    needed = ["debootstrap", "dpkg-deb", "apt-get", *{board.qemu for board in BOARDS.values()}]
+    arches = BOARDS if "all" in options.arch else options.arch
+    needed = ["debootstrap", "dpkg-deb", "apt-get", *sorted({BOARDS[arch].qemu for arch in arches})]
     missing = [name for name in needed if shutil.which(name) is None]
     if missing or os.geteuid() != 0:
-        print(
-            f"needs root and {', '.join(missing or needed)} (Debian: apt install debootstrap qemu-user-static)",
-            file=sys.stderr,
-        )
+        programs = f"{', '.join(missing)} (Debian: apt install debootstrap qemu-user-static)"
+        print(f"needs {programs if missing else 'root, for debootstrap'}", file=sys.stderr)
         return 2
     failed = False
     with contextlib.ExitStack() as stack:
@@ -267,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             wheels = make_wheels(folder.resolve())
-            for arch in options.arch or BOARDS:
+            for arch in arches:
                 print(check(arch, folder.resolve(), wheels), flush=True)
         except FailedError as error:
             print(f"failed: {error}", file=sys.stderr)
