@@ -97,9 +97,9 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         ("node: {id: 1}\nlinks: [{peers: [{address: '10.0.0.1'}]}]",
          "node.yaml: links[0].peers[0].address: expected host:port (IPv4 address or name), got '10.0.0.1'"),
         ("node: {id: 1}\nlinks: [{listen: 'x:99999', broadcast: 'b:1'}]",
-         "node.yaml: links[0].listen: expected a port 0..65535 behind the colon, got 'x:99999'"),
+         "node.yaml: links[0].listen: expected a port 0..65535 after the colon, got 'x:99999'"),
         ("node: {id: 1}\nlinks: [{broadcast: '10.0.0.255:0'}]",
-         "node.yaml: links[0].broadcast: expected a port 1..65535 behind the colon, got '10.0.0.255:0'"),
+         "node.yaml: links[0].broadcast: expected a port 1..65535 after the colon, got '10.0.0.255:0'"),
         ("node: {id: 1}\nlinks: [{multicast: '10.0.0.1:1'}]",
          "node.yaml: links[0].multicast: expected a multicast group 224.0.0.0 .. 239.255.255.255 and a port, "
          "got '10.0.0.1:1'"),
@@ -193,7 +193,7 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.Monke
         "node.yaml: links[2].ttl: expected a whole number >= 0 and <= 255, got 300",
         "node.yaml: policy.alpha: expected a number >= 0, got 'ten'",
         "node.yaml: risk.gain: expected a number > 0 and <= 1, got 2",
-        "node.yaml: links[0].listen: expected a port 0..65535 behind the colon, got 'x:99999'",
+        "node.yaml: links[0].listen: expected a port 0..65535 after the colon, got 'x:99999'",
         "node.yaml: links[2].device: belongs to type serial, this link is udp",
         "node.yaml: links[2].broadcast: expected host:port (IPv4 address or name), got '10.0.0.255'",
         "node.yaml: autopilot.url: expected udpin:host:port, udpout:host:port, tcp:host:port or serial:device:baud "
