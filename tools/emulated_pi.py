@@ -3,11 +3,11 @@
     sudo .venv/bin/python -m tools.emulated_pi                 all of them, some minutes each
     sudo .venv/bin/python -m tools.emulated_pi armel --keep DIR
 
-Each system is unpacked from Debian's own packages, and its Python is run by QEMU's user emulation; nothing is mounted,
-registered or booted. The program is installed as docs/raspberry-pi.md says. Then a node measures what a mock vehicle
-sends to it over a serial port, and hands its datum to a base that runs here, on another processor. Packages come from
-where apt and pip on this computer get theirs. This needs a Debian with debootstrap and qemu-user-static, and root for
-debootstrap. The exit code is 1 if any of the systems fails.
+Each system is unpacked from Debian's own packages, and QEMU's user emulation runs its Python. Nothing is mounted,
+registered or booted. The program is installed as docs/raspberry-pi.md describes. Then a mock vehicle sends readings to
+a node over a serial port, and the node hands a datum over to a base that runs here, on another processor. Packages
+come from the sources that apt and pip use on this computer. This needs a Debian with debootstrap and
+qemu-user-static, and root for debootstrap. The exit code is 1 if any of the systems fails.
 """
 
 from __future__ import annotations
