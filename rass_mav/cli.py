@@ -1,6 +1,6 @@
-"""The command `rass-mav`. Each module in `rass_mav.commands` adds its own.
+"""The command `rass-mav`. Each module in `rass_mav.commands` adds its own commands.
 
-What a command needs is imported when it runs, so that the others start fast and stay small.
+A command's imports happen when it runs, so that the others start fast and stay small.
 
 Exit codes: 0 success, 2 bad usage or configuration, 1 a failed run, 130 interrupted. Errors are lines on stderr. With
 --json they are also an object on stdout: `{"error": ["the first line", ...]}`.
@@ -40,7 +40,7 @@ class Parser(argparse.ArgumentParser):
         raise BadUsage(self, message)
 
     def _check_value(self, action: argparse.Action, value: object) -> None:
-        """As argparse does it, which knows only from Python 3.14 on what was meant."""
+        """Like argparse, which suggests a correction only from Python 3.14 on."""
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
@@ -87,14 +87,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RassError as error:
         return _failed(options, error, 1)
     except ModuleNotFoundError as error:
-        # A node does without it; what simulates one does not (docs/raspberry-pi.md).
+        # A node does not need msgspec; the simulations do (docs/raspberry-pi.md).
         if error.name != "msgspec":
             raise
         return _failed(options, RassError(f"{options.command}: needs the package msgspec: pip install msgspec"), 1)
     except KeyboardInterrupt as stop:
         return _failed(options, RassError(f"interrupted: {stop}" if str(stop) else "interrupted"), 130)
     except BrokenPipeError:
-        # Who reads our output has seen enough. The interpreter must not stumble over it again when it flushes.
+        # The reader of our output has closed it. The interpreter must not fail again when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
@@ -112,7 +112,7 @@ def _tell(lines: Sequence[str], *, json: bool) -> None:
 
 
 def _usage_line(bad: BadUsage, words: Sequence[str]) -> str:
-    """What is wrong with a command line, and which options were probably meant."""
+    """The error in a command line, with the options that were probably meant."""
     options = [option for option in bad.parser._option_string_actions if option.startswith("--")]
     given = [word.partition("=")[0] for word in words if word.startswith("--") and word != "--"]
     unknown = [word for word in given if not any(option.startswith(word) for option in options)]

@@ -1,4 +1,4 @@
-"""What the commands share: options, output, logging."""
+"""Shared by the commands: options, output, logging."""
 
 from __future__ import annotations
 
@@ -18,45 +18,44 @@ from rass_mav.errors import RassError, os_errors_as
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-#: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
+#: The start of virtual time in recordings, 2020-01-01 00:00 UTC, so that the same run creates the same file.
 VIRTUAL_START_S = 1_577_836_800.0
-#: Where there is no progress bar, long work tells how far it is every so many seconds.
+#: Seconds between two lines about progress, where there is no progress bar.
 LINE_EVERY_S = 30.0
-#: What argparse calls the object that `add_subparsers` returns.
+#: The type of the object that argparse's `add_subparsers` returns.
 Subparsers = Any
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """As wide as the terminal.
+    """Help as wide as the terminal.
 
-    argparse asks `shutil` for the width, and so loads it with all it knows of compression: half a MiB of a drone's
-    memory.
+    argparse asks `shutil` for the width, and so loads its compression modules: half a MiB of a drone's memory.
     """
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=_terminal_width() - 2)
 
     def _split_lines(self, text: str, width: int) -> list[str]:
-        """Names stay whole: `scale-free` is not broken at its hyphen."""
-        import textwrap  # only who asks for help needs it
+        """Keep names whole: `scale-free` is not broken at its hyphen."""
+        import textwrap  # only needed for help
 
         return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        """With the names that `lists` knows of."""
+        """Add the names set by `lists`."""
         help = action.help
         names = listed(action)
         return f"{help}: {', '.join(names).replace('%', '%%')}" if names else help
 
 
 def lists(action: argparse.Action, names: Callable[[], Iterable[str]]) -> None:
-    """The help of an option goes on with these names, which are asked for only when somebody reads it: the registry
-    that has them takes time to load. The option is not bound to them; what it means is checked where it is used."""
+    """Add these names to the help of an option. They are requested only when the help is shown, because their registry
+    takes time to load. The option is not limited to them: its value is checked where it is used."""
     action.names = names  # type: ignore[attr-defined]
 
 
 def listed(action: argparse.Action) -> list[str]:
-    """The names of an option; none, if it has none or what has them cannot be loaded here."""
+    """The names of an option; empty if it has none, or if their registry cannot be loaded here."""
     names: Callable[[], Iterable[str]] = getattr(action, "names", list)
     try:
         return list(names())
@@ -79,7 +78,7 @@ def _terminal_width() -> int:
 def add_command(
     subparsers: Subparsers, name: str, run: Callable[[argparse.Namespace], int], *, help: str, example: str
 ) -> argparse.ArgumentParser:
-    """A command with -v and --json. `run` gets the parsed options and returns the exit code."""
+    """Add a command with -v and --json. `run` gets the parsed options and returns the exit code."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         name,
         help=help,
@@ -96,7 +95,7 @@ def add_command(
 def add_group(
     subparsers: Subparsers, name: str, actions: str, *, help: str, description: str, example: str
 ) -> Subparsers:
-    """A command that has commands of its own: what `add_command` adds them to. `actions`: what they are called."""
+    """Add a command with subcommands, and return the object to which `add_command` adds them. `actions`: their name."""
     parser = subparsers.add_parser(
         name, help=help, description=description, epilog=f"example: {example}", formatter_class=HelpFormatter
     )
@@ -105,7 +104,7 @@ def add_group(
 
 
 def help_alone(parser: argparse.ArgumentParser) -> None:
-    """A command that has commands of its own shows its help where none of them is given. Exit code 2."""
+    """Let a command with subcommands show its help if none is given. Exit code 2."""
 
     def show(options: argparse.Namespace) -> int:
         say(parser.format_help().rstrip())
@@ -122,7 +121,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="assignments",
-        help="override a key of the file; the value as YAML; may be given more than once",
+        help="override a key of the file; the value is YAML; may be repeated",
     )
 
 
@@ -139,7 +138,7 @@ def start_logging(verbose: int, level: str = "warning") -> None:
 
 
 class _JournalFormatter(logging.Formatter):
-    """For journald, which has time stamps of its own: instead, each line begins with its level (sd-daemon(3))."""
+    """For journald, which adds its own time stamps: each line starts with its level instead (sd-daemon(3))."""
 
     def format(self, record: logging.LogRecord) -> str:
         prefix = f"<{_priority(record.levelno)}>"
@@ -147,14 +146,14 @@ class _JournalFormatter(logging.Formatter):
 
 
 def _priority(level: int) -> int:
-    """Of syslog: 2 critical, 3 error, 4 warning, 6 information, 7 for debugging."""
+    """The syslog priority: 2 critical, 3 error, 4 warning, 6 information, 7 debug."""
     return next((number for least, number in ((50, 2), (40, 3), (30, 4), (20, 6)) if level >= least), 7)
 
 
 def _goes_to_journal(stream: TextIO) -> bool:
-    """Whether journald reads the stream: $JOURNAL_STREAM holds the device and inode of its end (systemd.exec(5)).
+    """Whether journald reads the stream: $JOURNAL_STREAM contains the device and inode of its end (systemd.exec(5)).
 
-    The variable alone is not enough: who redirects the output of a program still hands it on.
+    The variable alone is not enough: a program whose output is redirected still inherits it.
     """
     named = os.environ.get("JOURNAL_STREAM")
     if not named:
@@ -172,7 +171,7 @@ def print_json(value: dict[str, Any]) -> None:
 
 
 def answer(options: argparse.Namespace, plain: dict[str, Any], lines: Iterable[str]) -> None:
-    """What a command has found: with --json as one object, else in lines for people."""
+    """Print the result of a command: with --json as one object, otherwise as lines for people."""
     if options.json:
         print_json(plain)
     else:
@@ -181,12 +180,12 @@ def answer(options: argparse.Namespace, plain: dict[str, Any], lines: Iterable[s
 
 
 def say(text: str) -> None:
-    """A line on stdout."""
+    """Print a line on stdout."""
     sys.stdout.write(text + "\n")
 
 
 def painted(text: str, colour: str, stream: TextIO) -> str:
-    """In colour, on a terminal whose user did not turn colours off (NO_COLOR)."""
+    """The text in colour, if the stream is a terminal and colours are not turned off (NO_COLOR)."""
     if not stream.isatty():
         return text
     from termcolor import colored
@@ -195,12 +194,12 @@ def painted(text: str, colour: str, stream: TextIO) -> str:
 
 
 def warn(text: str) -> None:
-    """A line on stderr, of what is worth a look."""
+    """Print a warning on stderr."""
     sys.stderr.write(painted("WARNING:", "yellow", sys.stderr) + f" {text}\n")
 
 
 def clean(text: str) -> str:
-    """Text from a stranger, fit for a terminal: control characters are shown as such, not carried out."""
+    """Make untrusted text safe for a terminal: control characters are shown, not executed."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -208,7 +207,7 @@ def clean(text: str) -> str:
 def recorder(
     path: Path | None, step_s: float, start_s: float = VIRTUAL_START_S
 ) -> Iterator[Callable[[bytes, int], None] | None]:
-    """Writes frames to a .tlog, with times that begin at `start_s`, seconds since 1970."""
+    """Write frames to a .tlog, with times from `start_s`, seconds since 1970."""
     if path is None:
         yield None
         return
@@ -220,18 +219,18 @@ def recorder(
 
 
 class ProgressLines:
-    """How far long work is, in lines: where no bar can be drawn, in a log for instance."""
+    """Reports progress in lines, where no bar can be drawn, for example in a log."""
 
     def __init__(
         self, total: int, unit: str, stream: TextIO, clock: Callable[[], float], every_s: float = LINE_EVERY_S
     ) -> None:
-        """`total`: of the work, in units. `clock`: seconds."""
+        """`total`: amount of work, in units. `clock`: returns seconds."""
         self._total, self._unit, self._stream, self._clock, self._every_s = total, unit, stream, clock, every_s
         self._done = 0
         self._begun = self._said = clock()
 
     def advance(self, units: int) -> None:
-        """So much more is done."""
+        """Count units of finished work."""
         self._done += units
         now = self._clock()
         if now - self._said >= self._every_s:
@@ -242,7 +241,7 @@ class ProgressLines:
 
 @contextlib.contextmanager
 def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """How far long work is, on stderr, unless `quiet`: a progress bar on a terminal, else a line now and then.
+    """Show progress on stderr, unless `quiet`: a progress bar on a terminal, otherwise an occasional line.
 
     The bar needs tqdm (the extra `sim`).
     """
@@ -267,7 +266,7 @@ def _bar(total: int, unit: str) -> tqdm[NoReturn] | None:
 
 @contextlib.contextmanager
 def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
-    """The same for a swarm in real time, which says how many steps are over."""
+    """The same for a swarm in real time, which reports the number of finished steps."""
     done = 0
     with progress(steps, "steps", quiet=quiet) as advance:
 
@@ -281,7 +280,7 @@ def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], No
 
 @contextlib.contextmanager
 def keeping(kept: Callable[[], str]) -> Iterator[None]:
-    """Whoever interrupts the block is told what is kept of it."""
+    """If the block is interrupted, say what is kept of it."""
     try:
         yield
     except KeyboardInterrupt:

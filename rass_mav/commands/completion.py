@@ -1,4 +1,4 @@
-"""`completion`: what a shell needs to complete the commands."""
+"""`completion`: prints a shell's completions of the commands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .common import Subparsers, add_command, print_json
 
-#: Where the files are. tools/shell_files.py makes them.
+#: The folder with the files, which tools/shell_files.py generates.
 DIRECTORY = Path(__file__).parent / "shell"
 #: The file of each shell.
 FILES = {"bash": "rass-mav", "zsh": "_rass-mav", "fish": "rass-mav.fish"}
@@ -24,7 +24,7 @@ fish: rass-mav completion fish > ~/.config/fish/completions/rass-mav.fish
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     completion = add_command(
-        subparsers, "completion", _completion, help="print the completions of a shell, to be stored where it looks",
+        subparsers, "completion", _completion, help="print the completions for a shell",
         example="rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav",
     )  # fmt: skip
     completion.description = f"{completion.description}\n{_HOW}".rstrip()

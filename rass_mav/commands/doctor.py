@@ -1,4 +1,4 @@
-"""`doctor`: is everything there that a node needs?"""
+"""`doctor`: checks whether everything that a node needs is there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     doctor = add_command(
         subparsers, "doctor", _doctor,
-        help="check a node and all around it, running or not; exit code 1 if something failed",
+        help="check a node and its surroundings, running or not; exit code 1 if something failed",
         example="rass-mav doctor drone.yaml",
     )  # fmt: skip
     doctor.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")
@@ -23,7 +23,7 @@ def register(subparsers: Subparsers) -> None:
 def _doctor(options: argparse.Namespace) -> int:
     from rass_mav.doctor.checkup import check_up
 
-    # What goes wrong is what this command tells; logs would say it twice.
+    # This command reports what is wrong. Logs would repeat it.
     start_logging(options.verbose, "critical")
     report = check_up(options.config)
     lines = [

@@ -1,4 +1,4 @@
-"""`experiment`: the paper's experiments and ours, into a directory of tables and figures."""
+"""`experiment`: runs the paper's experiments and ours, and writes tables and figures to a directory."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def register(subparsers: Subparsers) -> None:
     """Add the command with its experiments."""
     names = add_group(
         subparsers, "experiment", "name", help="run a named experiment: CSV, Markdown tables and PNG figures",
-        description="Run a named experiment. The runs that it finished are kept, and the same command goes on.",
+        description="Run a named experiment. Finished runs are kept, and the same command continues from there.",
         example="rass-mav experiment paper --out results",
     )  # fmt: skip
 
@@ -42,18 +42,19 @@ def register(subparsers: Subparsers) -> None:
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
         "rass-mav experiment paper --out results --runs 2 --topology grid", "ALL_POLICIES",
     )  # fmt: skip
-    _add_names(paper, "--topology", "paper:TOPOLOGIES", "which, all by default", nargs="+")
+    _add_names(paper, "--topology", "paper:TOPOLOGIES", "which topologies, all by default", nargs="+")
     paper.add_argument(
         "--world", choices=("paper", "reference", "both"), default="both",
         help="paper: the text's rules; reference: what the authors' code did (default: both)",
     )  # fmt: skip
     paper.add_argument(
         "--reference-data", metavar="DIR",
-        help="the authors' curves.csv and delays.csv, to draw them in (default: shared/data/paper beside the project)",
+        help="folder with the authors' curves.csv and delays.csv, to draw them (default: shared/data/paper beside the "
+        "project)",
     )  # fmt: skip
 
     _add(
-        names, "five-drones", _five_drones, "the paper's physical experiment: reliability, whole and by drone",
+        names, "five-drones", _five_drones, "the paper's physical experiment: reliability, in total and by drone",
         "rass-mav experiment five-drones --out results", "ALL_POLICIES",
     )  # fmt: skip
 
@@ -68,31 +69,31 @@ def register(subparsers: Subparsers) -> None:
     _add_names(moving, "--topology", "paper:TOPOLOGIES", "where the drones are, grid by default", default="grid")
 
     maxima = _add(
-        names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
+        names, "local-maxima", _local_maxima, "how many data are where no neighbour is fitter, away from the base",
         "rass-mav experiment local-maxima --out results",
     )  # fmt: skip
-    _add_names(maxima, "--topology", "paper:TOPOLOGIES", "which, all by default", nargs="+")
+    _add_names(maxima, "--topology", "paper:TOPOLOGIES", "which topologies, all by default", nargs="+")
 
     policies = _add(
-        names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
+        names, "policies", _policies, "all policies, with and without spare copies or immediate forwarding; ceiling",
         "rass-mav experiment policies --out results --runs 2 --topology grid",
     )  # fmt: skip
-    _add_names(policies, "--topology", "policies:PLACES", "which, all by default", nargs="+")
-    _add_names(policies, "--variant", "policies:VARIANTS", "which, all by default", nargs="+")
+    _add_names(policies, "--topology", "policies:PLACES", "which topologies, all by default", nargs="+")
+    _add_names(policies, "--variant", "policies:VARIANTS", "which variants, all by default", nargs="+")
     policies.add_argument(
         "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",
-        help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
+        help="also repeat all runs with this share of the drones dying permanently, 0 to 1 (0.1 without a number)",
     )  # fmt: skip
 
     hostile = _add(
-        names, "hostile", _hostile, "attackers beside honest nodes: what arrives, is lost, heals; who notices",
+        names, "hostile", _hostile, "attackers beside honest nodes: what arrives, what is lost, who notices, recovery",
         "rass-mav experiment hostile --out results --runs 3",
     )  # fmt: skip
-    _add_names(hostile, "--attacker", "hostile:ATTACKERS", "which, all by default", nargs="+")
+    _add_names(hostile, "--attacker", "hostile:ATTACKERS", "which attackers, all by default", nargs="+")
 
     counting = add_command(
         names, "counting-to-infinity", _counting,
-        help="what Alg. 2 as written does when the base vanishes, and what sequence numbers change",
+        help="what Alg. 2 as published does when the base vanishes, and what sequence numbers change",
         example="rass-mav experiment counting-to-infinity --out results",
     )  # fmt: skip
     _add_out(counting)
@@ -100,11 +101,11 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _add_out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", required=True, metavar="DIR", help="where everything is written")
+    parser.add_argument("--out", required=True, metavar="DIR", help="directory for the results")
 
 
 def _add_names(parser: argparse.ArgumentParser, option: str, known: str, help: str, **more: Any) -> None:
-    """An option that takes names. `known`: where in `rass_mav.experiment` they are, as `module:NAME`."""
+    """Add an option that takes names. `known`: their place in `rass_mav.experiment`, as `module:NAME`."""
     action = parser.add_argument(option, metavar="NAME", help=help, **more)
     lists(action, lambda: resolve_name(f"rass_mav.experiment.{known}"))
 
@@ -117,14 +118,14 @@ def _add(
     example: str,
     policies: str = "POLICIES",
 ) -> argparse.ArgumentParser:
-    """An experiment made of runs of the mock swarm. `policies`: what its module calls those that it can compare."""
+    """Add an experiment that consists of runs of the mock swarm. `policies`: the name of its policies in its module."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
-    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 a run (default: 500)")
+    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 per run (default: 500)")
     _add_names(parser, "--policy", f"{name.replace('-', '_')}:{policies}", "which to compare", nargs="+")
     parser.add_argument(
-        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)"
+        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one per core)"
     )
     parser.add_argument("--dask", metavar="ADDRESS", help="use the workers of this Dask scheduler instead")
     add_set(parser)
@@ -210,7 +211,7 @@ def _begin(options: argparse.Namespace) -> None:
 
 
 def _extent(options: argparse.Namespace) -> Extent:
-    """How much is to be run. Raises `ConfigError`."""
+    """How much to run. Raises `ConfigError`."""
     from rass_mav.experiment.runs import Extent
 
     _begin(options)
@@ -226,7 +227,7 @@ def _runs(
     report: Callable[[Sequence[Result], Path], list[Path]],
     table: str = "table.md",
 ) -> int:
-    """Do the runs and report on them. `table`: which of the files is shown."""
+    """Do the runs and report on them. `table`: the file to show."""
     from rass_mav.experiment.runner import run_all
 
     out = _directory(options.out)
@@ -241,14 +242,14 @@ def _runs(
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
     _told(options, out, report(outcome.results, out), counts, table)
     if not options.json:
-        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} had been done before")
+        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} reused from before")
     return 0
 
 
 def _told(
     options: argparse.Namespace, out: Path, files: Sequence[Path], counts: dict[str, Any], table: str = "table.md"
 ) -> None:
-    """What was written, and in words also the `table`."""
+    """Print what was written, and for people also the `table`."""
     names = [path.name for path in files]
     if options.json:
         print_json({"experiment": options.name, "out": str(out), **counts, "files": names})
@@ -265,7 +266,7 @@ def _directory(path: str) -> Path:
 
 
 def _chosen(option: str, given: Sequence[str] | None, known: Collection[str]) -> list[str]:
-    """The names that were given, each once; None: all that are `known`. Raises `ConfigError`."""
+    """The given names, each once; None: all `known` names. Raises `ConfigError`."""
     names = list(dict.fromkeys(given or known))
     wrong = [f"{option}: expected some of {', '.join(known)}, got {name!r}" for name in names if name not in known]
     if wrong:

@@ -1,4 +1,4 @@
-"""`swarm`: the mock swarm."""
+"""`swarm`: runs the mock swarm."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def register(subparsers: Subparsers) -> None:
     scenario = parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="a YAML file, or one of these")
     lists(scenario, lambda: import_module("rass_mav.swarm.catalogue").shipped())
     parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
-    parser.add_argument("--nodes", type=int, metavar="N", help="nodes, the base included")
+    parser.add_argument("--nodes", type=int, metavar="N", help="number of nodes, including the base")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
-    _add_name(parser, "--policy", "who is fit, and what goes to whom")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of all random choices")
+    _add_name(parser, "--policy", "which node is fit, and which data go where")
     _add_name(parser, "--topology", "where the nodes are, and how they move")
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--arena", type=float, metavar="METRES", help="side of the arena")
-    parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
-    parser.add_argument("--duplicate", type=float, metavar="P", help="a hearer gets a frame twice")
-    parser.add_argument("--reorder", type=float, metavar="P", help="a frame is overtaken by others")
+    parser.add_argument("--loss", type=float, metavar="P", help="probability that a receiver loses a frame")
+    parser.add_argument("--duplicate", type=float, metavar="P", help="probability that a receiver gets a frame twice")
+    parser.add_argument("--reorder", type=float, metavar="P", help="probability that other frames overtake a frame")
     parser.add_argument("--capacity", type=int, metavar="ITEMS", help="data that a drone can hold")
     _add_name(parser, "--transport", "in virtual time, or as processes in real time")
     parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
@@ -60,7 +60,7 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _add_name(parser: argparse.ArgumentParser, option: str, help: str) -> None:
-    """An option that takes one of the names that its key takes."""
+    """Add an option that accepts the same names as its key."""
 
     def names() -> list[str]:
         from rass_mav.config.typed import choices
@@ -99,7 +99,7 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
     from rass_mav.swarm.surroundings import Surroundings
 
     if options.check:
-        raise ConfigError("--check needs --transport loopback: nobody can look into all processes at one moment")
+        raise ConfigError("--check needs --transport loopback: separate processes cannot be checked at one moment")
     reached = _reached(scenario, Surroundings(scenario).graph.neighbours)
     with (
         keeping(lambda: kept_files(options.record, options.keep)),
@@ -133,7 +133,7 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
     with recorder(options.record, scenario.node.step_s) as record:
         world = World(scenario, record=record)
         reached = _reached(scenario, world.neighbours)
-        # The swarm lives to the end: the garbage collector need not look through it again and again.
+        # The swarm lives to the end, so the garbage collector need not scan it again and again.
         gc.collect()
         gc.freeze()
         watch = Stopwatch()
