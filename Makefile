@@ -7,6 +7,7 @@
 #   make bench    the benchmarks
 #   make paper    the paper's tables and figures, two runs of each kind, in build/paper (RUNS=30 for all of them)
 #   make          only the environment for these, in .venv, with this checkout installed in it
+#   make shell    the completions and the manual page, after a change of the commands
 #   make clean    removes .venv and what the tools left behind
 #
 # `make demo` creates a small environment, with what a node and the mock swarm need. The others add the tools to it.
@@ -28,7 +29,7 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 SMALL := $(VENV)/small
 READY := $(VENV)/ready
 
-.PHONY: install demo test soak lint style format types bench paper clean
+.PHONY: install demo test soak lint style format types bench paper shell clean
 .DELETE_ON_ERROR:
 
 install: $(READY)
@@ -44,7 +45,7 @@ $(SMALL): requirements.lock requirements-demo.lock requirements-interop.lock pyp
 	@touch '$(SMALL)'
 
 $(READY): $(SMALL)
-	@echo 'Adding the tools of the tests and figures to $(VENV) (once, about a minute) ...'
+	@echo 'Adding the tools of the tests and figures to $(VENV) (once, half a minute) ...'
 	@$(PIP) --require-hashes -r requirements.lock
 	@$(PIP) --no-deps --require-hashes -r requirements-interop.lock
 	@touch '$(READY)'
@@ -74,6 +75,9 @@ bench: $(READY)
 
 paper: $(READY)
 	@$(BIN)/rass-mav experiment paper --out '$(OUT)' --runs $(RUNS) --steps $(STEPS) --jobs $(JOBS)
+
+shell: $(READY)
+	@$(BIN)/python tools/shell_files.py
 
 clean:
 	rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -1,31 +1,31 @@
 -- ArduPilot Lua script: sends the radiation reading, in counts per second, as NAMED_VALUE_FLOAT "RAD" once a second.
 --
--- Put it into APM/scripts on the autopilot's card, set SCR_ENABLE 1 and reboot. Its parameters then appear; after a
--- change of RADS_SOURCE, RADS_PORT, RADS_BAUD or RADS_PIN reboot once more. See README.md beside this file.
+-- Copy it to APM/scripts on the autopilot's card, set SCR_ENABLE 1 and reboot. Its parameters then appear. After a
+-- change of RADS_SOURCE, RADS_PORT, RADS_BAUD or RADS_PIN, reboot again. See README.md in this folder.
 --
---   RADS_SOURCE   0 nothing, 1 a Geiger counter on a serial port, 2 pulses on a pin, 3 a source made up (for SITL)
+--   RADS_SOURCE   0 nothing, 1 a Geiger counter on a serial port, 2 pulses on a pin, 3 simulated (for SITL)
 --   RADS_PORT     serial: which of the ports with SERIALn_PROTOCOL 28, counted from 0
 --   RADS_BAUD     serial: baud rate
 --   RADS_PIN      pin: its GPIO number, for example 54; its SERVOn_FUNCTION must be -1
---   RADS_EDGES    pin: 1 a count at each rise; 2 at each change of level (a flip-flop behind the counter)
+--   RADS_EDGES    pin: 1: a count at each rise; 2: at each change of level (with a flip-flop after the counter)
 --   RADS_DEAD_US  serial and pin: dead time of the tube in microseconds; 0: no correction
---   RADS_NORTH, RADS_EAST   made up: where the source is, metres from home
---   RADS_CPS      made up: counts per second at the source itself
---   RADS_DECAY    made up: how fast it falls, 1/m^2: RADS_CPS / (1 + RADS_DECAY * distance^2)
---   RADS_BACK     made up: background, counts per second
+--   RADS_NORTH, RADS_EAST   simulated: position of the source, metres from home
+--   RADS_CPS      simulated: counts per second at the source itself
+--   RADS_DECAY    simulated: how fast the level falls, 1/m^2: RADS_CPS / (1 + RADS_DECAY * distance^2)
+--   RADS_BACK     simulated: background, counts per second
 --
--- When the counter falls silent nothing is sent: the node then takes the risk for unknown, which counts as the worst.
+-- When the counter is silent, nothing is sent. The node then treats the risk as unknown, which counts as the worst.
 
 local NAME = "RAD"
 local PERIOD_MS = 1000
 local SERIAL_MS = 200 -- how often the serial port is read
-local POLL_MS = 2 -- how often the pin is read: an even level must last longer than this
-local SILENT_MS = 5000 -- after so long without a line the counter counts as gone
-local MAX_BYTES = 512 -- taken from the port at once
+local POLL_MS = 2 -- how often the pin is read: a level must last longer than this to be seen
+local SILENT_MS = 5000 -- after this long without a line the counter counts as silent
+local MAX_BYTES = 512 -- read from the port at once
 local MAX_LINE = 120
 local WARNING, INFO = 4, 6 -- severities of STATUSTEXT
 
-local TABLE_KEY = 121 -- of the script's parameters; no other script on the vehicle may use it
+local TABLE_KEY = 121 -- key of the script's parameters; no other script on the vehicle may use it
 local PREFIX = "RADS_"
 local PARAMETERS = {
     { "SOURCE", 1 }, { "PORT", 0 }, { "BAUD", 9600 }, { "PIN", -1 }, { "EDGES", 1 }, { "DEAD_US", 0 },
@@ -48,7 +48,7 @@ local function now_ms()
     return millis():tofloat()
 end
 
--- Says a thing when it changes, not at every turn.
+-- Sends a text when it changes, not every time.
 local told = ""
 local function tell(severity, text)
     if text ~= told then
@@ -61,16 +61,16 @@ local function send(cps)
     gcs:send_named_float(NAME, cps)
 end
 
--- True counts of a tube that is blind for the dead time after each count (non-paralysable), m / (1 - m * dead time).
+-- True count rate of a tube that is blind during the dead time after each count (non-paralysable): m / (1 - m * dead time).
 local function corrected(cps)
     local blind = cps * value("DEAD_US") * 1e-6
-    if blind >= 0.95 then blind = 0.95 end -- beyond, the tube is saturated and the formula says nothing
+    if blind >= 0.95 then blind = 0.95 end -- above this the tube is saturated, and the formula means nothing
     return cps / (1 - blind)
 end
 
 -- A serial counter ----------------------------------------------------------------------------------------------------
 
--- Counts per second in a line such as "CPS, 0, CPM, 13, uSv/hr, 0.07, SLOW"; nil if it holds none.
+-- Counts per second in a line such as "CPS, 0, CPM, 13, uSv/hr, 0.07, SLOW"; nil if it has none.
 local function cps_in(line)
     local cps = line:match("CPS%s*[,:=]%s*(%d+%.?%d*)")
     if cps then return tonumber(cps) end
@@ -145,9 +145,9 @@ local function pulse_counter()
     return pulse_counter, POLL_MS
 end
 
--- A source made up ----------------------------------------------------------------------------------------------------
+-- A simulated source --------------------------------------------------------------------------------------------------
 
--- A number of counts with this mean. Knuth's method; for large means a normal distribution is near enough.
+-- A random number of counts with this mean. Knuth's method; for large means a normal distribution is close enough.
 local function poisson(mean)
     if mean > 50 then
         local normal = math.sqrt(-2 * math.log(1 - math.random())) * math.cos(2 * math.pi * math.random())
@@ -167,7 +167,7 @@ local function made_up()
         tell(INFO, "waiting for a position")
         return made_up, PERIOD_MS
     end
-    tell(INFO, "this vehicle makes its readings up")
+    tell(INFO, "the readings are simulated")
     local north, east = place:x() - value("NORTH"), place:y() - value("EAST")
     local square = north * north + east * east + place:z() * place:z()
     send(poisson(math.max(0, value("BACK") + value("CPS") / (1 + value("DECAY") * square))))

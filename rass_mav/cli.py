@@ -1,34 +1,54 @@
-"""The command `rass-mav`. Each module in `rass_mav.commands` adds its own.
+"""The command `rass-mav`. Each module in `rass_mav.commands` adds its own commands.
 
-What a command needs is imported when it runs, so that the others start fast and stay small.
+A command's imports happen when it runs, so that the others start fast and stay small.
 
-Exit codes: 0 success, 2 bad usage or configuration, 1 a failed run, 130 interrupted. An error is one line on stderr.
+Exit codes: 0 success, 2 bad usage or configuration, 1 a failed run, 130 interrupted. Errors are lines on stderr. With
+--json they are also an object on stdout: `{"error": ["the first line", ...]}`.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from rass_mav import __version__
-from rass_mav.commands.common import HelpFormatter
+from rass_mav.commands.common import HelpFormatter, help_alone, painted, print_json
 from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
-COMMANDS = ("node", "doctor", "params", "service", "desk", "swarm", "sitl", "replay", "experiment")
+COMMANDS = ("node", "doctor", "params", "service", "desk", "swarm", "sitl", "replay", "experiment", "completion")
+
+
+class BadUsage(SystemExit):
+    """A command line that is not understood. Exit code 2."""
+
+    def __init__(self, parser: argparse.ArgumentParser, message: str) -> None:
+        super().__init__(2)
+        self.parser = parser
+        self.message = message
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line."""
+    """An argument parser whose errors are raised, not printed."""
 
     def error(self, message: str) -> NoReturn:
-        """Exit code 2."""
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        """Raises `BadUsage`."""
+        raise BadUsage(self, message)
+
+    def _check_value(self, action: argparse.Action, value: object) -> None:
+        """Like argparse, which suggests a correction only from Python 3.14 on."""
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(choice) for choice in action.choices]
+        meant = _closest(str(value), known)
+        hint = f"one of {', '.join(known)}" if meant is None else f"did you mean {meant!r}?"
+        if isinstance(action, argparse._SubParsersAction):
+            raise argparse.ArgumentError(None, f"unknown {action.dest} {value!r} ({hint})")
+        raise argparse.ArgumentError(action, f"invalid choice: {value!r} ({hint})")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -40,7 +60,8 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"rass-mav {__version__}")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    help_alone(parser)
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name in COMMANDS:
         importlib.import_module(f"rass_mav.commands.{name}").register(subparsers)
     return parser
@@ -48,7 +69,14 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command. Returns the exit code (bad usage raises SystemExit(2), as argparse does)."""
-    options = build_parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        options, unknown = build_parser().parse_known_args(words)
+        if unknown:
+            options.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+    except BadUsage as bad:
+        _tell([_usage_line(bad, words)], json="--json" in words)
+        raise
     run: Callable[[argparse.Namespace], int] = options.run
     try:
         code = run(options)
@@ -59,21 +87,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RassError as error:
         return _failed(options, error, 1)
     except ModuleNotFoundError as error:
-        # A node does without it; what simulates one does not (docs/raspberry-pi.md).
+        # A node does not need msgspec; the simulations do (docs/raspberry-pi.md).
         if error.name != "msgspec":
             raise
         return _failed(options, RassError(f"{options.command}: needs the package msgspec: pip install msgspec"), 1)
-    except KeyboardInterrupt:
-        return 130
+    except KeyboardInterrupt as stop:
+        return _failed(options, RassError(f"interrupted: {stop}" if str(stop) else "interrupted"), 130)
     except BrokenPipeError:
-        # Who reads our output has seen enough. The interpreter must not stumble over it again when it flushes.
+        # The reader of our output has closed it. The interpreter must not fail again when it flushes.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
 
 def _failed(options: argparse.Namespace, error: RassError, code: int) -> int:
-    text = " ".join(str(error).split())
-    sys.stderr.write(f"{text}\n")
-    if getattr(options, "json", False):
-        sys.stdout.write(json.dumps({"error": text}) + "\n")
+    _tell(error.lines(), json=getattr(options, "json", False))
     return code
+
+
+def _tell(lines: Sequence[str], *, json: bool) -> None:
+    for line in lines:
+        sys.stderr.write(painted(line, "red", sys.stderr) + "\n")
+    if json:
+        print_json({"error": list(lines)})
+
+
+def _usage_line(bad: BadUsage, words: Sequence[str]) -> str:
+    """The error in a command line, with the options that were probably meant."""
+    options = [option for option in bad.parser._option_string_actions if option.startswith("--")]
+    given = [word.partition("=")[0] for word in words if word.startswith("--") and word != "--"]
+    unknown = [word for word in given if not any(option.startswith(word) for option in options)]
+    meant = dict.fromkeys(option for word in unknown if (option := _closest(word, options)) is not None)
+    hint = f" (did you mean {' '.join(meant)}?)" if meant else ""
+    return " ".join(f"{bad.parser.prog}: {bad.message}{hint} (see {bad.parser.prog} --help)".split())
+
+
+def _closest(name: str, known: Sequence[str]) -> str | None:
+    from rass_mav.config.typed import closest
+
+    return closest(name, known)

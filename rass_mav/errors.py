@@ -41,7 +41,7 @@ class DatumError(RassError):
 
 
 class ConfigError(RassError):
-    """An invalid configuration, scenario or command line: one line for each mistake, which names the file and the key."""
+    """An invalid configuration, scenario or command line. Each mistake is a line that names the file and key."""
 
     def __init__(self, *mistakes: str) -> None:
         super().__init__(*mistakes)
@@ -82,6 +82,11 @@ class ControlError(RassError):
 
 class ServiceError(RassError):
     """The system service could not be installed, removed or queried."""
+
+
+def installing(extra: str) -> str:
+    """How to get the packages of an extra. The project is on no package index: it is installed from its checkout."""
+    return f"pip install '.[{extra}]' in the checkout"
 
 
 def why(error: Exception) -> str:

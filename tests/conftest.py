@@ -25,8 +25,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # A shell starts what it runs in the background without Ctrl-C, and children of ours would be without it too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    # pytest-cov measures an xdist worker from the start of its session. What measures it before that, as a subprocess
-    # and by the options of the controller, would take as long again, and go on in tests with `no_cover`.
+    # pytest-cov measures an xdist worker from the start of its session. The measurement that a worker inherits as a
+    # subprocess would take as long again, and would continue in tests with `no_cover`.
     if hasattr(config, "workerinput"):
         while (measurement := Coverage.current()) is not None:
             measurement.stop()

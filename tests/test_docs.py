@@ -53,14 +53,14 @@ def links(path: Path) -> list[str]:
 
 
 def commands(path: Path) -> Iterator[str]:
-    """Whole command lines of ours: in blocks of code, up to the explanation behind two blanks."""
+    """Whole command lines of ours: in blocks of code, up to two blanks or `>`."""
     text = path.read_text(encoding="utf-8")
     blocks = [code for language, code in FENCE.findall(text) if language in ("", "sh")]
     blocks += re.findall(r"^(?:    .*\n)+", FENCE.sub("", text), re.M)
     for line in "\n".join(blocks).splitlines():
         found = re.match(r"(?:\S*/)?rass-mav (.*)", line.strip())
         if found:
-            yield re.split(r"  +|\s#", found[1])[0]
+            yield re.split(r"  +|\s[#>]", found[1])[0]
 
 
 ALL_LINKS = [(page, link) for page in PAGES for link in links(page)]

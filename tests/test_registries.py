@@ -135,9 +135,9 @@ POLICIES = (PolicyKind("cautious", 77, lambda settings: FitnessPolicy(settings.n
 def test_a_new_policy_is_one_module(add: Add, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     swarm = ["swarm", "--policy", "cautious", "--nodes", "9", "--steps", "40", "--json"]
     assert main(swarm) == 2
-    assert json.loads(capsys.readouterr().out)["error"] == (
+    assert json.loads(capsys.readouterr().out)["error"] == [
         "demo.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'cautious'"
-    )
+    ]
     add("policy", "cautious", POLICY)
     assert main(swarm) == 0
     summary = json.loads(capsys.readouterr().out)

@@ -103,6 +103,10 @@ def test_check_run_and_status(rass_mav: Path, tmp_path: Path) -> None:
 def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> None:
     (tmp_path / "drone.yaml").write_text(CONFIG)
     assert "WatchdogSec=" in _run(str(rass_mav), "service", "install", "drone.yaml", "--print", cwd=tmp_path)
+    assert "complete " in _run(str(rass_mav), "completion", "bash", cwd=tmp_path)
+    share = rass_mav.parents[1] / "share"
+    assert (share / "man" / "man1" / "rass-mav.1").is_file()
+    assert (share / "bash-completion" / "completions" / "rass-mav").is_file()
     said = _run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path)
     assert json.loads(said)["steps"] == 5
 

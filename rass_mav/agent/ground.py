@@ -229,7 +229,7 @@ class Ground:
             outbox.answer(mav.PING, mav.ping(message.time_usec, message.seq, **target))
 
     def _on_file_transfer(self, message: Any, frame: Frame, outbox: Outbox, now: float) -> None:
-        # A ground station that hears nothing would ask again for seconds before it tries another way. What is for all
+        # Without an answer a ground station asks again for seconds before it tries something else. A request to all
         # components is for the autopilot, which has files.
         own = self._agent.vehicle_writer
         if (message.target_system, message.target_component) != (own.system_id, own.component_id):
@@ -322,7 +322,7 @@ class Ground:
                 outbox.say(message_id, payload)
 
     def _arrives(self, message_id: int, way: Way) -> bool:
-        """Whether the ground hears a message that is said on this way: no autopilot on it would drop it."""
+        """Whether a message sent on this connection arrives at the ground: the autopilot does not drop it."""
         firmware = self._agent.telemetry.firmware if way is Way.VEHICLE else None
         return firmware is None or firmware.passes_on(message_id)
 

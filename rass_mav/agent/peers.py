@@ -105,7 +105,7 @@ class Peers:
             return None
 
     def beacon_from(self, node_id: int, system_id: int) -> None:
-        """A neighbour sent a beacon under this system id."""
+        """Remember the system id under which a neighbour sent a beacon."""
         known = self.system_ids
         known.pop(node_id, None)
         known[node_id] = system_id

@@ -1,8 +1,8 @@
-"""Asks the autopilot which version of its firmware it runs.
+"""Asks the autopilot for the version of its firmware, which determines what the autopilot forwards.
 
-What it passes on depends on that. It is asked at every start, and again when the autopilot has restarted, for it may
-run another firmware then. It is also asked again when its frames begin or cease to be signed: an autopilot that wants
-signatures answers nobody who has none, and that shows here.
+It asks at every start, and again when the autopilot has restarted, perhaps with other firmware. It also asks again when
+the autopilot starts or stops signing its frames: an autopilot that requires signatures does not answer an unsigned
+question, and a missing answer shows that.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import COMMAND_LONG
 from rass_mav.mavlink.vehicle_parameters import request_message
 
-#: Without an answer it is asked again after so many seconds, then after twice as many, up to the second number.
+#: Without an answer the question is repeated after the first time, then after twice as long, up to the second. Seconds.
 FIRST_RETRY_S = 1.0
 LONGEST_RETRY_S = 60.0
 
 
 class VersionQuestion:
-    """A service of the agent. The answer goes to its telemetry."""
+    """A service of the agent. The agent's telemetry takes the answer."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -28,10 +28,10 @@ class VersionQuestion:
         self._retry_s = FIRST_RETRY_S
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Nothing: telemetry hears the answer."""
+        """Nothing: telemetry takes the answer."""
 
     def step(self, now: float) -> None:
-        """Once a step: ask, unless it is known."""
+        """Once a step: ask, unless the version is known."""
         telemetry = self._agent.telemetry
         if telemetry.heartbeat_at is None:
             return

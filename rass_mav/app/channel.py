@@ -1,4 +1,4 @@
-"""A link and the node's side of it: what is sent leaves when the link bears it."""
+"""A link and the node's side of it: frames leave as soon as the link can carry them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rass_mav.link.base import Link
 
 
 class Channel:
-    """One way to the neighbours, on the event loop."""
+    """One connection to the neighbours, on the event loop."""
 
     def __init__(self, link: Link, lane: Lane, now: Callable[[], float], closed: Callable[[], bool]) -> None:
-        """`now`: the agent's timeline. `closed`: whether nothing may leave yet; then the caller comes back."""
+        """`now`: the agent's timeline. `closed`: returns whether nothing may leave yet; then the caller tries again."""
         self.link = link
         self.lane = lane
         self._now = now
@@ -22,7 +22,7 @@ class Channel:
         self._alarm: asyncio.TimerHandle | None = None
 
     def send(self, outgoing: Outgoing, *, first: bool = False) -> None:
-        """Send a frame as soon as the link bears it; `first`: before all that are as urgent."""
+        """Send a frame as soon as the link can carry it; `first`: before all others of the same urgency."""
         if self.lane.pacer is None:
             self.link.send(outgoing.frame, outgoing.target)
         else:
@@ -30,7 +30,7 @@ class Channel:
             self._pump()
 
     def _pump(self) -> None:
-        """Send what may leave now, and come back when more may."""
+        """Send what may leave now, and schedule the next call."""
         pacer = self.lane.pacer
         assert pacer is not None
         if self._closed():
@@ -44,7 +44,7 @@ class Channel:
             self._alarm = asyncio.get_running_loop().call_later(due - now, self._pump)
 
     def stop(self) -> None:
-        """Do not come back."""
+        """Cancel the next call."""
         if self._alarm is not None:
             self._alarm.cancel()
             self._alarm = None

@@ -1,4 +1,4 @@
-"""The other end of the control socket. Blocking, and light: no event loop."""
+"""The client's end of the control socket. It blocks and is light: it needs no event loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rass_mav.errors import ControlError, MalformedError, why
 
 from .jsonlines import dump_line, load_line
 
-#: How long an answer may take, seconds. `put` waits for the disk.
+#: How long an answer may take, seconds: `put` waits for the disk.
 ANSWER_S = 30.0
 
 
@@ -19,7 +19,7 @@ class ControlClient:
     """A connection to a running node."""
 
     def __init__(self, path: str | Path, *, timeout_s: float = ANSWER_S) -> None:
-        """Raises `ControlError` if nobody listens at `path`."""
+        """Raises `ControlError` if no node listens at `path`."""
         self._path = path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
@@ -27,21 +27,21 @@ class ControlClient:
             self._socket.connect(str(path))
         except OSError as error:
             self._socket.close()
-            raise ControlError(f"{path}: no running node there ({why(error)})") from None
+            raise ControlError(f"{path}: no running node ({why(error)})") from None
         self._file = self._socket.makefile("rb")
 
     def ask(self, command: str, **fields: Any) -> dict[str, Any]:
-        """One request, one answer. Bytes travel as base64. Raises `ControlError`, also for what the node refuses."""
+        """One request, one answer. Bytes travel as base64. Raises `ControlError`, also if the node refuses."""
         return next(self.ask_all(command, **fields))
 
     def ask_all(self, command: str, **fields: Any) -> Iterator[dict[str, Any]]:
-        """One request, its answers: more than one for `ls`."""
+        """One request and its answers; `ls` has more than one."""
         try:
             self._socket.sendall(dump_line({"command": command, **fields}))
             while True:
                 line = self._file.readline()
                 if not line.endswith(b"\n"):
-                    raise ControlError(f"{self._path}: the node ended the connection")
+                    raise ControlError(f"{self._path}: the node closed the connection")
                 answer = load_line(line)
                 if not answer.pop("ok"):
                     raise ControlError(answer["error"])
@@ -56,7 +56,7 @@ class ControlClient:
             raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._file.close()
         self._socket.close()
 

@@ -22,62 +22,62 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.store.settings import StoreSettings
 
-#: What telemetry uses and an autopilot does not always send by itself, seconds between two.
+#: Messages that telemetry needs and an autopilot does not always send unasked, with the seconds between two.
 DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0}
 #: Longest path of a unix socket, bytes (Linux: 108 with the closing zero).
 MAX_SOCKET_PATH = 107
 
 
 class NodeSection(Section):
-    """Who this node is."""
+    """The identity of this node."""
 
     id: NodeId | None = None
     """Node id, unique in the swarm; null: `mavlink.system_id`."""
     role: Literal["drone", "base"] = "drone"
-    """base: a sink, where data arrive."""
+    """base: data arrive here."""
     step_s: Positive = 1.0
     """Length of a step, seconds."""
     forward: Forward = "immediate"
-    """step: what came in after a step leaves at the next one at the earliest; immediate: at once, within the step's
-    bandwidth."""
+    """step: data that came in after a step leave at the next step at the earliest. immediate: they leave at once,
+    within the step's bandwidth."""
     clock: Literal["auto", "trusted", "untrusted"] = "auto"
-    """Whether the computer's date is right, so that it tells how long the node was off; auto: if the kernel says so."""
+    """Whether the computer's date is right, so that it shows how long the node was off; auto: as the kernel reports."""
 
 
 class AutopilotSection(Section):
-    """Where the autopilot is."""
+    """The autopilot."""
 
     url: str | None = None
     """`serial:device:baud`, `udpin:host:port`, `udpout:host:port` or `tcp:host:port`; null: there is none."""
     messages: dict[str, Annotated[float, Meta(ge=0.02, le=60)]] = field(default_factory=lambda: dict(DEFAULT_MESSAGES))
-    """Messages that the autopilot is asked for, by name, each with the seconds between two; {}: it is not asked."""
+    """Messages that the node requests from the autopilot, by name, with the seconds between two; {}: none."""
 
 
 class GroundSection(GroundSettings):
     """The ground station."""
 
     url: str | None = None
-    """As `autopilot.url`, besides the way through the autopilot; null: none."""
+    """As `autopilot.url`, in addition to the connection through the autopilot; null: none."""
 
 
 class ControlSection(Section):
     """The socket for `status`, `put`, `get` and `ls`."""
 
     socket: Annotated[str, Meta(min_length=1)] | None = None
-    """Path of a unix socket; null: that of the store with the ending .sock."""
+    """Path of a unix socket; null: the store's path with the ending .sock."""
 
 
 class LogSection(Section):
-    """What is told on stderr."""
+    """The log on stderr."""
 
     level: Literal["debug", "info", "warning", "error"] = "warning"
 
 
 class RunStoreSettings(StoreSettings):
-    """The store on a disk: reading all of it in every step would wear the card and the battery."""
+    """The store on a disk. Reading all of it in every step would wear out the card and drain the battery."""
 
     scrub_items: Count | None = 50
-    """Checksums verified in a step, going round; null: all."""
+    """Checksums verified per step, in turn; null: all."""
 
 
 class RunConfig(Section):
@@ -100,7 +100,7 @@ class RunConfig(Section):
 
     @property
     def node_id(self) -> int:
-        """0..65534. Raises `ConfigError` if nothing says it."""
+        """0..65534. Raises `ConfigError` if the configuration has none."""
         node_id = self.mavlink.system_id if self.node.id is None else self.node.id
         if node_id is None:
             raise ConfigError("node.id: missing, expected a whole number 0..65534 (or give mavlink.system_id)")
@@ -122,7 +122,7 @@ class RunConfig(Section):
         return Path(self.control.socket) if self.control.socket else self.store_path.with_suffix(".sock")
 
     def agent_settings(self) -> AgentSettings:
-        """What the agent needs of it."""
+        """The settings that the agent needs."""
         return AgentSettings.of(
             self,
             node_id=self.node_id,
@@ -134,13 +134,13 @@ class RunConfig(Section):
         )
 
     def check(self) -> None:
-        """Raise `ConfigError` for what no single key can say."""
+        """Raise `ConfigError` for mistakes that concern more than one key."""
         mistakes = Mistakes()
         self.look_over(mistakes)
         mistakes.check()
 
     def look_over(self, mistakes: Mistakes) -> None:
-        """The same, added to the mistakes of single keys."""
+        """Like `check`, but add the mistakes to those of single keys."""
         with mistakes.gathering():
             _ = self.node_id
         if mistakes.sound("policy", "custody", "store", "data"):
@@ -162,7 +162,7 @@ class RunConfig(Section):
         if self.mavlink.reading_name in VALUE_NAMES:
             mistakes.add(
                 "mavlink.reading_name",
-                f"expected another name than {', '.join(VALUE_NAMES)}, which the node says itself",
+                f"expected a name other than {', '.join(VALUE_NAMES)}, which the node itself uses",
             )
         if not self.mavlink.reading_name.isascii():
             mistakes.add("mavlink.reading_name", f"expected ASCII characters, got {self.mavlink.reading_name!r}")
@@ -188,21 +188,21 @@ class RunConfig(Section):
         if self.autopilot.url is None and mistakes.sound("autopilot.url"):
             mistakes.add(types[through[0]], f"{first} needs autopilot.url")
         elif not self.mavlink.autopilot_id and mistakes.sound("mavlink.autopilot_id"):
-            # The neighbours' autopilots are heard on the same port: the first one heard may not be ours.
+            # Neighbours' autopilots are heard on the same port, so the first one heard may not be ours.
             mistakes.add(types[through[0]], f"{first} needs mavlink.autopilot_id, the autopilot's system id")
         if len(through) > 1:
             mistakes.add(types[through[1]], "only one link can go through the autopilot")
 
     def warnings(self) -> list[str]:
-        """What does not fit this computer as it is now, though it may fit it later. Asks the system."""
+        """Settings that do not fit the computer's present state, although they may fit later. Asks the system."""
         found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
         return [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
 
 
 def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
-    """Read and check a configuration. `assignments`: `key.path=value`, they override the file.
+    """Read and check a configuration. `assignments`: `key.path=value`; they override the file.
 
-    Raises `ConfigError` with all mistakes; each names the file and the key.
+    Raises `ConfigError` with all mistakes. Each names the file and the key.
     """
     raw = read_yaml(path)
     mistakes = Mistakes(str(path))
@@ -216,7 +216,7 @@ def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
 
 
 def filled_in(config: RunConfig) -> RunConfig:
-    """The same configuration with the defaults that depend on others written out."""
+    """The same configuration, with the defaults that depend on other keys written out."""
     return replace(
         config,
         node=replace(config.node, id=config.node_id),

@@ -1,11 +1,11 @@
 """The local control socket: newline-delimited JSON over a unix stream socket, for `status`, `put`, `get` and `ls`.
 
-A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`; so is an answer,
-`{"ok": true, ...}` or `{"ok": false, "error": "..."}`. `ls` answers with several lines, all but the last with
-`"more": true`. Who may open the socket's file may use it; it is made for the node's own user.
+A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`. So is an answer,
+`{"ok": true, ...}` or `{"ok": false, "error": "..."}`. `ls` answers with several lines, all except the last with
+`"more": true`. Any user who can open the socket's file can use it; only the node's own user can.
 
-A client that does not go on is cut, and when all places are taken it makes room for the next one, so clients that hang
-do not keep others out. Only one whose request is being carried out keeps its place in any case.
+A client that stops is disconnected. If all places are taken, the client that has waited longest makes way for the next
+one, so clients that hang do not lock others out. A client whose request is being answered always keeps its place.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-#: Longest line, bytes: the largest payload in base64, and what stands around it.
+#: Longest line, bytes: the largest payload in base64, and the rest of the line.
 MAX_LINE = (MAX_PAYLOAD + 2) // 3 * 4 + 4096
-#: Clients at a time. Each may hold two lines that wait and one that is being read, 4.3 MB, so all of them 35 MB: a Pi
-#: Zero can bear it.
+#: Clients at a time. Each may hold two waiting lines and one that is being read, 4.3 MB; all of them hold 35 MB, which
+#: a Pi Zero has.
 MAX_CLIENTS = 8
-#: A client that asks nothing for so long, seconds, is cut.
+#: A client without a request for this long, seconds, is disconnected.
 IDLE_S = 60.0
-#: A request that was begun must have its end after so long, seconds, and an answer be taken.
+#: How long a request may take to be complete once begun, and an answer to be taken, seconds.
 REQUEST_S = 5.0
 TAKE_S = 5.0
 #: Longest name of a field in a request, characters.
 _MAX_NAME = 32
-#: Entries in one line of `ls`: so few that listing does not delay a step.
+#: Entries in one line of `ls`: few enough not to delay a step.
 LS_PAGE = 64
-# At the end, answers that are under way get so long, seconds.
+# How long answers in progress may still take when the node stops, seconds.
 _LAST_WORDS_S = 2.0
 
 
 class StatusRequest(Section):
-    """What the node knows."""
+    """The state of the node."""
 
 
 class PutRequest(Section):
-    """Create a datum; answered when it is on disk."""
+    """Create a datum. The answer comes when it is on disk."""
 
     payload: str
     """1 byte to 1 MiB, in base64."""
@@ -66,7 +66,7 @@ class PutRequest(Section):
 
 
 class GetRequest(Section):
-    """The bytes of a datum that this node holds; of one that is kept apart, by the name that `ls` gives it."""
+    """The bytes of a datum that this node holds. For a second content of an id, use the name that `ls` shows."""
 
     id: str
 
@@ -79,19 +79,19 @@ _REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutReques
 
 
 class _Client:
-    """One of those who are connected."""
+    """A connected client."""
 
     __slots__ = ("_writer", "answered", "task", "waited_for")
 
     def __init__(self, task: asyncio.Task[None], writer: asyncio.StreamWriter) -> None:
         self.task = task
         self._writer = writer
-        # Then `drain` returns when the kernel has all of it, and nothing is left behind when the client is gone.
+        # With this, `drain` returns when the kernel has everything, and nothing is left when the client is gone.
         writer.transport.set_write_buffer_limits(high=0)
         self.answered = False
-        """A request of it is being carried out, or its answer taken."""
+        """Whether a request of the client is being answered."""
         self.waited_for: float | None = _now()
-        """Since when it is its turn to ask, to end its request or to take its answer; None: it is ours."""
+        """Since when we wait for its request, for the end of it, or for it to take the answer; None: we do not wait."""
 
     async def request(self, reader: asyncio.StreamReader) -> bytes:
         """The next line. Raises `ConnectionError` if none comes in time, `ValueError` if it is too long."""
@@ -103,14 +103,14 @@ class _Client:
         return line
 
     async def say(self, answer: dict[str, Any]) -> None:
-        """Returns when it is taken. Raises `ConnectionError` if that takes too long."""
+        """Send an answer. Returns when the client has taken it. Raises `ConnectionError` if that takes too long."""
         self._writer.write(dump_line(answer))
         self.waited_for = _now()
         await _in_time(self._writer.drain(), TAKE_S)
         self.waited_for = None
 
     def cut(self) -> None:
-        """End the connection now."""
+        """Close the connection at once."""
         self._writer.transport.abort()
 
 
@@ -118,7 +118,7 @@ class ControlServer:
     """Answers on a unix socket for a driver."""
 
     def __init__(self, driver: Driver, path: Path, wall: Callable[[], float] = time.time) -> None:
-        """`path`: of the socket's file. `wall`: the date, seconds since 1970."""
+        """`path`: the socket's file. `wall`: the date, seconds since 1970."""
         self._driver = driver
         self._wall = wall
         self._path = path
@@ -127,12 +127,12 @@ class ControlServer:
         self._clients: set[_Client] = set()
 
     async def start(self) -> None:
-        """Begin to listen. Raises `ControlError` if another node listens there, or the file cannot be made."""
+        """Start listening. Raises `ControlError` if another node listens there, or the file cannot be created."""
         sock = _listening_socket(self._path)
         self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=MAX_LINE, backlog=MAX_CLIENTS)
 
     async def close(self) -> None:
-        """Listen no more, and finish what is being answered."""
+        """Stop listening, and finish the answers in progress."""
         if self._server is None:
             return
         self._server.close()
@@ -158,7 +158,7 @@ class ControlServer:
         except (ConnectionError, asyncio.CancelledError):
             pass  # the client went away or was cut, or the node is stopping
         except BaseException as error:
-            # Nobody waits for this task: a bug must not stay here.
+            # Nothing awaits this task, so pass the bug on.
             self._driver.fail(error)
             raise
         finally:
@@ -166,7 +166,7 @@ class ControlServer:
             client.cut()
 
     def _make_room(self) -> bool:
-        """Whether there is a place for one more: if need be, that of the client that was waited for longest."""
+        """Whether there is a place for one more. If need be, disconnect the client that we have waited for longest."""
         if len(self._clients) < MAX_CLIENTS:
             return True
         waited_for = {client: client.waited_for for client in self._clients if client.waited_for is not None}
@@ -222,9 +222,9 @@ class ControlServer:
         id, crc = parse_name(name)
         datum = store.get(id) if crc is None else store.get_apart(id, crc)
         if datum is None:
-            raise ControlError(f"{name}: not here")
+            raise ControlError(f"{name}: this node does not hold it")
         if not datum.intact:
-            raise ControlError(f"{name}: corrupt, its checksum does not fit")
+            raise ControlError(f"{name}: corrupt, its checksum does not match")
         answer: dict[str, Any] = {
             "id": name,
             "kind": datum.kind,
@@ -248,7 +248,7 @@ class ControlServer:
             if len(page) == LS_PAGE:
                 yield {"data": page, "more": True}
                 page = []
-                # Let a step come in between.
+                # Let a step run in between.
                 await asyncio.sleep(0)
             page.append(describe(info, store, now, wall, apart=is_apart))
         yield {"data": page, "more": False}
@@ -275,11 +275,11 @@ async def _in_time(waits: Coroutine[Any, Any, T], limit_s: float) -> T:
     try:
         return await asyncio.wait_for(waits, limit_s)
     except asyncio.TimeoutError:
-        raise ConnectionAbortedError("the client does not go on") from None
+        raise ConnectionAbortedError("the client has stopped") from None
 
 
 def _listening_socket(path: Path) -> socket.socket:
-    """Bind the socket's file. One that a killed node has left behind is replaced; a living one is not."""
+    """Bind the socket's file. The socket of a killed node is replaced; that of a running node is not."""
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         try:
@@ -288,10 +288,10 @@ def _listening_socket(path: Path) -> socket.socket:
                     raise ControlError(f"{path}: another node is running there")
                 path.unlink()
             else:
-                raise ControlError(f"{path}: exists, and is no socket")
+                raise ControlError(f"{path}: exists and is not a socket")
         except FileNotFoundError:
             pass
-        # Made for its owner alone from the first moment.
+        # Only its owner may use it, from the first moment.
         before = os.umask(0o177)
         try:
             sock.bind(str(path))

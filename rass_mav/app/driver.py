@@ -1,8 +1,8 @@
-"""The asyncio driver: brings time, links and commits to an `Agent`.
+"""The asyncio driver: provides time, links and commits to an `Agent`.
 
-Commit, THEN send. All that came in within one turn of the event loop is one batch; the store writes it on a worker
-thread, one batch at a time, while the next one gathers. Frames that promise something leave when the write that covers
-them has returned; beacons and what goes to the autopilot leave at once. So a slow disk delays answers, not heartbeats.
+Commit, THEN send. All input of one turn of the event loop is one batch. The store writes it on a worker thread, one
+batch at a time, while the next one gathers. Frames that depend on a batch leave when its write has returned. Beacons
+and frames to the autopilot leave at once. So a slow disk delays answers, not heartbeats.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .writer import Writer
 
 log = logging.getLogger(__name__)
 
-#: The ground is told of a failing disk at most this often, seconds.
+#: Seconds between two reports of a failing disk to the ground, at least.
 ALARM_S = 30.0
 _CRITICAL = 2
 
@@ -59,9 +59,9 @@ class Driver:
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
-        `rng`: decides how long a node listens before it speaks on a shared radio. `sensor`: the node's own; None:
-        readings are those of the autopilot. `ground`: straight to a ground station. `mute`: say nothing to neighbours.
-        `lived`: whose `now` it is, if the store keeps the time; None: it does not.
+        `rng`: determines how long a node listens before it sends on a shared radio. `sensor`: the node's own; None:
+        readings come from the autopilot. `ground`: a direct connection to a ground station. `mute`: send nothing to
+        neighbours. `lived`: the clock behind `now`, if the store keeps the time; None: it does not.
         """
         self.agent = agent
         self.vehicle = vehicle
@@ -71,10 +71,10 @@ class Driver:
         self.skipped_steps = 0
         """Steps left out because the machine was late."""
         self.notifier = Notifier()
-        """Hears that the loop goes round; the caller may set one that tells others."""
+        """Notified when the loop goes round. The caller may set one with a receiver."""
         self.now = now
         self.lived = lived
-        """Notes the time with the commits."""
+        """Stores the time with the commits."""
         self.duplicates = Duplicates()
         rng = rng or random.Random()
         self.channels = [
@@ -108,14 +108,14 @@ class Driver:
         self._wake.set()
 
     def fail(self, error: BaseException) -> None:
-        """Let `run` raise this error: something went wrong in a task that nobody waits for."""
+        """Let `run` raise this error, from a task that nothing awaits."""
         self._bug = self._bug or error
         self._wake.set()
 
     async def put(self, payload: bytes, kind: int) -> DatumId:
-        """Create a datum; returns when it is on disk. Raises `StoreFullError` or `DatumError`; `StoreError` if the
-        disk does not take it now (it is kept, and written as soon as possible), or if it was dropped with a frame that
-        hit a fault."""
+        """Create a datum. Returns when it is on disk. Raises `StoreFullError` or `DatumError`, and `StoreError` if it
+        cannot be written now (it is kept, and written as soon as possible) or was dropped with a frame that hit a
+        fault."""
         if self._stopping:
             raise StoreError("the node is stopping")
         now = self.now()
@@ -127,7 +127,7 @@ class Driver:
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     async def run(self) -> None:
-        """Until `stop`. Raises `StoreDamagedError`: nothing more can be stored; and whatever is our own bug."""
+        """Run until `stop`. Raises `StoreDamagedError` if nothing more can be stored, and any bug of ours."""
         loop = asyncio.get_running_loop()
         for channel in self.channels:
             channel.link.start(self._wake.set)
@@ -138,7 +138,7 @@ class Driver:
         try:
             while not self._stopping:
                 self._take_in()
-                # The length of a step may have been set anew from the ground.
+                # The ground may have changed the length of a step.
                 step_s = self.agent.settings.step_s
                 behind = loop.time() - (last + step_s)
                 if behind >= 0:
@@ -146,7 +146,7 @@ class Driver:
                     self._hand_out(self.agent.step(self.now()))
                     if self.lived is not None:
                         self.lived.tend(bool(self.agent.node.holdings))
-                    # On an absolute schedule: no drift. What was missed is skipped, for a burst would help nobody.
+                    # On an absolute schedule, without drift. Missed steps are skipped: a burst would be of no use.
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
                     last += (missed + 1) * step_s
@@ -155,7 +155,7 @@ class Driver:
                     self._send(outgoing)
                 until = min(last + step_s, loop.time() + self._tend_at - self.now())
                 await self._sleep(min(until, self.notifier.alive(loop.time())))
-            # Last words, as far as the sockets take them.
+            # The last frames, as far as the sockets take them.
             for outgoing in await self.writer.finish():
                 self._send(outgoing)
             self._tend()
@@ -185,8 +185,8 @@ class Driver:
             for value, at in self.sensor.receive():
                 self.agent.reading(value, at)
         for channel in self.channels:
-            # With too much waiting for the disk, what arrives stays in the kernel's buffer, and is lost beyond it. On a
-            # disk that has failed this would not end, and beacons must be heard: then answers are dropped instead.
+            # If too much waits for the disk, input stays in the kernel's buffer, and is lost when that is full. With a
+            # failed disk this would not end, but beacons must be heard. Then answers are dropped instead.
             if self.writer.gate.waiting >= MAX_WAITING // 2 and self.writer.retry_at is None:
                 break
             link = channel.link
@@ -214,10 +214,10 @@ class Driver:
                     agent.vehicle_frame(frame, now)
 
     def _set_pace(self) -> None:
-        """So many beacons and data as the links bear, with the neighbours that there are."""
+        """Send as many beacons and data as the links can carry with the present neighbours."""
         node = self.agent.node
         lanes = [channel.lane for channel in self.channels]
-        # The length of a step may have been set anew from the ground.
+        # The ground may have changed the length of a step.
         step_s = self.agent.settings.step_s
         for channel in self.channels:
             if (pacer := channel.lane.pacer) is not None:
@@ -239,7 +239,7 @@ class Driver:
         elif outgoing.way is Way.NEIGHBOURS:
             self._send_to_neighbours(outgoing)
         elif self._through is not None:
-            # What the autopilot is told it may pass on over the neighbours' radio, so it counts there.
+            # The autopilot may forward these frames over the neighbours' radio, so they count there.
             self._through.send(outgoing, first=first)
         elif self.vehicle is not None:
             self.vehicle.send(outgoing.frame)
@@ -253,7 +253,7 @@ class Driver:
             channel.send(outgoing)
 
     def _tend(self) -> None:
-        """Say to the autopilot and to the ground what is due."""
+        """Send what is due to the autopilot and to the ground."""
         frames, self._tend_at = self.agent.tend(self.now())
         self._hand_out(frames)
 

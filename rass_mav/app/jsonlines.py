@@ -1,4 +1,4 @@
-"""JSON on lines, as the control socket speaks it: bytes as base64, numbers that are none as null."""
+"""JSON lines for the control socket: bytes as base64, NaN and infinity as null."""
 
 from __future__ import annotations
 

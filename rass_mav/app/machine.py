@@ -1,4 +1,4 @@
-"""How the computer does, as Linux tells it. What cannot be read is unknown; nothing here ever fails."""
+"""The state of the computer, as Linux reports it. What cannot be read is unknown; nothing here ever fails."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _MIB = 1 << 20
 
 
 class Machine:
-    """Reads the state of the computer; keeps what it needs to see how busy the processors were in between."""
+    """Reads the state of the computer. It keeps the processor times, to compute the load since the last call."""
 
     def __init__(self, store: Path, root: Path = Path("/")) -> None:
-        """:param store: a file on the disk that counts.
-        :param root: where `proc` and `sys` are.
+        """:param store: a file on the disk to report.
+        :param root: the folder with `proc` and `sys`.
         """
         self._store = store
         self._proc = root / "proc"
@@ -24,7 +24,7 @@ class Machine:
         self._busy: list[tuple[int, int]] = []
 
     def status(self) -> ComputerStatus:
-        """How it does now. Processors: since the last call, or since the computer was started."""
+        """The present state. Processor load: since the last call, or since the computer was started."""
         uptime_s = time.clock_gettime(time.CLOCK_BOOTTIME)
         return ComputerStatus(uptime_s, self._cores(), self._temperature(), *self._memory(), *self._disk())
 
@@ -33,7 +33,7 @@ class Machine:
         for line in _read(self._proc / "stat").splitlines():
             name, *numbers = line.split()
             if name.startswith("cpu") and name != "cpu" and len(numbers) >= 5 and all(n.isdecimal() for n in numbers):
-                # user nice system idle iowait irq softirq steal; guests are within user.
+                # user nice system idle iowait irq softirq steal; user includes guests.
                 values = [int(number) for number in numbers[:8]]
                 times.append((sum(values) - values[3] - values[4], sum(values)))
         before = self._busy if len(self._busy) == len(times) else [(0, 0)] * len(times)

@@ -1,7 +1,7 @@
-"""What `run` says on a terminal: what the node sees, a line when something changes (docs/configuration.md).
+"""What `run` prints on a terminal: what the node observes, a line when something changes (docs/configuration.md).
 
-It looks at the node once a step. A neighbour that comes and goes, or names that somebody invents, must not fill the
-terminal: what is not said in time is said later, if it is still so.
+It checks the node once a step. A neighbour that comes and goes, or invented node ids, must not fill the terminal. What
+is not printed in time is printed later, if it still holds.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from rass_mav.agent.rates import SILENT_S
 from rass_mav.core.routes.neighbours import is_base
 from rass_mav.mavlink.frames import Frame
 
-#: The same thing is told of so often within so many seconds, at most.
+#: Lines about the same thing in this many seconds, at most.
 MOST_CHANGES, WITHIN_S = 4, 60.0
-#: So many times neighbours are told of in as many seconds, whoever they are.
+#: Lines about neighbours in `WITHIN_S`, at most, whichever neighbours.
 MOST_OF_NEIGHBOURS = 10
-#: In a line so many of them are named.
+#: Neighbours named in one line, at most.
 MOST_NAMED = 8
-#: So many that are gone are remembered.
+#: Lost neighbours that are remembered.
 MAX_LOST = 256
-#: After so many seconds a line says what has not been heard at all.
+#: After this many seconds a line names what has not been heard at all.
 NOT_YET_S = 15.0
 
 T = TypeVar("T")
 
 
 class _Told(Generic[T]):
-    """What was said last of one thing."""
+    """What was last printed about one thing."""
 
     def __init__(self, value: T) -> None:
         self.value = value
         self._allowance = Allowance(MOST_CHANGES, WITHIN_S)
 
     def would(self, value: T, now: float) -> bool:
-        """Whether it is news that it is so now, and may be said."""
+        """Whether this value is news, and may be printed now."""
         return value != self.value and self._allowance.would(now)
 
     def changes(self, value: T, now: float) -> bool:
-        """The same, and it will be said."""
+        """The same; the caller then prints it."""
         if not self.would(value, now):
             return False
         self._allowance.take(now)
@@ -50,7 +50,7 @@ class _Told(Generic[T]):
 
 
 class Narration:
-    """A service of the agent that speaks to whoever watches."""
+    """A service of the agent that informs the person at the terminal."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class Narration:
         autopilot: bool,
         reading: bool,
     ) -> None:
-        """:param say: takes a line. :param autopilot: whether there should be one. :param reading: likewise."""
+        """:param say: prints a line. :param autopilot, reading: whether one is expected."""
         self._agent = agent
         self._say = say
         self._expects_autopilot = autopilot
@@ -71,15 +71,15 @@ class Narration:
         self._reading = _Told(False)
         self._base: _Told[int | None] = _Told(None)
         self._neighbours: dict[int, _Told[bool]] = {}
-        """By node id, whether it was said to be heard."""
+        """By node id, whether it was last printed as heard."""
         self._of_neighbours = Allowance(MOST_OF_NEIGHBOURS, WITHIN_S)
         self._arrived = _Told(self._origins())
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Telemetry has it already."""
+        """Nothing: telemetry has handled the frame already."""
 
     def step(self, now: float) -> None:
-        """Say what has changed."""
+        """Print what has changed."""
         for look in (self._autopilots, self._readings, self._meetings, self._routes, self._arrivals, self._not_yet):
             for line in look(now):
                 self._say(line)
@@ -100,7 +100,7 @@ class Narration:
                 yield f"sensor silent for {risk.stale_s:g} s: risk counts as {risk.worst:g}"
 
     def _meetings(self, now: float) -> Iterator[str]:
-        # Anybody can say a beacon in a name of its own invention, so heard once does not count.
+        # Anybody can send a beacon under an invented node id, so hearing it once does not count.
         heard = {id: n for id, n in self._agent.node.routing.neighbours.items() if n.confirmed}
         told = self._neighbours
         gone = [id for id in told if id not in heard]
@@ -132,12 +132,12 @@ class Narration:
         before, origins = self._arrived.value, self._origins()
         if origins - before and self._arrived.changes(origins, now):
             if not self._agent.node.base:
-                yield "a base has data of this node"
+                yield "data of this node have arrived at a base"
             else:
                 yield _some("data of node", map(str, sorted(origins - before)), "arrived")
 
     def _origins(self) -> frozenset[int]:
-        """Whose data have arrived at a base: of a drone, as far as it is about its own."""
+        """The nodes whose data have arrived at a base. On a drone: only itself."""
         node = self._agent.node
         known = frozenset(origin for origin, _ in node.receipts.known())
         return known if node.base else known & {node.id}
@@ -154,11 +154,11 @@ class Narration:
         if not self._neighbours:
             missing.append("neighbour")
         if missing:
-            yield f"not heard yet: {', '.join(missing)} (rass-mav doctor says why)"
+            yield f"not heard yet: {', '.join(missing)} (rass-mav doctor shows why)"
 
 
 def _some(what: str, names: Iterable[str], verb: str) -> str:
-    """A line on one or several nodes."""
+    """A line about one or more nodes."""
     named = list(names)
     more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
     return f"{what}{'s' if len(named) > 1 else ''} {', '.join(named[:MOST_NAMED])}{more} {verb}"

@@ -1,7 +1,7 @@
-"""What systemd wants to hear of a service: that it is ready, that it works, that it stops.
+"""Tells systemd that the service is ready, works, or stops.
 
 The protocol is a datagram of text to the unix socket that $NOTIFY_SOCKET names (sd_notify(3),
-https://www.freedesktop.org/software/systemd/man/latest/sd_notify.html). Where nobody listens, nothing is said.
+https://www.freedesktop.org/software/systemd/man/latest/sd_notify.html). Without a listener nothing is sent.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ log = logging.getLogger(__name__)
 
 
 class Notifier:
-    """Tells the service manager how the node is. Never blocks and never fails: the node's work is more important."""
+    """Reports the node's state to the service manager. Never blocks and never fails: the node's work comes first."""
 
     def __init__(self, address: str | None = None, watchdog_s: float | None = None) -> None:
-        """:param address: path of a unix datagram socket, or `@name` for an abstract one; None: nobody listens.
-        :param watchdog_s: the service manager kills the node if it hears no sign of life for so long; None: it waits.
+        """:param address: path of a unix datagram socket, or `@name` for an abstract one; None: no listener.
+        :param watchdog_s: the service manager kills a node that sends no sign of life for this long; None: never.
         """
         self._address = address
         self._interval = math.inf if watchdog_s is None or address is None else watchdog_s / 2
@@ -29,7 +29,7 @@ class Notifier:
 
     @classmethod
     def of(cls, environment: Mapping[str, str], pid: int) -> Notifier:
-        """From $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID (sd_watchdog_enabled(3)). `pid`: of this process."""
+        """From $NOTIFY_SOCKET, $WATCHDOG_USEC and $WATCHDOG_PID (sd_watchdog_enabled(3)). `pid`: this process's."""
         address = environment.get("NOTIFY_SOCKET", "")
         if not address.startswith(("/", "@")):
             return cls()
@@ -44,14 +44,14 @@ class Notifier:
         self._say(f"READY=1\nSTATUS={status}")
 
     def stopping(self) -> None:
-        """The node has been told to stop."""
-        self._say("STOPPING=1\nSTATUS=stopping: committing what there is")
+        """The node is stopping."""
+        self._say("STOPPING=1\nSTATUS=stopping: committing pending changes")
 
     def alive(self, now: float) -> float:
-        """The loop that does the work has come round. Tells so twice in each period of the watchdog.
+        """The loop that does the work has gone round. Sends a sign of life twice in each period of the watchdog.
 
         :param now: seconds on any timeline that does not jump.
-        :returns: when it should come round again at the latest, on the same timeline; infinity without a watchdog.
+        :returns: when to call again at the latest, on the same timeline; infinity without a watchdog.
         """
         if now >= self._due and self._interval < math.inf:
             self._due = now + self._interval
@@ -59,7 +59,7 @@ class Notifier:
         return self._due if self._interval < math.inf else math.inf
 
     def close(self) -> None:
-        """Say nothing more."""
+        """Send nothing more."""
         self._address = None
         if self._socket is not None:
             self._socket.close()
@@ -77,5 +77,5 @@ class Notifier:
             self._silent = False
         except OSError as error:
             if not self._silent:
-                log.warning("the service manager cannot be told how the node is: %s", error)
+                log.warning("cannot report to the service manager: %s", error)
             self._silent = True

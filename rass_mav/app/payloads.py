@@ -1,4 +1,4 @@
-"""What people put into data, and how data look to them."""
+"""The payloads that people create, and the form in which data are shown to them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ID = re.compile(r"(\d{1,5})-([0-9a-f]{8})-(\d{1,10})(?:#([0-9a-f]{8}))?", re.AS
 
 
 def parse_name(text: str) -> tuple[DatumId, int | None]:
-    """What `ls` prints: an id; a second content under it has its CRC behind a #. Raises `DatumError`."""
+    """Parse a name as printed by `ls`: an id, and for its second content a # and the CRC. Raises `DatumError`."""
     match = _ID.fullmatch(text)
     if match is None:
         raise DatumError(f"expected an id like 7-0123abcd-42, got {text!r}")
@@ -25,18 +25,18 @@ def parse_name(text: str) -> tuple[DatumId, int | None]:
 def pack_file(name: str, content: bytes) -> bytes:
     """Payload of a datum of kind FILE: one byte with the length of the name, the name in UTF-8, the content.
 
-    Raises `DatumError` if the name has no 1..255 bytes, or all of it does not fit a datum.
+    Raises `DatumError` if the name does not have 1..255 bytes, or if the payload is too large for a datum.
     """
     encoded = name.encode(errors="replace")
     if not 1 <= len(encoded) <= 255:
         raise DatumError(f"expected a file name of 1 to 255 bytes, got {len(encoded)}")
     if 1 + len(encoded) + len(content) > MAX_PAYLOAD:
-        raise DatumError(f"{name}: too large, at most {MAX_PAYLOAD - 1 - len(encoded)} bytes fit a datum")
+        raise DatumError(f"{name}: too large, expected at most {MAX_PAYLOAD - 1 - len(encoded)} bytes")
     return bytes((len(encoded),)) + encoded + content
 
 
 def unpack_file(payload: bytes) -> tuple[str, bytes]:
-    """Name and content. The name is what a stranger wrote: for showing, not for opening. Raises `MalformedError`."""
+    """Name and content. The name is not trustworthy: show it, but never open it. Raises `MalformedError`."""
     size = payload[0] if payload else 0
     if not size or len(payload) < 1 + size:
         raise MalformedError("truncated file name")
@@ -44,11 +44,11 @@ def unpack_file(payload: bytes) -> tuple[str, bytes]:
 
 
 def age(datum: Datum | StoredInfo, now: float, wall: float) -> dict[str, Any]:
-    """How old a datum is, as plain values: `age_s`, `created` as seconds since 1970, and `at_least` if it may be older.
+    """The age of a datum as plain values: `age_s`, `created` in seconds since 1970, and `at_least` if it may be older.
 
     `now`: on the node's timeline. `wall`: the same moment in seconds since 1970.
     """
-    # A flipped bit on the disk must not look like a datum of tomorrow.
+    # A flipped bit on the disk must not put a datum in the future.
     age_s = max(0.0, now - datum.created)
     return {
         "created": round(wall - age_s, 3),
@@ -58,8 +58,8 @@ def age(datum: Datum | StoredInfo, now: float, wall: float) -> dict[str, Any]:
 
 
 def describe(info: StoredInfo, store: Store, now: float, wall: float, *, apart: bool = False) -> dict[str, Any]:
-    """One datum of a list, as plain values; measurements and file names decoded. Times as in `age`. `apart`: a second
-    content of an id."""
+    """One entry of a list, as plain values, with measurements and file names decoded. Times as in `age`. `apart`: it is
+    a second content of an id."""
     try:
         kind: str | int = Kind(info.kind).name.lower()
     except ValueError:

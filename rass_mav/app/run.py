@@ -1,4 +1,4 @@
-"""One node from start to end: opens store, links and control socket, runs the driver, and closes everything."""
+"""One node from start to stop: opens store, links and control socket, runs the driver, and closes everything."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from .notify import Notifier
 
 log = logging.getLogger(__name__)
 
-#: A store that is damaged so often within `LIFE_S` seconds is on a disk that is beyond help.
+#: If a store is damaged this often within `LIFE_S` seconds, its disk cannot be used.
 MAX_DAMAGES = 3
 LIFE_S = 60.0
 _CRITICAL = 2
@@ -51,8 +51,8 @@ class Runtime:
         narrate: Callable[[str], None] | None = None,
     ) -> None:
         """
-        :param ready: called whenever the node has been started, with its id, role, epoch and control socket.
-        :param narrate: takes a line on what the node is, and on what it sees whenever that changes.
+        :param ready: called after each start of the node, with its id, role, epoch and control socket.
+        :param narrate: prints a line about the node, and a line whenever something that it observes changes.
         """
         self._config = config
         self._ready = ready
@@ -82,12 +82,12 @@ class Runtime:
                 damages = damages + 1 if loop.time() - begun < LIFE_S else 1
                 if damages >= MAX_DAMAGES:
                     raise
-                log.error("%s; opening the store anew", error)
+                log.error("%s; opening the store again", error)
                 suspect = True
 
     def _on_signal(self, number: int) -> None:
         if self._stopped:
-            log.error("second signal: leaving at once")
+            log.error("second signal: exiting at once")
             os._exit(128 + number)
         log.info("signal %d: stopping", number)
         self._stopped = True
@@ -96,7 +96,7 @@ class Runtime:
             self._driver.stop()
 
     async def _live(self, suspect: bool) -> None:
-        """One life: until the stop, or until the store proves damaged."""
+        """One life: until the node is stopped, or its store is found damaged."""
         config = self._config
         settings = config.agent_settings()
         async with AsyncExitStack() as stack:
@@ -110,7 +110,7 @@ class Runtime:
             stack.callback(store.abandon)  # does nothing after `close`
             clock = LivedClock(store, _sources(config))
             if not clock.off_known:
-                log.warning("nobody knows how long the node was switched off: ages of its data are lower bounds")
+                log.warning("it is unknown how long the node was switched off: the ages of its data are lower bounds")
             vehicle, ground = (_opened(url, stack) for url in (config.autopilot.url, config.ground.url))
             links: list[Link] = []
             for section in config.links:
@@ -142,10 +142,10 @@ class Runtime:
             try:
                 await control.start()
             except ControlError as error:
-                # Its socket lies beside the store, unless it was set otherwise.
+                # By default the socket is beside the store.
                 if not store.report.unwritable:
                     raise
-                log.error("%s; nobody can ask this node", error)
+                log.error("%s; this node cannot be queried", error)
             self._driver = driver
             if self._stopped:
                 driver.stop()
@@ -158,7 +158,7 @@ class Runtime:
             except StoreDamagedError:
                 raise
             except BaseException:
-                # Whatever it was: what can be made durable is.
+                # Save what can be saved, whatever the error.
                 clock.note()
                 store.close()
                 raise
@@ -176,7 +176,7 @@ class Runtime:
             self._ready({**about, "socket": str(config.socket_path)})
 
     def _watch(self, agent: Agent, vehicle: VehiclePort | None, sensor: Sensor | None, now: float) -> None:
-        """Let people hear what changes: at the ground, and on the terminal."""
+        """Report changes to people, at the ground station and on the terminal."""
         flies = vehicle is not None and not agent.node.base
         reads = flies or sensor is not None
         agent.services.append(
@@ -190,7 +190,7 @@ class Runtime:
 
 
 def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequence[Link]) -> str:
-    """What runs here, in a line."""
+    """One line that describes the node."""
     parts = [] if vehicle is None else [f"autopilot {vehicle.name}"]
     parts.append(f"{'links' if len(links) > 1 else 'link'} {', '.join(link.name for link in links) or 'none'}")
     parts.append(f"store {config.store_path}")
@@ -198,14 +198,14 @@ def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequenc
 
 
 def _sources(config: RunConfig) -> TimeSources:
-    """What this computer knows of the time, and whether its date is believed."""
+    """This computer's sources of time, with the configured trust in its date."""
     if config.node.clock == "auto":
         return TimeSources()
     return TimeSources(trusted=lambda: config.node.clock == "trusted")
 
 
 def _opened(url: str | None, stack: AsyncExitStack) -> VehiclePort | None:
-    """The port that a connection string names; None: there is none. The `stack` closes it."""
+    """Open the port of a connection string; None: there is none. The `stack` closes it."""
     if url is None:
         return None
     port = open_vehicle(parse_vehicle_url(url))

@@ -1,7 +1,8 @@
-"""A node as a service of systemd: what is to be written and run, and doing it.
+"""A node as a systemd service: plans which files to write and commands to run, and carries out the plan.
 
-A plan is made first, so that it can be shown. Paths in it are those of the running system. With another root (the
-mounted card of a Raspberry Pi, say) they lie below it, and nothing is run: systemd does the rest when that card boots.
+The plan is separate, so that it can be shown first. Its paths are those of the running system. With another root (for
+example the mounted card of a Raspberry Pi) they are below that root, and no command is run: systemd does the rest when
+that card boots.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from rass_mav.link.address import parse_serial, parse_vehicle_url
 from .config import RunConfig
 
 TEMPLATES = Path(__file__).parent / "systemd"
-#: Longest that one of systemd's programs may take, seconds. A start waits until the node is ready.
+#: How long one of systemd's programs may take, seconds. A start waits until the node is ready.
 COMMAND_S = 330.0
 _DEVICE = re.compile(r"/dev/(tty[A-Za-z]+|rfcomm)\d+")
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,30}")
-# The kernel's names of serial ports: those of the board and those at USB. Whoever has one may name it otherwise (a link
-# in /dev), or plug it in elsewhere.
+# The kernel's names of serial ports, on the board and on USB. A port may have another name (a link in /dev), or be
+# plugged in elsewhere.
 _SERIAL = ("ttyAMA", "ttyS", "ttyUSB", "ttyACM")
-# They make the last two known to the kernel, which else happens when the first such device is plugged in.
+# These load the drivers of the last two, which the kernel otherwise loads when the first such device is plugged in.
 _MODULES = "modprobe@usbserial.service modprobe@cdc_acm.service"
 _WANTS = "/etc/systemd/system/multi-user.target.wants"
-# With PrivateTmp the service has these to itself, empty.
+# With PrivateTmp the service has its own empty ones.
 _PRIVATE = ("/tmp", "/var/tmp")
 
 
 class PlannedFile(NamedTuple):
-    """A file to be written."""
+    """A file to write."""
 
     path: str
     """Absolute, on the running system."""
@@ -43,54 +44,54 @@ class PlannedFile(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What makes the service, or ends it."""
+    """How to install the service, or remove it."""
 
     name: str
     files: tuple[PlannedFile, ...]
-    """To be written, all readable by everybody."""
+    """Files to write, all readable by everybody."""
     links: tuple[tuple[str, str], ...]
-    """Symbolic links, (path, target): what the commands do, for a system that does not run."""
+    """Symbolic links, (path, target): they replace the commands on a system that is not running."""
     removed: tuple[str, ...]
-    """Files that go, if they are there."""
+    """Files to remove, if they exist."""
     commands: tuple[tuple[str, ...], ...]
-    """To be run in turn on the running system, after the files were written and before others are removed."""
+    """Commands to run in this order on the running system, after files are written and before others are removed."""
     after: tuple[tuple[str, ...], ...] = ()
-    """To be run after files were removed."""
+    """Commands to run after files are removed."""
 
 
 def unit_path(name: str) -> str:
-    """Of the service's unit."""
+    """Path of the service's unit."""
     return f"/etc/systemd/system/{name}.service"
 
 
 def config_path(name: str) -> str:
-    """Of the configuration that the service reads."""
+    """Path of the configuration that the service reads."""
     return f"/etc/{name}/node.yaml"
 
 
 def check_name(what: str, name: str) -> str:
-    """The name itself. Raises `ConfigError` if it is none for a service, user or group."""
+    """Return the name. Raises `ConfigError` if it is not valid for a service, user or group."""
     if not _NAME.fullmatch(name):
-        raise ConfigError(f"{what}: expected a name of small letters, digits, - and _, got {name!r}")
+        raise ConfigError(f"{what}: expected a name of lower-case letters, digits, - and _, got {name!r}")
     return name
 
 
 def plan_install(
     config: RunConfig, text: str, *, name: str, user: str, groups: Sequence[str], python: str, program: Sequence[str]
 ) -> Plan:
-    """What makes a service of a node.
+    """The plan to install a node as a service.
 
-    :param config: the node's configuration, already checked; `text`: the file as it was written.
-    :param name: of the service; its data are in /var/lib/NAME, its configuration is /etc/NAME/node.yaml.
-    :param user: whom the node runs as; made if there is no such user. `groups`: those that it joins.
-    :param python: the interpreter that has rass_mav; `program`: all that makes up the program, with what links lead to.
+    :param config: the node's configuration, already checked. `text`: the contents of its file.
+    :param name: name of the service. Its data are in /var/lib/NAME, its configuration is /etc/NAME/node.yaml.
+    :param user: the user that runs the node; created if it does not exist. `groups`: the groups that it joins.
+    :param python: the interpreter that has rass_mav. `program`: all paths of the program, including targets of links.
     """
     for what, each in (("--name", name), ("--user", user), *(("--group", group) for group in groups)):
         check_name(what, each)
     own = f"/var/lib/{name}"
     outside = {str(path.parent) for path in (config.store_path, config.socket_path) if path.is_absolute()}
     writable = sorted(path for path in outside if not Path(path).is_relative_to(own))
-    at_home = any(_below(path, "/home", "/root") for path in program)
+    at_home = any(_below(path, "/home", "/root") for path in (*program, *_files(config).values()))
     values = {
         "NAME": name,
         "USER": user,
@@ -118,7 +119,7 @@ def plan_install(
 
 
 def _serial_names(config: RunConfig) -> list[str]:
-    """Of the serial ports that the node may open, none if it has none: without their numbers."""
+    """Names, without numbers, of the serial ports that the node may open; empty if it has none."""
     urls = [parse_vehicle_url(url) for url in (config.autopilot.url, config.ground.url) if url is not None]
     ports = [url.address[0] for url in urls if url.mode == "serial"]
     ports += [parse_serial(link.device)[0] for link in config.links if link.device is not None]
@@ -130,7 +131,7 @@ def _serial_names(config: RunConfig) -> list[str]:
 
 
 def plan_remove(name: str) -> Plan:
-    """What ends the service. Its data, its configuration and its user stay."""
+    """The plan to remove the service. Its data, configuration and user remain."""
     check_name("--name", name)
     unit = f"{name}.service"
     removed = (f"{_WANTS}/{unit}", unit_path(name), f"/etc/sysusers.d/{name}.conf")
@@ -138,11 +139,11 @@ def plan_remove(name: str) -> Plan:
 
 
 def check_reachable(user: str, *paths: str) -> None:
-    """Raise `ServiceError` if the user could not run what is at these paths: it lies in somebody's closed home."""
+    """Raise `ServiceError` if the user cannot run the programs at these paths, because a folder is closed to others."""
     try:
         uid = pwd.getpwnam(user).pw_uid
     except KeyError:
-        uid = -1  # yet to be made: nothing belongs to it
+        uid = -1  # the user does not exist yet, and owns nothing
     if uid == 0:
         return
     for path in paths:
@@ -152,38 +153,43 @@ def check_reachable(user: str, *paths: str) -> None:
             about = folder.stat()
             if about.st_uid != uid and not about.st_mode & 0o001:
                 raise ServiceError(
-                    f"{folder}: closed to other users, so the user {user} could not run {path}: install rass-mav "
-                    f"outside of home directories, for example in /opt/rass-mav, or name another --user"
+                    f"{folder}: closed to other users, so the user {user} cannot run {path}: install rass-mav "
+                    f"outside home directories, for example in /opt/rass-mav, or use another --user"
                 )
 
 
 def check_visible(config: RunConfig, program: Sequence[str]) -> None:
-    """Raise `ServiceError` if the service could not see the program, or a file that its node uses."""
-    own = "the service has a /tmp and a /var/tmp of its own, so it would not find"
+    """Raise `ServiceError` if the service cannot see the program, or a file that its node uses."""
+    own = "the service has its own /tmp and /var/tmp, so it cannot find"
     for path in program:
         if _below(path, *_PRIVATE):
             raise ServiceError(f"{path}: {own} its program: install rass-mav elsewhere, for example in /opt/rass-mav")
-    files = {
+    for key, file in _files(config).items():
+        if _below(file, *_PRIVATE):
+            raise ServiceError(f"{key}: {own} {file}: choose another folder, or a relative path in the service's own")
+
+
+def _files(config: RunConfig) -> dict[str, str]:
+    """The absolute paths that the configuration names, by key."""
+    named = {
         "store.path": config.store.path,
         "control.socket": config.control.socket,
         "sensor.path": config.sensor.path,
     }
-    for key, file in files.items():
-        if file is not None and Path(file).is_absolute() and _below(file, *_PRIVATE):
-            raise ServiceError(f"{key}: {own} {file}: choose another folder, or a relative path in the service's own")
+    return {key: file for key, file in named.items() if file is not None and Path(file).is_absolute()}
 
 
 def _below(path: str, *folders: str) -> bool:
-    """Whether a path leads into one of these folders, as it stands or by links."""
+    """Whether a path leads into one of these folders, directly or through links."""
     leads_to = (Path(os.path.normpath(path)), Path(os.path.realpath(path)))
     return any(each.is_relative_to(folder) for each in leads_to for folder in folders)
 
 
 def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:
-    """Do it. Raises `ServiceError`, and writes nothing, if a configuration stands in the way that has other contents.
+    """Carry out a plan. Raises `ServiceError`, and writes nothing, if there is a configuration with other contents.
 
-    :param root: below which the files go, and nothing is run; None: the running system.
-    :param replace: a configuration with other contents is replaced.
+    :param root: folder below which the files are written, without running commands; None: the running system.
+    :param replace: replace a configuration that has other contents.
     """
     try:
         for file in plan.files:
@@ -210,16 +216,16 @@ def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:
 
 
 def place(root: Path | None, path: str) -> Path:
-    """Where a path of the system lies below another root."""
+    """The location of a system path below another root."""
     return Path(path) if root is None else root / path.lstrip("/")
 
 
 def run(*command: str, timeout_s: float = COMMAND_S) -> str:
-    """Run one of systemd's programs; returns what it says. Raises `ServiceError` if it fails or is not there."""
+    """Run one of systemd's programs and return its output. Raises `ServiceError` if it fails or does not exist."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=timeout_s, check=False)
     except (FileNotFoundError, PermissionError):
-        # The second where a folder of PATH is closed to us.
+        # The second error occurs where a folder of PATH is closed to us.
         raise ServiceError(f"{command[0]}: not found; the service needs a system with systemd") from None
     except subprocess.TimeoutExpired:
         raise ServiceError(f"{' '.join(command)}: no answer in {timeout_s:g} s") from None
@@ -230,16 +236,16 @@ def run(*command: str, timeout_s: float = COMMAND_S) -> str:
 
 
 def state(name: str, timeout_s: float = COMMAND_S) -> dict[str, str]:
-    """What systemd knows of the service, property by property. Raises `ServiceError`."""
+    """The properties of the service as systemd reports them. Raises `ServiceError`."""
     wanted = "LoadState,UnitFileState,ActiveState,SubState,MainPID,NRestarts,StatusText"
     text = run("systemctl", "show", f"{name}.service", f"--property={wanted}", timeout_s=timeout_s)
     return dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
 
 
 def _check_same(path: Path, content: str) -> None:
-    """Somebody may have edited it where it is."""
+    """Raise `ServiceError` if the file exists with other contents: somebody may have edited it."""
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != content:
-        raise ServiceError(f"{path}: is there already, with other contents: edit it, or give --replace")
+        raise ServiceError(f"{path}: exists with other contents: edit it, or use --replace")
 
 
 def _filled(template: str, values: dict[str, str]) -> str:
@@ -248,13 +254,13 @@ def _filled(template: str, values: dict[str, str]) -> str:
 
 
 def _quoted(path: str) -> str:
-    """A path as systemd reads it in a unit: a % begins a specifier, and blanks end a word."""
+    """A path quoted for a systemd unit, where a % starts a specifier, and a blank ends a word."""
     escaped = path.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if re.search(r"[\s\"'\\;]", path) else escaped
 
 
 def _write(path: Path, content: str) -> None:
-    """Whole or not at all: the power may go at any moment."""
+    """Write the whole file or nothing: the power may fail at any moment."""
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(path.name + ".new")
     with fresh.open("w", encoding="utf-8") as file:

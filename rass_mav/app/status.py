@@ -1,4 +1,4 @@
-"""What `rass-mav status` tells (docs/configuration.md)."""
+"""The contents of `rass-mav status` (docs/configuration.md)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .driver import Driver
 def status(driver: Driver, started: float) -> dict[str, Any]:
     """The state of a running node as plain values. Ages and times in seconds; null: unknown or none.
 
-    `started`: when it was started, on the driver's timeline.
+    `started`: when the node was started, on the driver's timeline.
     """
     agent = driver.agent
     node, telemetry, settings = agent.node, agent.telemetry, agent.settings
@@ -127,8 +127,8 @@ def _id(neighbour: Neighbour) -> int:
 
 
 def _potential(potential: int, base: bool, costs: bool) -> dict[str, float | None]:
-    """What the policy goes by: the paper's phi (None for a base, which is fitter than any drone), or with `costs` the
-    cost of the way (0 for a base, None: no way and no shelter)."""
+    """The policy's criterion: the paper's phi (None for a base, which is fitter than any drone), or with `costs` the
+    cost of the route (0 for a base, None: neither route nor shelter)."""
     if costs:
         return {"cost": 0.0 if base else None if potential >= NO_COST else potential / COST_ONE}
     return {"fitness": None if base else potential / POTENTIAL_ONE}
@@ -149,13 +149,13 @@ def _neighbour(neighbour: Neighbour, now: float, policy: Policy) -> dict[str, An
 
 
 def _shared_system_ids(driver: Driver) -> list[dict[str, Any]]:
-    """System ids that several nodes use: among the neighbours, and this one."""
+    """System ids that several nodes use, among the neighbours and this node."""
     agent = driver.agent
     users: dict[int, list[int]] = defaultdict(list)
     for node_id in agent.node.routing.neighbours:
         if (system_id := agent.peers.system_ids.get(node_id)) is not None:
             users[system_id].append(node_id)
-    # Its own is not the last word as long as its autopilot has not been heard.
+    # The node's own id may still change until its autopilot has been heard.
     if driver.vehicle is None or agent.telemetry.system_id or agent.settings.mavlink.system_id is not None:
         users[agent.peers.writer.system_id].append(agent.node.id)
     return [

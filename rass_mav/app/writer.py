@@ -1,4 +1,4 @@
-"""The commits of a running node: the gate's batches are written on a worker thread, one at a time."""
+"""The commits of a running node: writes the gate's batches on a worker thread, one at a time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rass_mav.errors import RassError, StoreDamagedError, StoreError
 
 log = logging.getLogger(__name__)
 
-#: After a failed commit the next try comes so much later, seconds.
+#: Seconds between a failed commit and the next attempt.
 RETRY_S = 1.0
 
 
@@ -29,12 +29,13 @@ class Writer:
         failed: Callable[[StoreError], None],
         note: Callable[[], None] | None = None,
     ) -> None:
-        """`executor`: one thread. `wake`: called when a write has ended: then `drive`. `failed`: told why one has.
+        """`executor`: one thread. `wake`: called when a write has ended; then call `drive`. `failed`: called with the
+        error of a failed write.
 
-        `note`: sets in the store what every commit has to bring with it; never the reason for one.
+        `note`: stores what every commit must include. A note alone is no reason for a commit.
         """
         self.gate = CommitGate(store)
-        """What waits for which commit."""
+        """Holds the frames that wait for commits."""
         self.retry_at: float | None = None
         """When a failed commit is tried again, on the loop's clock; None: the last one did not fail."""
         self._store = store
@@ -45,7 +46,7 @@ class Writer:
         self._write: asyncio.Future[None] | None = None
 
     def drive(self, *, force: bool = False) -> Sequence[Outgoing]:
-        """Take note of a finished commit, and begin the next one. Returns what may leave. `StoreDamagedError`."""
+        """Handle a finished commit, and begin the next one. Returns what may leave. Raises `StoreDamagedError`."""
         out: list[Outgoing] = []
         if self._write is not None:
             if not self._write.done():
@@ -81,7 +82,7 @@ class Writer:
         return self.gate.written()
 
     async def finish(self) -> Sequence[Outgoing]:
-        """Commit what there is. Returns what that covers; `StoreError` if it could not be written."""
+        """Commit all changes. Returns the frames that waited. Raises `StoreError` if they cannot be written."""
         out: list[Outgoing] = []
         if self._write is not None:
             await asyncio.wait([self._write])
@@ -94,7 +95,7 @@ class Writer:
         return out
 
     async def durable(self) -> None:
-        """Wait until all that has changed is on disk. `StoreError` if the disk does not take it now."""
+        """Wait until all changes are on disk. Raises `StoreError` if they cannot be written now."""
         durable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
         def tell(error: RassError | None) -> None:

@@ -1,4 +1,4 @@
-"""What the commands share: options, output, logging."""
+"""Shared by the commands: options, output, logging."""
 
 from __future__ import annotations
 
@@ -8,27 +8,61 @@ import json
 import logging
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from rass_mav.errors import RassError, os_errors_as
 
-#: Where virtual time begins in recordings, 2020-01-01 00:00 UTC: the same run gives the same file.
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+#: The start of virtual time in recordings, 2020-01-01 00:00 UTC, so that the same run creates the same file.
 VIRTUAL_START_S = 1_577_836_800.0
-#: What argparse calls the object that `add_subparsers` returns.
+#: Seconds between two lines about progress, where there is no progress bar.
+LINE_EVERY_S = 30.0
+#: The type of the object that argparse's `add_subparsers` returns.
 Subparsers = Any
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """As wide as the terminal.
+    """Help as wide as the terminal.
 
-    argparse asks `shutil` for the width, and so loads it with all it knows of compression: half a MiB of a drone's
-    memory.
+    argparse asks `shutil` for the width, and so loads its compression modules: half a MiB of a drone's memory.
     """
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=_terminal_width() - 2)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        """Keep names whole: `scale-free` is not broken at its hyphen."""
+        import textwrap  # only needed for help
+
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        """Add the names set by `lists`."""
+        help = action.help
+        names = listed(action)
+        return f"{help}: {', '.join(names).replace('%', '%%')}" if names else help
+
+
+def lists(action: argparse.Action, names: Callable[[], Iterable[str]]) -> None:
+    """Add these names to the help of an option. They are requested only when the help is shown, because their registry
+    takes time to load. The option is not limited to them: its value is checked where it is used."""
+    action.names = names  # type: ignore[attr-defined]
+
+
+def listed(action: argparse.Action) -> list[str]:
+    """The names of an option; empty if it has none, or if their registry cannot be loaded here."""
+    names: Callable[[], Iterable[str]] = getattr(action, "names", list)
+    try:
+        return list(names())
+    except ModuleNotFoundError as error:
+        if error.name != "msgspec":
+            raise
+        return []
 
 
 def _terminal_width() -> int:
@@ -44,7 +78,7 @@ def _terminal_width() -> int:
 def add_command(
     subparsers: Subparsers, name: str, run: Callable[[argparse.Namespace], int], *, help: str, example: str
 ) -> argparse.ArgumentParser:
-    """A command with -v and --json. `run` gets the parsed options and returns the exit code."""
+    """Add a command with -v and --json. `run` gets the parsed options and returns the exit code."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         name,
         help=help,
@@ -54,18 +88,29 @@ def add_command(
     )
     parser.add_argument("-v", "--verbose", action="count", default=0, help="logs on stderr; -vv for more")
     parser.add_argument("--json", action="store_true", help="print exactly one JSON object")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, parser=parser)
     return parser
 
 
 def add_group(
     subparsers: Subparsers, name: str, actions: str, *, help: str, description: str, example: str
 ) -> Subparsers:
-    """A command that has commands of its own: what `add_command` adds them to. `actions`: what they are called."""
+    """Add a command with subcommands, and return the object to which `add_command` adds them. `actions`: their name."""
     parser = subparsers.add_parser(
         name, help=help, description=description, epilog=f"example: {example}", formatter_class=HelpFormatter
     )
-    return parser.add_subparsers(dest=actions, metavar=actions.upper(), required=True)
+    help_alone(parser)
+    return parser.add_subparsers(dest=actions, metavar=actions.upper())
+
+
+def help_alone(parser: argparse.ArgumentParser) -> None:
+    """Let a command with subcommands show its help if none is given. Exit code 2."""
+
+    def show(options: argparse.Namespace) -> int:
+        say(parser.format_help().rstrip())
+        return 2
+
+    parser.set_defaults(run=show, parser=parser)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +121,7 @@ def add_set(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="assignments",
-        help="override a key of the file; the value as YAML; may be given more than once",
+        help="override a key of the file; the value is YAML; may be repeated",
     )
 
 
@@ -93,7 +138,7 @@ def start_logging(verbose: int, level: str = "warning") -> None:
 
 
 class _JournalFormatter(logging.Formatter):
-    """For journald, which has time stamps of its own: instead, each line begins with its level (sd-daemon(3))."""
+    """For journald, which adds its own time stamps: each line starts with its level instead (sd-daemon(3))."""
 
     def format(self, record: logging.LogRecord) -> str:
         prefix = f"<{_priority(record.levelno)}>"
@@ -101,14 +146,14 @@ class _JournalFormatter(logging.Formatter):
 
 
 def _priority(level: int) -> int:
-    """Of syslog: 2 critical, 3 error, 4 warning, 6 information, 7 for debugging."""
+    """The syslog priority: 2 critical, 3 error, 4 warning, 6 information, 7 debug."""
     return next((number for least, number in ((50, 2), (40, 3), (30, 4), (20, 6)) if level >= least), 7)
 
 
 def _goes_to_journal(stream: TextIO) -> bool:
-    """Whether journald reads the stream: $JOURNAL_STREAM holds the device and inode of its end (systemd.exec(5)).
+    """Whether journald reads the stream: $JOURNAL_STREAM contains the device and inode of its end (systemd.exec(5)).
 
-    The variable alone is not enough: who redirects the output of a program still hands it on.
+    The variable alone is not enough: a program whose output is redirected still inherits it.
     """
     named = os.environ.get("JOURNAL_STREAM")
     if not named:
@@ -126,7 +171,7 @@ def print_json(value: dict[str, Any]) -> None:
 
 
 def answer(options: argparse.Namespace, plain: dict[str, Any], lines: Iterable[str]) -> None:
-    """What a command has found: with --json as one object, else in lines for people."""
+    """Print the result of a command: with --json as one object, otherwise as lines for people."""
     if options.json:
         print_json(plain)
     else:
@@ -135,12 +180,26 @@ def answer(options: argparse.Namespace, plain: dict[str, Any], lines: Iterable[s
 
 
 def say(text: str) -> None:
-    """A line on stdout."""
+    """Print a line on stdout."""
     sys.stdout.write(text + "\n")
 
 
+def painted(text: str, colour: str, stream: TextIO) -> str:
+    """The text in colour, if the stream is a terminal and colours are not turned off (NO_COLOR)."""
+    if not stream.isatty():
+        return text
+    from termcolor import colored
+
+    return colored(text, colour)
+
+
+def warn(text: str) -> None:
+    """Print a warning on stderr."""
+    sys.stderr.write(painted("WARNING:", "yellow", sys.stderr) + f" {text}\n")
+
+
 def clean(text: str) -> str:
-    """Text from a stranger, fit for a terminal: control characters are shown as such, not carried out."""
+    """Make untrusted text safe for a terminal: control characters are shown, not executed."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -148,7 +207,7 @@ def clean(text: str) -> str:
 def recorder(
     path: Path | None, step_s: float, start_s: float = VIRTUAL_START_S
 ) -> Iterator[Callable[[bytes, int], None] | None]:
-    """Writes frames to a .tlog, with times that begin at `start_s`, seconds since 1970."""
+    """Write frames to a .tlog, with times from `start_s`, seconds since 1970."""
     if path is None:
         yield None
         return
@@ -159,22 +218,55 @@ def recorder(
         yield lambda frame, step: writer.record(frame, start_s + step * step_s)
 
 
+class ProgressLines:
+    """Reports progress in lines, where no bar can be drawn, for example in a log."""
+
+    def __init__(
+        self, total: int, unit: str, stream: TextIO, clock: Callable[[], float], every_s: float = LINE_EVERY_S
+    ) -> None:
+        """`total`: amount of work, in units. `clock`: returns seconds."""
+        self._total, self._unit, self._stream, self._clock, self._every_s = total, unit, stream, clock, every_s
+        self._done = 0
+        self._begun = self._said = clock()
+
+    def advance(self, units: int) -> None:
+        """Count units of finished work."""
+        self._done += units
+        now = self._clock()
+        if now - self._said >= self._every_s:
+            self._said = now
+            self._stream.write(f"{self._done} of {self._total} {self._unit} done in {now - self._begun:.0f} s\n")
+            self._stream.flush()
+
+
 @contextlib.contextmanager
 def progress(total: int, unit: str, *, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """A progress bar on stderr: on a terminal, if tqdm is installed (the extra `sim`), and unless `quiet`."""
+    """Show progress on stderr, unless `quiet`: a progress bar on a terminal, otherwise an occasional line.
+
+    The bar needs tqdm (the extra `sim`).
+    """
+    if quiet:
+        yield lambda units: None
+        return
+    bar = _bar(total, unit) if sys.stderr.isatty() else None
+    if bar is None:
+        yield ProgressLines(total, unit, sys.stderr, time.monotonic).advance
+        return
+    with bar:
+        yield bar.update
+
+
+def _bar(total: int, unit: str) -> tqdm[NoReturn] | None:
     try:
         from tqdm import tqdm
     except ImportError:
-        yield lambda steps: None
-        return
-    # disable=None: no bar unless stderr is a terminal.
-    with tqdm(total=total, unit=f" {unit}", disable=True if quiet else None, leave=False) as bar:
-        yield bar.update
+        return None
+    return tqdm(total=total, unit=f" {unit}", leave=False)
 
 
 @contextlib.contextmanager
 def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
-    """The same for a swarm in real time, which says how many steps are over."""
+    """The same for a swarm in real time, which reports the number of finished steps."""
     done = 0
     with progress(steps, "steps", quiet=quiet) as advance:
 
@@ -184,3 +276,20 @@ def progress_of_steps(steps: int, *, quiet: bool) -> Iterator[Callable[[int], No
             done = step
 
         yield reached
+
+
+@contextlib.contextmanager
+def keeping(kept: Callable[[], str]) -> Iterator[None]:
+    """If the block is interrupted, say what is kept of it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept()) from None
+
+
+def kept_files(record: Path | None, keep: Path | None = None) -> str:
+    """What is kept of an interrupted run: `record`: a file of frames; `keep`: a directory."""
+    parts = [f"the frames so far are in {record}"] if record is not None else []
+    if keep is not None:
+        parts.append(f"configurations, stores and logs so far are in {keep}")
+    return "; ".join(parts) or "nothing is kept"

@@ -19,7 +19,7 @@ from .common import Subparsers, add_command, answer, clean, say, start_logging
 if TYPE_CHECKING:
     from rass_mav.swarm.desk import Desk
 
-#: Of a line that somebody handed in, so many characters are shown.
+#: How many characters of a submitted line are shown.
 _MOST_SHOWN = 60
 
 
@@ -31,7 +31,9 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav try --drones 2",
     )  # fmt: skip
     parser.add_argument("--drones", type=int, default=1, metavar="N", help="how many drones (1)")
-    parser.add_argument("--for", type=float, dest="seconds", metavar="SECONDS", help="stop by itself after so long")
+    parser.add_argument(
+        "--for", type=float, dest="seconds", metavar="SECONDS", help="stop automatically after this time"
+    )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores and logs here")
 
 
@@ -42,7 +44,7 @@ def _try(options: argparse.Namespace) -> int:
     from rass_mav.swarm.desk import desk
 
     def show(line: str) -> None:
-        """Now, in a pipe too."""
+        """Print at once, in a pipe too."""
         if not options.json:
             say(line)
             sys.stdout.flush()
@@ -61,7 +63,7 @@ def _try(options: argparse.Namespace) -> int:
 
 
 def opening_lines(nodes: Desk, *, kept: bool) -> Iterator[str]:
-    """What runs, where it is written down, and what one can type."""
+    """What is running, where its files are, and what to type."""
     drones = nodes.drones
     if len(drones) == 1:
         yield f"Node 1 is a base, node {drones[0].node_id} a drone. Its mock vehicle flies past a radiation source."
@@ -78,14 +80,14 @@ def opening_lines(nodes: Desk, *, kept: bool) -> Iterator[str]:
 
 
 def _program() -> str:
-    """How the command is called here."""
-    import shutil  # a node does without it, and loads this module for its command line
+    """The command that calls this program here."""
+    import shutil  # a node does not need it, but loads this module for its command line
 
     return "rass-mav" if shutil.which("rass-mav") else f"{shlex.quote(sys.executable)} -m rass_mav"
 
 
 def arrival_line(datum: dict[str, Any]) -> str:
-    """A datum that has arrived: when it was created, by whom, and what is in it."""
+    """A datum that has arrived: when and by which node it was created, and its contents."""
     line = f"{time.strftime('%H:%M:%S', time.localtime(datum['created']))} node {datum['origin']}"
     if (m := datum.get("measurement")) is not None:
         if m["latitude"] is None:

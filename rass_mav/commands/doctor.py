@@ -1,17 +1,20 @@
-"""`doctor`: is everything there that a node needs?"""
+"""`doctor`: checks whether everything that a node needs is there."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 
-from .common import Subparsers, add_command, answer, clean, start_logging
+from .common import Subparsers, add_command, answer, clean, painted, start_logging
+
+_COLOURS = {"skip": "cyan", "pass": "green", "warn": "yellow", "fail": "red"}
 
 
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     doctor = add_command(
         subparsers, "doctor", _doctor,
-        help="check a node and all around it, running or not; exit code 1 if something failed",
+        help="check a node and its surroundings, running or not; exit code 1 if something failed",
         example="rass-mav doctor drone.yaml",
     )  # fmt: skip
     doctor.add_argument("config", metavar="CONFIG.yaml", help="the node's configuration")
@@ -20,10 +23,13 @@ def register(subparsers: Subparsers) -> None:
 def _doctor(options: argparse.Namespace) -> int:
     from rass_mav.doctor.checkup import check_up
 
-    # What goes wrong is what this command tells; logs would say it twice.
+    # This command reports what is wrong. Logs would repeat it.
     start_logging(options.verbose, "critical")
     report = check_up(options.config)
-    lines = [clean(finding.line()) for finding in report.findings]
+    lines = [
+        painted(finding.level, _COLOURS[finding.level], sys.stdout) + clean(finding.line()).removeprefix(finding.level)
+        for finding in report.findings
+    ]
     counts = f"{report.count('pass')} passed, {report.count('warn')} warned, {report.count('fail')} failed"
     lines.append(f"{counts}, {skipped} not checked" if (skipped := report.count("skip")) else counts)
     answer(options, report.plain(), lines)

@@ -1,91 +1,99 @@
-"""`experiment`: the paper's experiments and ours, into a directory of tables and figures."""
+"""`experiment`: runs the paper's experiments and ours, and writes tables and figures to a directory."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_group, add_set, print_json, progress, say, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_group,
+    add_set,
+    keeping,
+    lists,
+    print_json,
+    progress,
+    say,
+    start_logging,
+)
 
 if TYPE_CHECKING:
     from rass_mav.experiment.runs import Extent, Result, Run
-
-T = TypeVar("T")
-
-_TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
-_VARIANTS = ("plain", "immediate", "mirror", "mirror-immediate", "copies-auto")
 
 
 def register(subparsers: Subparsers) -> None:
     """Add the command with its experiments."""
     names = add_group(
         subparsers, "experiment", "name", help="run a named experiment: CSV, Markdown tables and PNG figures",
-        description="Run a named experiment. The runs that it finished are kept, and the same command goes on.",
+        description="Run a named experiment. Finished runs are kept, and the same command continues from there.",
         example="rass-mav experiment paper --out results",
     )  # fmt: skip
 
     paper = _add(
         names, "paper", _paper, "the paper's simulations: its Table I and its figures",
-        "rass-mav experiment paper --out results --runs 2 --topology grid",
+        "rass-mav experiment paper --out results --runs 2 --topology grid", "ALL_POLICIES",
     )  # fmt: skip
-    _add_choices(paper, "--topology", _TOPOLOGIES, "four")
+    _add_names(paper, "--topology", "paper:TOPOLOGIES", "which topologies, all by default", nargs="+")
     paper.add_argument(
         "--world", choices=("paper", "reference", "both"), default="both",
         help="paper: the text's rules; reference: what the authors' code did (default: both)",
     )  # fmt: skip
     paper.add_argument(
         "--reference-data", metavar="DIR",
-        help="the authors' curves.csv and delays.csv, to draw them in (default: shared/data/paper beside the project)",
+        help="folder with the authors' curves.csv and delays.csv, to draw them (default: shared/data/paper beside the "
+        "project)",
     )  # fmt: skip
 
     _add(
-        names, "five-drones", _five_drones, "the paper's physical experiment: reliability, whole and by drone",
-        "rass-mav experiment five-drones --out results",
+        names, "five-drones", _five_drones, "the paper's physical experiment: reliability, in total and by drone",
+        "rass-mav experiment five-drones --out results", "ALL_POLICIES",
     )  # fmt: skip
 
     moving = _add(
         names, "moving-sources", _moving_sources, "what becomes of data when the sources of radiation move",
-        "rass-mav experiment moving-sources --out results --drift 0.05 0.5",
+        "rass-mav experiment moving-sources --out results --drift 0.05 0.5", "ALL_POLICIES",
     )  # fmt: skip
     moving.add_argument(
         "--drift", nargs="+", type=float, metavar="METRES", default=[0.0, 0.05, 0.2, 0.5],
         help="how far each source moves in a step (default: 0 0.05 0.2 0.5)",
     )  # fmt: skip
-    moving.add_argument("--topology", choices=_TOPOLOGIES, default="grid", help="where the drones are (default: grid)")
+    _add_names(moving, "--topology", "paper:TOPOLOGIES", "where the drones are, grid by default", default="grid")
 
     maxima = _add(
-        names, "local-maxima", _local_maxima, "how much data sits where no neighbour is fitter, away from the base",
+        names, "local-maxima", _local_maxima, "how many data are where no neighbour is fitter, away from the base",
         "rass-mav experiment local-maxima --out results",
     )  # fmt: skip
-    _add_choices(maxima, "--topology", _TOPOLOGIES, "four")
+    _add_names(maxima, "--topology", "paper:TOPOLOGIES", "which topologies, all by default", nargs="+")
 
     policies = _add(
-        names, "policies", _policies, "all policies, with and without mirrors and immediate forwarding; the ceiling",
+        names, "policies", _policies, "all policies, with and without spare copies or immediate forwarding; ceiling",
         "rass-mav experiment policies --out results --runs 2 --topology grid",
     )  # fmt: skip
-    _add_choices(policies, "--topology", (*_TOPOLOGIES, "islands"), "five")
-    _add_choices(policies, "--variant", _VARIANTS, "five")
+    _add_names(policies, "--topology", "policies:PLACES", "which topologies, all by default", nargs="+")
+    _add_names(policies, "--variant", "policies:VARIANTS", "which variants, all by default", nargs="+")
     policies.add_argument(
         "--failures", nargs="?", type=float, const=0.1, metavar="FRACTION",
-        help="all runs once more, in which this part of the drones dies for good, 0 to 1 (0.1 if no number is given)",
+        help="also repeat all runs with this share of the drones dying permanently, 0 to 1 (0.1 without a number)",
     )  # fmt: skip
 
     hostile = _add(
-        names, "hostile", _hostile, "attackers beside honest nodes: what arrives, is lost, heals; who notices",
+        names, "hostile", _hostile, "attackers beside honest nodes: what arrives, what is lost, who notices, recovery",
         "rass-mav experiment hostile --out results --runs 3",
     )  # fmt: skip
-    hostile.add_argument("--attacker", nargs="+", metavar="NAME", help="which (default: all; docs/hostile.md)")
+    _add_names(hostile, "--attacker", "hostile:ATTACKERS", "which attackers, all by default", nargs="+")
 
     counting = add_command(
         names, "counting-to-infinity", _counting,
-        help="what Alg. 2 as written does when the base vanishes, and what sequence numbers change",
+        help="what Alg. 2 as published does when the base vanishes, and what sequence numbers change",
         example="rass-mav experiment counting-to-infinity --out results",
     )  # fmt: skip
     _add_out(counting)
@@ -93,26 +101,31 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _add_out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", required=True, metavar="DIR", help="where everything is written")
+    parser.add_argument("--out", required=True, metavar="DIR", help="directory for the results")
 
 
-def _add_choices(parser: argparse.ArgumentParser, option: str, choices: Sequence[str], how_many: str) -> None:
-    parser.add_argument(
-        option, nargs="+", choices=choices, default=list(choices), help=f"which (default: all {how_many})"
-    )
+def _add_names(parser: argparse.ArgumentParser, option: str, known: str, help: str, **more: Any) -> None:
+    """Add an option that takes names. `known`: their place in `rass_mav.experiment`, as `module:NAME`."""
+    action = parser.add_argument(option, metavar="NAME", help=help, **more)
+    lists(action, lambda: resolve_name(f"rass_mav.experiment.{known}"))
 
 
 def _add(
-    names: Subparsers, name: str, run: Callable[[argparse.Namespace], int], help: str, example: str
+    names: Subparsers,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    help: str,
+    example: str,
+    policies: str = "POLICIES",
 ) -> argparse.ArgumentParser:
-    """An experiment made of runs of the mock swarm."""
+    """Add an experiment that consists of runs of the mock swarm. `policies`: the name of its policies in its module."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
-    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 a run (default: 500)")
-    parser.add_argument("--policy", nargs="+", metavar="NAME", help="which to compare (docs/experiments.md)")
+    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 per run (default: 500)")
+    _add_names(parser, "--policy", f"{name.replace('-', '_')}:{policies}", "which to compare", nargs="+")
     parser.add_argument(
-        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one a core)"
+        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one per core)"
     )
     parser.add_argument("--dask", metavar="ADDRESS", help="use the workers of this Dask scheduler instead")
     add_set(parser)
@@ -126,31 +139,36 @@ def _paper(options: argparse.Namespace) -> int:
     given = options.reference_data
     published = load_published(default_directory() if given is None else Path(given))
     worlds = paper.WORLDS if options.world == "both" else (options.world,)
-    policies = _compared(options, paper.POLICIES, paper.ALL_POLICIES)
-    planned = paper.plan(_extent(options), worlds, _distinct(options.topology), policies)
+    policies = _chosen("--policy", options.policy or paper.POLICIES, paper.ALL_POLICIES)
+    topologies = _chosen("--topology", options.topology, paper.TOPOLOGIES)
+    planned = paper.plan(_extent(options), worlds, topologies, policies)
     return _runs(options, planned, lambda results, out: paper.report(results, out, published), "table1.md")
 
 
 def _five_drones(options: argparse.Namespace) -> int:
     from rass_mav.experiment import five_drones
 
-    planned = five_drones.plan(_extent(options), _compared(options, five_drones.POLICIES))
+    planned = five_drones.plan(
+        _extent(options), _chosen("--policy", options.policy or five_drones.POLICIES, five_drones.ALL_POLICIES)
+    )
     return _runs(options, planned, five_drones.report)
 
 
 def _moving_sources(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import moving_sources
+    from rass_mav.experiment import moving_sources, paper
 
-    policies = _compared(options, moving_sources.POLICIES)
-    planned = moving_sources.plan(_extent(options), _distinct(options.drift), options.topology, policies)
+    policies = _chosen("--policy", options.policy or moving_sources.POLICIES, moving_sources.ALL_POLICIES)
+    (topology,) = _chosen("--topology", [options.topology], paper.TOPOLOGIES)
+    planned = moving_sources.plan(_extent(options), list(dict.fromkeys(options.drift)), topology, policies)
     return _runs(options, planned, moving_sources.report)
 
 
 def _local_maxima(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import local_maxima
+    from rass_mav.experiment import local_maxima, paper
 
-    policies = _compared(options, local_maxima.POLICIES)
-    planned = local_maxima.plan(_extent(options), _distinct(options.topology), policies)
+    policies = _chosen("--policy", options.policy, local_maxima.POLICIES)
+    topologies = _chosen("--topology", options.topology, paper.TOPOLOGIES)
+    planned = local_maxima.plan(_extent(options), topologies, policies)
     return _runs(options, planned, local_maxima.report)
 
 
@@ -158,8 +176,9 @@ def _policies(options: argparse.Namespace) -> int:
     from rass_mav.experiment import policies
 
     planned = policies.plan(
-        _extent(options), _distinct(options.topology), _compared(options, policies.POLICIES),
-        _distinct(options.variant), die_fraction=options.failures,
+        _extent(options), _chosen("--topology", options.topology, policies.PLACES),
+        _chosen("--policy", options.policy, policies.POLICIES),
+        _chosen("--variant", options.variant, policies.VARIANTS), die_fraction=options.failures,
     )  # fmt: skip
     return _runs(options, planned, policies.report)
 
@@ -167,11 +186,8 @@ def _policies(options: argparse.Namespace) -> int:
 def _hostile(options: argparse.Namespace) -> int:
     from rass_mav.experiment import hostile
 
-    attackers = _distinct(options.attacker or hostile.ATTACKERS)
-    for name in attackers:
-        if name not in hostile.ATTACKERS:
-            raise ConfigError(f"--attacker: expected some of {', '.join(hostile.ATTACKERS)}, got {name!r}")
-    policies = _compared(options, hostile.POLICIES)
+    attackers = _chosen("--attacker", options.attacker, hostile.ATTACKERS)
+    policies = _chosen("--policy", options.policy, hostile.POLICIES)
     planned = hostile.plan(_extent(options), attackers, policies, list(hostile.VARIANTS))
     return _runs(options, planned, hostile.report)
 
@@ -195,13 +211,13 @@ def _begin(options: argparse.Namespace) -> None:
 
 
 def _extent(options: argparse.Namespace) -> Extent:
-    """How much is to be run. Raises `ConfigError`."""
+    """How much to run. Raises `ConfigError`."""
     from rass_mav.experiment.runs import Extent
 
     _begin(options)
-    for name in ("runs", "steps", "jobs"):
-        if getattr(options, name) < 1:
-            raise ConfigError(f"--{name}: expected 1 or more, got {getattr(options, name)}")
+    numbers = {name: getattr(options, name) for name in ("runs", "steps", "jobs")}
+    if wrong := [f"--{name}: expected 1 or more, got {number}" for name, number in numbers.items() if number < 1]:
+        raise ConfigError(*wrong)
     return Extent(options.runs, options.steps, options.assignments)
 
 
@@ -211,25 +227,29 @@ def _runs(
     report: Callable[[Sequence[Result], Path], list[Path]],
     table: str = "table.md",
 ) -> int:
-    """Do the runs and report on them. `table`: which of the files is shown."""
+    """Do the runs and report on them. `table`: the file to show."""
     from rass_mav.experiment.runner import run_all
 
     out = _directory(options.out)
     begin = time.perf_counter()
+    runs = out / "runs"
     show = partial(progress, unit="runs", quiet=options.json)
-    outcome = run_all(planned, out / "runs", jobs=options.jobs, dask=options.dask, progress=show)
+    with keeping(
+        lambda: f"finished runs: {len(list(runs.glob('*.json')))}, kept in {runs}; the same command continues"
+    ):
+        outcome = run_all(planned, runs, jobs=options.jobs, dask=options.dask, progress=show)
     wall = time.perf_counter() - begin
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
     _told(options, out, report(outcome.results, out), counts, table)
     if not options.json:
-        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} had been done before")
+        say(f"{outcome.done} runs done in {wall:.0f} s, {outcome.reused} reused from before")
     return 0
 
 
 def _told(
     options: argparse.Namespace, out: Path, files: Sequence[Path], counts: dict[str, Any], table: str = "table.md"
 ) -> None:
-    """What was written, and in words also the `table`."""
+    """Print what was written, and for people also the `table`."""
     names = [path.name for path in files]
     if options.json:
         print_json({"experiment": options.name, "out": str(out), **counts, "files": names})
@@ -245,15 +265,10 @@ def _directory(path: str) -> Path:
     return out
 
 
-def _compared(options: argparse.Namespace, default: Sequence[str], known: Sequence[str] = ()) -> list[str]:
-    """The policies to compare, of those that are `known` (else of `default`). Raises `ConfigError`."""
-    names = _distinct(options.policy or default)
-    for name in names:
-        if name not in (known or default):
-            raise ConfigError(f"--policy: expected some of {', '.join(known or default)}, got {name!r}")
+def _chosen(option: str, given: Sequence[str] | None, known: Collection[str]) -> list[str]:
+    """The given names, each once; None: all `known` names. Raises `ConfigError`."""
+    names = list(dict.fromkeys(given or known))
+    wrong = [f"{option}: expected some of {', '.join(known)}, got {name!r}" for name in names if name not in known]
+    if wrong:
+        raise ConfigError(*wrong)
     return names
-
-
-def _distinct(values: Sequence[T]) -> list[T]:
-    """Each once, in the order given."""
-    return list(dict.fromkeys(values))

@@ -1,4 +1,4 @@
-"""`run`, `check`, and what one asks a running node: `status`, `put`, `get`, `ls`."""
+"""`run` and `check`, and the commands to a running node: `status`, `put`, `get`, `ls`."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav run drone.yaml",
     )  # fmt: skip
     check = add_command(
-        subparsers, "check", _check, help="say what is wrong with a configuration",
+        subparsers, "check", _check, help="check a configuration and show what is wrong with it",
         example="rass-mav check drone.yaml --print",
     )  # fmt: skip
     check.add_argument("--print", action="store_true", dest="show", help="show it with all defaults filled in")
     run.add_argument(
-        "-q", "--quiet", action="store_true", help="do not say on a terminal (stderr) what the node sees"
+        "-q", "--quiet", action="store_true", help="do not report on the terminal (stderr) what the node observes"
     )  # fmt: skip
     for parser in (run, check):
         parser.add_argument("config", metavar="CONFIG.yaml", help="the configuration")
         add_set(parser)
     status = add_command(
-        subparsers, "status", _status, help="show what the running node knows",
+        subparsers, "status", _status, help="show the state of the running node",
         example="rass-mav status drone.yaml --json",
     )  # fmt: skip
     ls = add_command(
-        subparsers, "ls", _ls, help="list the data that the running node holds, at a base all that have arrived",
+        subparsers, "ls", _ls, help="list the data that the running node holds; at a base, all that have arrived",
         example="rass-mav ls base.yaml",
     )  # fmt: skip
     put = add_command(
-        subparsers, "put", _put, help="hand a file or a line to the running node; returns when it is on its disk",
+        subparsers, "put", _put, help="give a file or a line to the running node; returns when it is on its disk",
         example="rass-mav put -c drone.yaml --line 'all well'",
     )  # fmt: skip
     get = add_command(
@@ -61,10 +61,12 @@ def register(subparsers: Subparsers) -> None:
     for parser in (status, ls, put, get):
         parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
     what = put.add_mutually_exclusive_group(required=True)
-    what.add_argument("file", metavar="FILE", nargs="?", help="a file, with its name; - for stdin, without")
+    what.add_argument(
+        "file", metavar="FILE", nargs="?", help="a file, stored with its name; -: stdin, stored without a name"
+    )
     what.add_argument("--line", metavar="TEXT", help="a line of text")
-    get.add_argument("id", metavar="ID", help="as put and ls print it")
-    get.add_argument("-o", "--output", type=Path, metavar="FILE", help="where to write it; otherwise stdout")
+    get.add_argument("id", metavar="ID", help="an id as printed by put and ls")
+    get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
 
 def _config(options: argparse.Namespace) -> RunConfig:
@@ -76,11 +78,11 @@ def _config(options: argparse.Namespace) -> RunConfig:
 def _run(options: argparse.Namespace) -> int:
     from rass_mav.app.light import load_without_openssl
 
-    # First of all: whoever comes later would load it.
+    # This must come first: later imports would load OpenSSL.
     load_without_openssl()
     from rass_mav.mavlink.dialect import forget_texts
 
-    # The dialect is the largest that a node loads. Loaded first, it leaves its scaffolding to the others.
+    # The dialect is the largest module of a node. If it is loaded first, later modules reuse its temporary memory.
     forget_texts()
     config = _config(options)
     start_logging(options.verbose, config.log.level)
@@ -100,13 +102,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def narrator(*, quiet: bool) -> Callable[[str], None] | None:
-    """Takes what a node says of what it sees: for whoever watches. A journal or a file gets the log only."""
+    """Prints what a node observes, for a person at a terminal. A journal or a file only gets the log."""
     return None if quiet or not sys.stderr.isatty() else _narrate
 
 
 def _narrate(line: str) -> None:
-    """A line on the terminal, with the time of day."""
-    # A terminal that is gone is no reason to end.
+    """Print a line on the terminal, with the time of day."""
+    # The node continues if its terminal is gone.
     with contextlib.suppress(OSError):
         sys.stderr.write(f"{time.strftime('%H:%M:%S')} {line}\n")
 
@@ -133,7 +135,7 @@ def _client(options: argparse.Namespace) -> ControlClient:
     from rass_mav.app.client import ControlClient
 
     if options.socket and options.config:
-        raise ConfigError("--socket: not together with a configuration")
+        raise ConfigError("--socket: cannot be combined with a configuration")
     if options.socket:
         return ControlClient(options.socket)
     if options.config:
@@ -141,7 +143,7 @@ def _client(options: argparse.Namespace) -> ControlClient:
     found = sorted(Path().glob("rass-*.sock"))
     if len(found) != 1:
         what = "no" if not found else "more than one"
-        raise ConfigError(f"{what} control socket rass-*.sock in this directory: name the configuration or --socket")
+        raise ConfigError(f"{what} control socket rass-*.sock in this directory: give the configuration or --socket")
     return ControlClient(found[0])
 
 
@@ -157,7 +159,7 @@ def _put(options: argparse.Namespace) -> int:
     from rass_mav.core.datum import MAX_PAYLOAD, Kind
 
     kind = Kind.BYTES
-    # Of a file one byte more than a datum holds: enough to see that it is too much.
+    # Read at most one byte more than a datum holds: enough to see that the file is too large.
     if options.line is not None:
         payload = options.line.encode(errors="surrogateescape")
     elif options.file == "-":

@@ -1,4 +1,4 @@
-"""`params`: parameter files for the autopilot; compared with a vehicle, and written to it."""
+"""`params`: checks parameter files for the autopilot, compares them with a vehicle, and writes them to it."""
 
 from __future__ import annotations
 
@@ -29,20 +29,26 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     check = add_command(
         actions, "check", _check,
-        help="check a file; with --live, say how the vehicle differs from it (exit code 1 if it does)",
+        help="check a file; with --live, show how the vehicle differs from it (exit code 1 if it does)",
         example="rass-mav params check firmware_params/px4.params --live drone.yaml",
     )  # fmt: skip
     write = add_command(
-        actions, "write", _write, help="set on the vehicle what differs from a file, after asking",
+        actions, "write", _write, help="set the parameters of the vehicle that differ from a file, after asking",
         example="rass-mav params write firmware_params/px4.params --live drone.yaml",
     )  # fmt: skip
     for parser in (check, write):
-        parser.add_argument("file", metavar="FILE", help=".parm (NAME VALUE) or .params (QGroundControl)")
+        parser.add_argument("file", metavar="FILE", help="parameters: .parm (NAME VALUE) or .params (QGroundControl)")
         parser.add_argument(
-            "--live", metavar="CONFIG.yaml", required=parser is write, help="the node's configuration: its autopilot"
+            "--live",
+            metavar="CONFIG.yaml",
+            required=parser is write,
+            help="the node's configuration, for its autopilot",
         )
         parser.add_argument(
-            "--sysid", type=_system_id, metavar="N", help="the system id that the vehicle is to have; else it is left"
+            "--sysid",
+            type=_system_id,
+            metavar="N",
+            help="the system id that the vehicle should have (default: unchanged)",
         )
     write.add_argument("--yes", action="store_true", help="do not ask")
 
@@ -84,7 +90,7 @@ def _write(options: argparse.Namespace) -> int:
     elif due and found.autopilot.armed:
         refusal = f"vehicle {found.autopilot.system_id} is armed"
     elif due and not options.yes and not _agreed(f"Write {len(due)} to vehicle {found.autopilot.system_id}?"):
-        refusal = "not confirmed (--yes does not ask)"
+        refusal = "not confirmed (--yes skips the question)"
     if refusal:
         tell(f"nothing written: {refusal}")
     elif due:
@@ -94,7 +100,7 @@ def _write(options: argparse.Namespace) -> int:
             tell(_line(row))
         tell(_counts(rows))
         if any(row.state == "written" and row.entry.reboot for row in rows):
-            tell("reboot the autopilot: some of these take effect then only")
+            tell("reboot the autopilot: some of these take effect only then")
     if options.json:
         print_json(_plain(options.file, found, rows))
     return 0 if not refusal and all(row.state in ("same", "written") for row in rows) else 1
@@ -129,12 +135,12 @@ def _config(path: str) -> RunConfig:
 
     config = load_config(path)
     if config.autopilot.url is None:
-        raise ConfigError(f"{path}: autopilot.url: missing, expected where the autopilot is")
+        raise ConfigError(f"{path}: autopilot.url: missing, expected the autopilot's address")
     return config
 
 
 def patience() -> Patience:
-    """How long the autopilot has for its answers."""
+    """How long to wait for the autopilot's answers."""
     from rass_mav.params.exchange import Patience
 
     return Patience()
@@ -142,7 +148,7 @@ def patience() -> Patience:
 
 def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]]) -> T:
     """The result of a conversation with the autopilot."""
-    # Not above: a running node is started without what asyncio would load of OpenSSL.
+    # Imported here, because a running node must start without the parts of OpenSSL that asyncio loads.
     import asyncio
     import time
 
@@ -176,7 +182,9 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
         except ControlError:
             raise error from None
         said = error.text if isinstance(error, LinkError) else error
-        raise type(error)(f"{said}; the node of {path} runs and has the autopilot's port: stop it first") from None
+        raise type(error)(
+            f"{said}; the node of {path} is running and uses the autopilot's port: stop it first"
+        ) from None
 
 
 def _lines(found: Comparison) -> list[str]:

@@ -1,4 +1,4 @@
-"""`replay`: recorded logs through the nodes."""
+"""`replay`: plays recorded logs through the nodes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
-from .common import Subparsers, add_command, add_set, answer, clean, progress, recorder, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    clean,
+    keeping,
+    kept_files,
+    progress,
+    recorder,
+    start_logging,
+)
 from .summary import summary_lines
 
 if TYPE_CHECKING:
@@ -23,10 +34,10 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     parser = add_command(
         subparsers, "replay", _replay,
-        help="play recorded logs (.tlog, bGeigie .LOG), one vehicle a node, through the nodes in virtual time",
+        help="play recorded logs (.tlog, bGeigie .LOG) through nodes in virtual time, one node per vehicle",
         example="rass-mav replay flight/*.tlog --range 33 -o arrived.csv",
     )  # fmt: skip
-    # argparse takes `-35.36,149.17` for an option, because it begins with a minus and is no plain number.
+    # argparse treats `-35.36,149.17` as an option, because it starts with a minus and is not a plain number.
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
     parser.add_argument(
         "logs", metavar="LOG", nargs="+", help="a telemetry log with one or several vehicles, or a bGeigie log"
@@ -34,13 +45,15 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range (default 100)")
     parser.add_argument(
         "--base", type=_place, metavar="LAT,LON",
-        help="where the base stands, degrees (default: the first HOME_POSITION, else the first position)",
+        help="position of the base, degrees (default: the first HOME_POSITION, otherwise the first position)",
     )  # fmt: skip
     parser.add_argument(
         "--drain", type=_seconds, metavar="SECONDS", default=0.0,
-        help="go on after the last record, in place and without new data, until all has arrived or for so long",
+        help="continue after the last record, without movement or new data, until all data have arrived or time is up",
     )  # fmt: skip
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE.csv", help="write what arrived, a line a datum")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE.csv", help="write the data that arrived, one line each"
+    )
     parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
@@ -83,40 +96,49 @@ def _replay(options: argparse.Namespace) -> int:
     with recorder(options.record, settings.node.step_s, recording.start_us / 1e6) as record:
         swarm = ReplaySwarm(recording, settings, base=options.base, record=record)
         watch = Stopwatch()
-        _run(swarm, options)
+        reached = _run(swarm, options)
         took = watch.figures(len(swarm.agents) * swarm.t)
     rows = arrivals(swarm)
     if options.output is not None:
         with os_errors_as(RassError, options.output), options.output.open("w", newline="", encoding="utf-8") as file:
             write_csv(rows, file)
-    result = {**summary(swarm, rows), **took}
+    result = {**summary(swarm, rows), "reachable": reached, **took}
     answer(options, result, map(clean, chain(summary_lines(result), [""], _lines(result, rows))))
     return 0
 
 
 def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
-    """A log is not to be written over."""
+    """Refuse to overwrite a log."""
     if path is not None and path.resolve() in [Path(log).resolve() for log in logs]:
         raise ConfigError(f"{option} {path}: this is one of the logs")
 
 
-def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> None:
-    """Play it."""
+def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> int:
+    """Play it; returns how many vehicles could reach the base in the first step."""
     from rass_mav.swarm.invariants import check
+    from rass_mav.swarm.reach import reachable
 
-    with progress(swarm.span_steps, "steps", quiet=options.json) as advance:
+    reached = 0
+    with (
+        keeping(lambda: kept_files(options.record)),
+        progress(swarm.span_steps, "steps", quiet=options.json) as advance,
+    ):
 
         def after(swarm: ReplaySwarm) -> None:
+            nonlocal reached
+            if swarm.t == 1:
+                reached = reachable(swarm.neighbours, 1)
             if options.check:
                 check(swarm)
             advance(1)
 
         swarm.run(swarm.span_steps, after=after)
         swarm.drain(int(options.drain / swarm.step_s), after=after)
+    return reached
 
 
 def _lines(result: dict[str, Any], rows: Sequence[Arrival]) -> Iterator[str]:
-    """What concerns the logs, for people."""
+    """Lines about the logs, for people."""
     records = result["records"]
     yield (
         f"logs: {len(result['files'])} with {len(result['vehicles'])} vehicles, {result['start']} to {result['end']}; "

@@ -1,4 +1,4 @@
-"""How status and data look to people."""
+"""The form in which status and data are shown to people."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         last = s["faults"]["last"]
         yield (
             f"WARNING: {s['faults']['count']} frames hit a fault in this program and were dropped, the last one from "
-            f"{last['sender']} {last['age_s']:.0f} s ago; please report what the log has of it"
+            f"{last['sender']} {last['age_s']:.0f} s ago; please report it with the log"
         )
     for other in s["other_versions"]:
         yield (
@@ -73,7 +73,7 @@ def _ways(interfaces: Sequence[dict[str, Any]]) -> str:
 
 def _standing(s: dict[str, Any]) -> str:
     if "cost" in s:
-        return "no way" if s["cost"] is None else f"cost {s['cost']:.4f}"
+        return "no route" if s["cost"] is None else f"cost {s['cost']:.4f}"
     return f"fitness {s['fitness']:.6f}"
 
 

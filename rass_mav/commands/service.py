@@ -30,30 +30,32 @@ def register(subparsers: Subparsers) -> None:
         example="sudo rass-mav service install drone.yaml",
     )  # fmt: skip
     install = add_command(
-        actions, "install", _install, help="install the service, or bring it up to date, and start it",
+        actions, "install", _install, help="install or update the service, and start it",
         example="sudo rass-mav service install drone.yaml",
     )  # fmt: skip
     remove = add_command(
-        actions, "remove", _remove, help="stop and remove the service; data, configuration and user stay",
+        actions, "remove", _remove, help="stop and remove the service; data, configuration and user remain",
         example="sudo rass-mav service remove",
     )  # fmt: skip
     status = add_command(
-        actions, "status", _status, help="say whether the service is installed and runs; exit code 1 if it does not",
+        actions, "status", _status, help="show whether the service is installed and running; exit code 1 if not",
         example="rass-mav service status",
     )  # fmt: skip
     install.add_argument("config", metavar="CONFIG.yaml", help=f"the configuration, copied to /etc/{NAME}/node.yaml")
     install.add_argument(
-        "--user", default=USER, metavar="NAME", help=f"whom the node runs as ({USER}); made if missing"
+        "--user", default=USER, metavar="NAME", help=f"user that runs the node ({USER}); created if missing"
     )
     install.add_argument(
         "--group", action="append", metavar="NAME", help=f"a group that the user joins ({GROUP}); may be repeated"
     )
-    install.add_argument("--replace", action="store_true", help="replace a configuration that is there and differs")
+    install.add_argument("--replace", action="store_true", help="replace an existing configuration that differs")
     for parser in (install, remove):
         parser.add_argument("--print", action="store_true", dest="show", help="only show what would be done")
     for parser in (install, remove, status):
-        parser.add_argument("--name", default=NAME, metavar="NAME", help=f"of the service ({NAME}), for a second node")
-        parser.add_argument("--root", metavar="DIR", help="a system that does not run, such as a mounted card")
+        parser.add_argument(
+            "--name", default=NAME, metavar="NAME", help=f"name of the service ({NAME}), for a second node"
+        )
+        parser.add_argument("--root", metavar="DIR", help="a system that is not running, such as a mounted card")
 
 
 def _install(options: argparse.Namespace) -> int:
@@ -74,7 +76,7 @@ def _install(options: argparse.Namespace) -> int:
     if options.root is None and not options.show:
         _need_root("install")
         check_reachable(options.user, *program)
-    return _do(options, plan, f"{options.name}: installed; what it says: journalctl -u {options.name}")
+    return _do(options, plan, f"{options.name}: installed; its log: journalctl -u {options.name}")
 
 
 def _remove(options: argparse.Namespace) -> int:
@@ -86,7 +88,7 @@ def _remove(options: argparse.Namespace) -> int:
     if root is None and not options.show:
         _need_root("remove")
     if not options.show and not place(root, unit_path(options.name)).exists():
-        raise ServiceError(f"{place(root, unit_path(options.name))}: not there, so there is nothing to remove")
+        raise ServiceError(f"{place(root, unit_path(options.name))}: does not exist, so there is nothing to remove")
     kept = f"/var/lib/{options.name}, {config_path(options.name)} and the user are still there"
     return _do(options, plan, f"{options.name}: removed; {kept}")
 
@@ -167,7 +169,7 @@ def _line(about: dict[str, Any]) -> str:
         if about["pid"]:
             words.append(f"process {about['pid']}")
         if about["restarts"]:
-            words.append(f"started again {about['restarts']} times")
+            words.append(f"restarted {about['restarts']} times")
         if about["status"]:
             words.append(str(about["status"]))
     return f"{about['name']}: {', '.join(words)}"

@@ -1,15 +1,26 @@
-"""`sitl`: vehicles with real or mock flight control firmware, that fly."""
+"""`sitl`: flies simulated vehicles with real or mock flight control firmware."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 
 from rass_mav.errors import ConfigError
 
-from .common import Subparsers, add_command, add_set, answer, progress_of_steps, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    keeping,
+    kept_files,
+    lists,
+    progress_of_steps,
+    start_logging,
+)
 from .summary import flight_lines, summary_lines
 
 
@@ -17,24 +28,29 @@ def register(subparsers: Subparsers) -> None:
     """Add the command."""
     parser = add_command(
         subparsers, "sitl", _sitl,
-        help="fly simulated vehicles (ArduCopter or PX4, or mock ones) with a node each",
+        help="fly simulated vehicles (ArduCopter, PX4 or mock ones), each with a node",
         example="rass-mav sitl sitl/three-copters.yaml --binary ~/ardupilot/build/sitl/bin/arducopter",
     )  # fmt: skip
-    parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file; sitl/three-copters.yaml is one")
+    parser.add_argument("scenario", metavar="SCENARIO", help="a YAML file, for example sitl/three-copters.yaml")
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--binary", metavar="PATH", help="the firmware; else arducopter or px4 on PATH, else mock ones")
+    which.add_argument(
+        "--binary", metavar="PATH", help="the firmware (default: arducopter or px4 on PATH, otherwise mock ones)"
+    )
     which.add_argument("--mock", action="store_true", help="mock flight controllers")
-    parser.add_argument("--firmware", choices=("arducopter", "px4"), help="what --binary is, or what to look for")
+    parser.add_argument(
+        "--firmware", choices=("arducopter", "px4"), help="the kind of --binary, or the firmware to look for"
+    )
     parser.add_argument(
         "--through-autopilots", action="store_true", dest="through",
-        help="frames between nodes go over TELEM1, through the autopilots",
+        help="send frames between nodes through the autopilots, over TELEM1",
     )  # fmt: skip
     parser.add_argument("--vehicles", type=int, metavar="N", help="only the first N of the scenario's drones")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1, from take-off")
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
-    parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom (docs/policies.md)")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of all random choices")
+    policy = parser.add_argument("--policy", metavar="NAME", help="which node is fit, and which data go where")
+    lists(policy, lambda: import_module("rass_mav.policy.settings").kinds())
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
-    parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
+    parser.add_argument("--loss", type=float, metavar="P", help="probability that a receiver loses a frame")
     parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep configurations, stores, logs and tracks here")
     add_set(parser)
@@ -51,7 +67,7 @@ def _sitl(options: argparse.Namespace) -> int:
     keys = {key: value for key, value in given.items() if value is not None}
     scenario = load_flight(options.scenario, keys, options.assignments, options.vehicles)
     if options.mock and options.firmware:
-        raise ConfigError("--firmware: not with --mock")
+        raise ConfigError("--firmware: cannot be combined with --mock")
     firmware = find_firmware(options.binary, options.firmware, mock=options.mock)
     if firmware is None:
         if options.firmware:
@@ -59,7 +75,10 @@ def _sitl(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{HOW_TO_GET}. Flying with mock flight controllers instead.\n")
         firmware = find_firmware(mock=True)
         assert firmware is not None
-    with progress_of_steps(scenario.steps, quiet=options.json) as show:
+    with (
+        keeping(lambda: kept_files(options.record, options.keep)),
+        progress_of_steps(scenario.steps, quiet=options.json) as show,
+    ):
         summary = run(
             scenario, firmware, through=options.through, keep=options.keep, record=options.record, progress=show
         )

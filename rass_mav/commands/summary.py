@@ -1,4 +1,4 @@
-"""How the summary of a swarm looks to people."""
+"""The form in which the summary of a swarm is shown to people."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """The summary of `swarm` or `replay` in lines."""
+    """The summary of `swarm` or `replay` as lines."""
     s = summary
     bases = "base" if s["bases"] == 1 else "bases"
     yield (
@@ -19,7 +19,7 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     lost = s["lost"]
     yield _count(created, "data created by the drones")
     yield _count(s["delivered"], "arrived at a base", created)
-    yield _count(s["held"], "held by drones, on their way", created)
+    yield _count(s["held"], "held by drones, in transit", created)
     reasons = ", ".join(f"{reason} {count:,}" for reason, count in lost.items() if count)
     yield _count(sum(lost.values()), f"lost{': ' + reasons if reasons else ''}", created)
     yield ""
@@ -60,7 +60,7 @@ def _count(count: int, what: str, whole: int | None = None) -> str:
 
 
 def flight_lines(flight: dict[str, Any]) -> Iterator[str]:
-    """The part `sitl` of the summary of `sitl` in lines."""
+    """The part `sitl` of the summary of `sitl` as lines."""
     f = flight
     yield ""
     yield f"firmware {f['firmware']}, {f['wiring'].replace('-', ' ')}, readings {f['readings']}"

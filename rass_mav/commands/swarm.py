@@ -1,15 +1,30 @@
-"""`swarm`: the mock swarm."""
+"""`swarm`: runs the mock swarm."""
 
 from __future__ import annotations
 
 import argparse
 import gc
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError
 
-from .common import Subparsers, add_command, add_set, answer, progress, progress_of_steps, recorder, say, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    keeping,
+    kept_files,
+    lists,
+    progress,
+    progress_of_steps,
+    recorder,
+    start_logging,
+    warn,
+)
 from .summary import summary_lines
 
 if TYPE_CHECKING:
@@ -23,26 +38,37 @@ def register(subparsers: Subparsers) -> None:
         help="run a mock swarm: real nodes and real MAVLink bytes, over a simulated radio",
         example="rass-mav swarm --nodes 100 --steps 500 --topology grid --seed 1",
     )  # fmt: skip
-    parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="a YAML file, or a name (--list shows them)")
+    scenario = parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="a YAML file, or one of these")
+    lists(scenario, lambda: import_module("rass_mav.swarm.catalogue").shipped())
     parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
-    parser.add_argument("--nodes", type=int, metavar="N", help="nodes, the base included")
+    parser.add_argument("--nodes", type=int, metavar="N", help="number of nodes, including the base")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything that is left to chance")
-    parser.add_argument("--policy", metavar="NAME", help="who is fit, and what goes to whom (docs/policies.md)")
-    parser.add_argument(
-        "--topology", metavar="NAME", help="grid, scale-free, lennard-jones, random-walk, line or islands"
-    )
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of all random choices")
+    _add_name(parser, "--policy", "which node is fit, and which data go where")
+    _add_name(parser, "--topology", "where the nodes are, and how they move")
     parser.add_argument("--range", type=float, metavar="METRES", help="radio range")
     parser.add_argument("--arena", type=float, metavar="METRES", help="side of the arena")
-    parser.add_argument("--loss", type=float, metavar="P", help="a hearer loses a frame with this probability")
-    parser.add_argument("--duplicate", type=float, metavar="P", help="a hearer gets a frame twice")
-    parser.add_argument("--reorder", type=float, metavar="P", help="a frame is overtaken by others")
+    parser.add_argument("--loss", type=float, metavar="P", help="probability that a receiver loses a frame")
+    parser.add_argument("--duplicate", type=float, metavar="P", help="probability that a receiver gets a frame twice")
+    parser.add_argument("--reorder", type=float, metavar="P", help="probability that other frames overtake a frame")
     parser.add_argument("--capacity", type=int, metavar="ITEMS", help="data that a drone can hold")
-    parser.add_argument("--transport", metavar="NAME", help="loopback (virtual time) or udp (processes, real time)")
+    _add_name(parser, "--transport", "in virtual time, or as processes in real time")
     parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="udp: keep configurations, stores and logs here")
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
+
+
+def _add_name(parser: argparse.ArgumentParser, option: str, help: str) -> None:
+    """Add an option that accepts the same names as its key."""
+
+    def names() -> list[str]:
+        from rass_mav.config.typed import choices
+        from rass_mav.swarm.scenario import OPTION_KEYS, Scenario
+
+        return choices(Scenario, OPTION_KEYS[option.removeprefix("--")])
+
+    lists(parser.add_argument(option, metavar="NAME", help=help), names)
 
 
 def _scenario(options: argparse.Namespace) -> Scenario:
@@ -59,8 +85,8 @@ def _swarm(options: argparse.Namespace) -> int:
     if options.list:
         from rass_mav.swarm.catalogue import load_scenario, shipped
 
-        for name in shipped():
-            say(f"{name:22} {load_scenario(name).title}")
+        titles = {name: load_scenario(name).title for name in shipped()}
+        answer(options, {"scenarios": titles}, (f"{name:22} {title}" for name, title in titles.items()))
         return 0
     scenario = _scenario(options)
     summary = (_in_real_time if scenario.transport == "udp" else _in_virtual_time)(scenario, options)
@@ -70,11 +96,33 @@ def _swarm(options: argparse.Namespace) -> int:
 
 def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
     from rass_mav.swarm.processes import run
+    from rass_mav.swarm.surroundings import Surroundings
 
     if options.check:
-        raise ConfigError("--check needs --transport loopback: nobody can look into all processes at one moment")
-    with progress_of_steps(scenario.steps, quiet=options.json) as show:
-        return run(scenario, keep=options.keep, record=options.record, progress=show)
+        raise ConfigError("--check needs --transport loopback: separate processes cannot be checked at one moment")
+    reached = _reached(scenario, Surroundings(scenario).graph.neighbours)
+    with (
+        keeping(lambda: kept_files(options.record, options.keep)),
+        progress_of_steps(scenario.steps, quiet=options.json) as show,
+    ):
+        summary = run(scenario, keep=options.keep, record=options.record, progress=show)
+    return {**summary, "reachable": reached}
+
+
+def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
+    """How many drones can reach a base at the start. Warns if there are others, or no drones."""
+    from rass_mav.swarm.reach import reachable
+
+    drones = scenario.nodes - scenario.bases
+    reached = reachable(neighbours, scenario.bases)
+    if not drones:
+        warn(f"{scenario.nodes} {'node' if scenario.nodes == 1 else 'nodes'} and no drone: nothing creates data")
+    elif reached < drones:
+        warn(
+            f"{scenario.nodes} nodes, {reached} can reach a base at the start: {drones - reached} drones cannot "
+            f"(topology {scenario.topology}, radio range {scenario.radio.range_m:g} m)"
+        )
+    return reached
 
 
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
@@ -84,15 +132,19 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
 
     with recorder(options.record, scenario.node.step_s) as record:
         world = World(scenario, record=record)
-        # The swarm lives to the end: the garbage collector need not look through it again and again.
+        reached = _reached(scenario, world.neighbours)
+        # The swarm lives to the end, so the garbage collector need not scan it again and again.
         gc.collect()
         gc.freeze()
         watch = Stopwatch()
-        with progress(scenario.steps, "steps", quiet=options.json) as advance:
+        with (
+            keeping(lambda: kept_files(options.record)),
+            progress(scenario.steps, "steps", quiet=options.json) as advance,
+        ):
             for _ in range(scenario.steps):
                 world.step()
                 if options.check:
                     check(world)
                 advance(1)
         took = watch.figures(scenario.nodes * scenario.steps)
-    return {**world.statistics.summary(), **took}
+    return {**world.statistics.summary(), "reachable": reached, **took}

@@ -1,1 +1,1 @@
-"""Sections of settings, their bounds, and how they are read from YAML: what every room's settings are made of."""
+"""Sections of settings, their bounds, and how they are read from YAML. Every package's settings use them."""

@@ -1,6 +1,6 @@
-"""From YAML to typed settings and back, with errors that a person can act on.
+"""Converts YAML to typed settings and back, with errors that a person can act on.
 
-Every error is a `ConfigError`; each of its lines names the file and the key:
+Every error is a `ConfigError`. Each of its lines names the file and the key:
 `node.yaml: policy.alpha: expected a number >= 0, got 'ten'`.
 """
 
@@ -24,9 +24,9 @@ S = TypeVar("S", bound=Section)
 
 #: Largest file that is read, bytes of UTF-8.
 MAX_FILE_BYTES = 1 << 18
-#: Keys, values, lists and sections in one file: a thousand take 0.1 s to read on a PC, and 2 s on a Pi Zero.
+#: Keys, values, lists and sections in one file. A thousand take 0.1 s to read on a PC, and 2 s on a Pi Zero.
 MAX_VALUES = 10_000
-#: Lists and sections within each other.
+#: Depth of nested lists and sections.
 MAX_DEPTH = 32
 #: Longest key or value, characters.
 MAX_TEXT = 4096
@@ -35,7 +35,7 @@ _MAX_BITS = 1023
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as people expect it: a key stands once, numbers like 1e-3 are numbers, no aliases; and bounded."""
+    """YAML as people expect it: no duplicate keys, numbers like 1e-3 are numbers, no aliases. Its size is bounded."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -61,7 +61,7 @@ class _Loader(yaml.SafeLoader):
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         value: int = super().construct_yaml_int(node)
         if value.bit_length() > _MAX_BITS:
-            raise _refused("a number of very many digits", node)
+            raise _refused("a number with too many digits", node)
         return value
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
@@ -73,7 +73,7 @@ class _Loader(yaml.SafeLoader):
                     None, None, f"expected a name as key, got {shown(key)}", key_node.start_mark
                 )
             if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} appears twice", key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -83,7 +83,7 @@ def _refused(why: str, where: Any) -> yaml.MarkedYAMLError:
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
-# YAML 1.1, which PyYAML reads, takes 1e-3 for text because it has no dot.
+# In YAML 1.1, which PyYAML reads, 1e-3 is text because it has no dot.
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9][0-9_]*(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
@@ -105,7 +105,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 
 
 def _opened(path: str | Path) -> int:
-    """The descriptor of a file. A pipe would be waited for, and a device may never end."""
+    """The descriptor of a regular file. Opening a pipe would block, and a device may never end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     kind = os.fstat(descriptor).st_mode
     if stat.S_ISREG(kind):
@@ -135,8 +135,8 @@ def _parse(text: str | bytes) -> Any:
 
 
 def set_key(raw: dict[str, Any], assignment: str) -> None:
-    """Carry out `--set key.path=value` on what `read_yaml` gave. The value is read as YAML; lists by number
-    (`links.0.listen=...`). Raises `ConfigError`."""
+    """Apply `--set key.path=value` to a result of `read_yaml`. The value is parsed as YAML. A number selects an item of
+    a list (`links.0.listen=...`). Raises `ConfigError`."""
     key, equals, text = assignment.partition("=")
     path = key.strip().split(".")
     if not equals or not all(path):
@@ -163,7 +163,7 @@ def set_key(raw: dict[str, Any], assignment: str) -> None:
 
 
 def set_keys(raw: dict[str, Any], assignments: Iterable[str], mistakes: Mistakes) -> None:
-    """Carry out several, as `set_key` does; adds what makes no sense to `mistakes`."""
+    """Apply several assignments like `set_key`. Add invalid ones to `mistakes`."""
     for assignment in assignments:
         try:
             set_key(raw, assignment)
@@ -173,17 +173,17 @@ def set_keys(raw: dict[str, Any], assignments: Iterable[str], mistakes: Mistakes
 
 
 def convert(raw: Any, type: type[S], source: str) -> S:
-    """`raw` as a section. Raises `ConfigError`, each line of which begins with `source`, a file's name for instance."""
+    """`raw` as a section. Raises `ConfigError`; each line starts with `source`, for example the name of a file."""
     with under(source):
         return build(raw, type)
 
 
 def to_plain(section: Section) -> dict[str, Any]:
-    """A section as plain values, every default filled in."""
+    """A section as plain values, with all defaults filled in."""
     return dict(plain(section))
 
 
 def dump_yaml(section: Section) -> str:
-    """A section as YAML, every default filled in."""
+    """A section as YAML, with all defaults filled in."""
     text: str = yaml.safe_dump(to_plain(section), sort_keys=False, allow_unicode=True, width=120)
     return text

@@ -1,7 +1,7 @@
-"""What sections of a configuration are made of: classes with typed, bounded fields that cannot be changed.
+"""The base of configuration sections: immutable classes with typed, bounded fields.
 
-A section is a frozen dataclass, so that a node needs nothing compiled. Bounds stand in the annotations
-(`Annotated[int, Meta(ge=0)]`); `typed` builds sections from plain values and checks them.
+A section is a frozen dataclass, so that a node needs nothing compiled. Bounds are part of the annotations
+(`Annotated[int, Meta(ge=0)]`). `typed` builds sections from plain values and checks them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 else:
 
     def dataclass_transform(**_):
-        """Python 3.10 has none; only type checkers look at it."""
+        """Python 3.10 does not have it. Only type checkers need it."""
         return lambda cls: cls
 
 
@@ -33,11 +33,11 @@ class Field(NamedTuple):
     hint: Any
     """Its type, with bounds as `Annotated[..., Meta(...)]`."""
     required: bool
-    """It has no default."""
+    """Whether it has no default."""
 
 
 class Meta(NamedTuple):
-    """Bounds of a value, of the length of a text, or the names of which a text is one."""
+    """Bounds of a value or of the length of a text, or the valid names."""
 
     ge: float | None = None
     gt: float | None = None
@@ -46,12 +46,12 @@ class Meta(NamedTuple):
     min_length: int | None = None
     max_length: int | None = None
     one_of: Callable[[], Collection[str]] | None = None
-    """Gives the names in a room's registry, of which a text is one."""
+    """Returns the valid names of a text, from a package's registry."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(dataclasses.field,))
 class Section:
-    """Base of all sections: each subclass becomes a frozen dataclass with keywords only."""
+    """Base of all sections. Each subclass becomes a frozen dataclass with keyword arguments only."""
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -64,13 +64,13 @@ class Section:
             raise ConfigError(*mistakes)
 
     def mistakes(self) -> Iterable[str]:
-        """What no single key can say: a line for each mistake, which begins with the key."""
+        """Mistakes that concern more than one key: one line for each, which starts with the key."""
         return ()
 
 
 def fields_of(section: type[Section]) -> tuple[Field, ...]:
     """The keys of a section, in the order of the file's documentation."""
-    # A class, so it can be hashed; mypy looks at its instances.
+    # A class can be hashed; mypy checks its instances.
     return _fields_of(section)  # type: ignore[arg-type]
 
 
@@ -86,7 +86,7 @@ def _fields_of(section: type[Section]) -> tuple[Field, ...]:
 
 @contextmanager
 def under(key: str) -> Iterator[None]:
-    """Put a key in front of the `ConfigError`s of a block."""
+    """Put a key before each line of a `ConfigError` in the block."""
     try:
         yield
     except ConfigError as error:
@@ -94,47 +94,47 @@ def under(key: str) -> Iterator[None]:
 
 
 class Mistakes:
-    """All that is wrong with a configuration, gathered, so that it can be said at once.
+    """Collects all mistakes in a configuration, so that they can be reported at once.
 
-    A key is told of once. Whoever looks at several keys asks first whether they are `sound`: what follows from a
-    mistake is none of its own.
+    Each key is reported once. A check of several keys must first ask whether they are `sound`: a consequence of a
+    mistake is not a mistake of its own.
     """
 
     def __init__(self, source: str = "") -> None:
-        """`source`: stands before all keys, a file's name for instance."""
+        """`source`: the text before all keys, for example the name of a file."""
         self._source = source
         self._lines: list[str] = []
         self._told: set[str] = set()
         self._doubtful: set[str] = set()
 
     def add(self, key: str, text: str) -> None:
-        """A mistake at a key, as `links[0].listen`; empty: in the whole."""
+        """Add a mistake at a key such as `links[0].listen`; empty: in the whole configuration."""
         if key not in self._told:
             self.add_line(key, self._line(f"{key or 'the whole file'}: {text}"))
 
     def add_line(self, key: str, line: str) -> None:
-        """The same, in words that do not begin with the key."""
+        """Add a mistake as a complete line."""
         self._lines.append(line)
         self._told.add(key)
         self._doubtful.add(key)
 
     def doubt(self, key: str) -> None:
-        """A mistake elsewhere is probably meant for this key."""
+        """Mark a key as doubtful, because a mistake elsewhere is probably meant for it."""
         self._doubtful.add(key)
 
     def told(self, key: str) -> bool:
-        """Whether there is a mistake at this very key."""
+        """Whether there is a mistake at exactly this key."""
         return key in self._told
 
     def sound(self, *keys: str) -> bool:
-        """Whether nothing is wrong at any of these keys, in them or around them."""
+        """Whether there is no mistake at these keys, in them or around them."""
         return not any(_within(key, bad) or _within(bad, key) for key in keys for bad in self._doubtful)
 
     @contextmanager
     def gathering(self, key: str = "") -> Iterator[None]:
-        """Gather the `ConfigError` of a block. `key`: stands before its lines; empty: they begin with their keys.
+        """Collect the mistakes of a `ConfigError` in the block. `key`: put before the lines; empty: they have keys.
 
-        What concerns keys that are not `sound` is left out.
+        Mistakes at keys that are not `sound` are left out.
         """
         try:
             yield
@@ -143,13 +143,13 @@ class Mistakes:
             self.add_lines(before + line for line in error.mistakes)
 
     def add_lines(self, lines: Iterable[str]) -> None:
-        """What somebody else has found; each line begins with its key. As `gathering`."""
+        """Add lines that start with their keys, like `gathering`."""
         keyed = [(line.partition(": ")[0], line) for line in lines]
         for key, line in [(key, line) for key, line in keyed if self.sound(key)]:
             self.add_line(key, self._line(line))
 
     def check(self) -> None:
-        """Raise `ConfigError` if there is any."""
+        """Raise `ConfigError` if there are any mistakes."""
         if self._lines:
             raise ConfigError(*self._lines)
 

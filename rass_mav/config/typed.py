@@ -1,4 +1,4 @@
-"""Plain values, as YAML and JSON have them, to sections and back. What does not fit is said in words for people."""
+"""Converts plain values, as in YAML and JSON, to sections and back. Errors are in words for people."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 class _Bad:
-    """Stands in the place of a value that cannot be built."""
+    """Replaces a value that cannot be built."""
 
     def __repr__(self) -> str:
         return "..."
@@ -29,7 +29,7 @@ _BAD = _Bad()
 
 
 def build(raw: Any, section: type[S]) -> S:
-    """`raw` as a section. Raises `ConfigError`, each line of which begins with the key:
+    """`raw` as a section. Raises `ConfigError`; each line starts with the key:
     `links[0].peers: expected a list, got 3`."""
     mistakes = Mistakes()
     built = build_with(raw, section, mistakes)
@@ -39,16 +39,16 @@ def build(raw: Any, section: type[S]) -> S:
 
 
 def build_with(raw: Any, section: type[S], mistakes: Mistakes) -> S | None:
-    """The same, with what does not fit added to `mistakes`.
+    """Like `build`, but add what is wrong to `mistakes`.
 
-    Then what is returned has defaults in the place of the mistakes, for further checks; None: that is impossible too.
+    The result then has defaults in place of the mistakes, for further checks. None: that is impossible too.
     """
     built = _build(_possible(raw, "", mistakes), section, "", mistakes)
     return None if built is _BAD else built
 
 
 def plain(value: Any) -> Any:
-    """A section as plain values, every default filled in."""
+    """A section as plain values, with all defaults filled in."""
     if isinstance(value, Section):
         return {field.name: plain(getattr(value, field.name)) for field in fields_of(type(value))}
     if isinstance(value, dict):
@@ -59,7 +59,7 @@ def plain(value: Any) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value as it stands in an error: short, on one line, and as YAML writes it."""
+    """A value for an error message: short, on one line, and in YAML's notation."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -67,14 +67,14 @@ def shown(value: Any) -> str:
     try:
         text = repr(value)
     except ValueError:
-        text = "a number of very many digits"
+        text = "a number with too many digits"
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
 
 
 def _possible(raw: Any, path: str, mistakes: Mistakes) -> Any:
-    """The values less those that are wrong whatever the type. .nan passes every comparison, and .inf most of them. No
-    path, name or address has control characters or halves of a character in it: they end it for the system, or do
-    worse to who reads the log."""
+    """The values without those that are wrong for every type. .nan passes every comparison, and .inf most of them. No
+    path, name or address contains control characters or surrogates: they would end it for the system, or harm the
+    reader of the log."""
     if isinstance(raw, float) and not math.isfinite(raw):
         mistakes.add(path, f"expected a finite number, got {raw}")
         return _BAD
@@ -98,12 +98,12 @@ def _join(path: str, key: str) -> str:
     return f"{path}.{key}" if path else key
 
 
-# -- what a type takes -------------------------------------------------------------------------------------------------
+# -- what a type accepts -----------------------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=256)
 def _alternatives(hint: Any) -> tuple[tuple[Any, Any], ...]:
-    """The types of a union, or the only one, each with its bounds (None: it has none)."""
+    """The types of a union, or the single type, each with its bounds (None: it has none)."""
     if get_origin(hint) in (Union, UnionType):
         return tuple(option for member in get_args(hint) for option in _alternatives(member))
     if get_origin(hint) is Annotated:
@@ -130,7 +130,7 @@ def _build(raw: Any, hint: Any, path: str, mistakes: Mistakes) -> Any:
 
 
 def _is(raw: Any, kind: Any) -> bool:
-    """Whether a value is of a kind; of a list or section only that it is one."""
+    """Whether a value is of a kind. For a list or section, only whether it is one."""
     origin = get_origin(kind)
     if kind is Any:
         return True
@@ -191,7 +191,7 @@ def _container(raw: Any, kind: Any, path: str, mistakes: Mistakes) -> Any:
 def _section(raw: dict[str, Any], section: type[Section], path: str, mistakes: Mistakes) -> Any:
     known = {field.name: field for field in fields_of(section)}
     values = {}
-    # Whether its own keys are right, whatever may be wrong in the sections below it.
+    # Whether its own keys are right, regardless of mistakes in the sections below it.
     right = True
     for key, value in raw.items():
         if key not in known:
@@ -217,7 +217,7 @@ def _section(raw: dict[str, Any], section: type[Section], path: str, mistakes: M
     try:
         return section(**values)
     except ConfigError as error:
-        # The section's own words. It may know its place in the whole, or just its own keys.
+        # The section's own messages, which start with the whole path or only with its own keys.
         if right:
             at_home = (path + ".", path + ":")
             said = (line if not path or line.startswith(at_home) else _join(path, line) for line in error.mistakes)
@@ -226,7 +226,7 @@ def _section(raw: dict[str, Any], section: type[Section], path: str, mistakes: M
 
 
 def choices(section: type[Section], key: str) -> list[str]:
-    """The names of which a key is one, as `policy.name`."""
+    """The valid names for a key such as `policy.name`."""
     name, _, rest = key.partition(".")
     (hint,) = (field.hint for field in fields_of(section) if field.name == name)
     ((kind, bounds),) = _alternatives(hint)
@@ -234,8 +234,8 @@ def choices(section: type[Section], key: str) -> list[str]:
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """What was probably meant; None: nothing is like it."""
-    import difflib  # only who makes a mistake needs it
+    """The name that was probably meant; None: none is similar."""
+    import difflib  # only needed after a mistake
 
     return next(iter(difflib.get_close_matches(name, list(known), 1)), None)
 
@@ -244,7 +244,7 @@ def closest(name: str, known: Iterable[str]) -> str | None:
 
 
 def _words(hint: Any) -> str:
-    """What a type takes, in plain words. null goes without saying where something else can stand."""
+    """What a type accepts, in plain words. null is only mentioned if nothing else is accepted."""
     options = [_option(kind, bounds) for kind, bounds in _alternatives(hint) if kind is not NoneType]
     return " or ".join(dict.fromkeys(options)) or "null"
 

@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 from rass_mav.app.config import RunConfig
+from rass_mav.errors import installing
 from rass_mav.mavlink.crc import HAVE_FASTCRC
 
 from .finding import Finding, failed, passed, warned
@@ -62,7 +63,7 @@ def packages(
             wrong.append(f"{name} is {installed}, needs {least[name]}")
         found.append(f"{name} {installed}")
     if wrong:
-        return failed("packages", ", ".join(wrong), "pip install 'rass-mav[drone]' into the same environment")
+        return failed("packages", ", ".join(wrong), f"{installing('drone')}, into the same environment")
     extra = "" if HAVE_FASTCRC else "; without fastcrc, frames take somewhat longer to read"
     return passed("packages", ", ".join(found) + extra)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rass_mav.errors import ConfigError, RassError, os_errors_as
+from rass_mav.errors import ConfigError, RassError, installing, os_errors_as
 from rass_mav.experiment.statistics import Estimate
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Scatter:
 def need_matplotlib() -> None:
     """Raises `ConfigError` if figures cannot be drawn: before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError("figures need matplotlib: pip install 'rass-mav[sim]'")
+        raise ConfigError(f"figures need matplotlib: {installing('sim')} (make install has it)")
 
 
 def draw(

@@ -10,9 +10,11 @@ from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted, estimate
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.policy.settings import kinds
 
 SCENARIO = "five-drones"
 POLICIES = ("rass", "hop-count", "rass-literal")
+ALL_POLICIES = tuple(kinds())
 #: The drones' letters in the paper's figure, by node id.
 LETTERS = {1: "A", 2: "B", 3: "C", 4: "D"}
 TABLE_COLUMNS = ("policy", "origin", "runs", "steps", "reliability_mean", "reliability_ci95")

@@ -19,8 +19,10 @@ from rass_mav.experiment.figures import SHARE, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.statistics import counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.policy.settings import kinds
 
 POLICIES = ("rass", "hop-count", "rass-literal")
+ALL_POLICIES = tuple(kinds())
 TABLE_COLUMNS = (
     "drift_m", "policy", "runs", "steps", "reliability_mean", "reliability_ci95", "delay_mean", "delay_ci95",
 )  # fmt: skip

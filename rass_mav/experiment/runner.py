@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from rass_mav.errors import ConfigError, RassError, os_errors_as, why
+from rass_mav.errors import ConfigError, RassError, installing, os_errors_as, why
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 
 #: Called with the number of runs to do; shows how many are done.
@@ -155,7 +155,7 @@ def _cluster(address: str) -> Iterator[concurrent.futures.Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise ConfigError("--dask needs the package distributed: pip install 'rass-mav[dask]'") from None
+        raise ConfigError(f"--dask needs the package distributed: {installing('dask')} (make install has it)") from None
     try:
         client = Client(address, set_as_default=False)
     except (OSError, ValueError) as error:

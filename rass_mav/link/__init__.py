@@ -1,1 +1,1 @@
-"""Bytes in and out: UDP and serial ports. A link knows datagrams and addresses, nothing of MAVLink."""
+"""Bytes in and out: UDP, TCP and serial ports. A link handles datagrams and addresses, and does not know MAVLink."""

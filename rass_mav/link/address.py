@@ -10,14 +10,14 @@ from rass_mav.errors import ConfigError, LinkError, why
 
 from .base import Address
 
-#: Where a ground station's and a simulator's MAVLink usually is.
+#: The usual addresses of MAVLink, for examples in messages.
 _EXAMPLE = "udpin:0.0.0.0:14550"
 _SERIAL_EXAMPLE = "serial:/dev/ttyAMA0:921600"
 _WILDCARDS = ("", "0.0.0.0")
 
 
 def parse_address(text: str, *, any_port: bool = False) -> Address:
-    """`host:port` as (host, port); IPv4 or a name. `any_port`: port 0 is allowed, the system chooses then.
+    """`host:port` as (host, port); IPv4 or a name. `any_port`: port 0 is allowed, and the system chooses one.
 
     Raises `ConfigError`: `expected host:port, got ...`.
     """
@@ -26,12 +26,12 @@ def parse_address(text: str, *, any_port: bool = False) -> Address:
     if not colon or not host or ":" in host or any(c.isspace() or c == "/" for c in host):
         raise ConfigError(f"expected host:port (IPv4 address or name), got {text!r}")
     if not (port.isascii() and port.isdecimal() and len(port) <= 5 and least <= int(port) <= 65535):
-        raise ConfigError(f"expected a port {least}..65535 behind the colon, got {text!r}")
+        raise ConfigError(f"expected a port {least}..65535 after the colon, got {text!r}")
     return host, int(port)
 
 
 def parse_multicast(text: str) -> Address:
-    """`group:port`. Raises `ConfigError` if the group is no IPv4 multicast address."""
+    """`group:port`. Raises `ConfigError` if the group is not an IPv4 multicast address."""
     group, port = parse_address(text)
     try:
         good = ipaddress.IPv4Address(group).is_multicast
@@ -43,24 +43,24 @@ def parse_multicast(text: str) -> Address:
 
 
 class VehicleUrl(NamedTuple):
-    """Where the autopilot is, whichever way it was written."""
+    """The autopilot's address, whatever notation was used."""
 
     mode: Literal["udpin", "udpout", "tcp", "serial"]
-    """udpin: we listen, and answer to whoever speaks; udpout: we speak first; tcp: we call; serial: a device."""
+    """udpin: we listen, and answer the sender; udpout: we send first; tcp: we connect; serial: a device."""
     address: Address
-    """(host, port); of a serial device (path, bit/s)."""
+    """(host, port); for a serial device (path, bit/s)."""
 
     def __str__(self) -> str:
         return f"{self.mode}:{self.address[0]}:{self.address[1]}"
 
 
 def parse_vehicle_url(url: str) -> VehicleUrl:
-    """Connection strings as pymavlink and as MAVSDK write them.
+    """Parse a connection string in the notation of pymavlink or of MAVSDK.
 
-    `udpin:host:port`, `udpout:host:port`, `tcp:host:port`, with or without `//` before the host. `udp://:port` and
-    `udp://0.0.0.0:port` listen, `udp://host:port` with another host speaks first, `tcpout` is `tcp`, as with MAVSDK.
-    `serial:device:baud` with or without `//`, `device,baud` and `device:baud` for a serial port.
-    Raises `ConfigError` for other schemes, saying which exist.
+    `udpin:host:port`, `udpout:host:port`, `tcp:host:port`, with or without `//` before the host. As with MAVSDK,
+    `udp://:port` and `udp://0.0.0.0:port` listen, `udp://host:port` with another host sends first, and `tcpout` is
+    `tcp`. A serial port is `serial:device:baud` with or without `//`, `device,baud` or `device:baud`.
+    Raises `ConfigError` for other schemes, with a list of the valid ones.
     """
     if url.startswith("/"):
         return VehicleUrl("serial", parse_serial(url))
@@ -87,7 +87,7 @@ def parse_vehicle_url(url: str) -> VehicleUrl:
 def parse_serial(text: str) -> Address:
     """A serial port as (device, bit/s): `/dev/ttyAMA0,921600`, `/dev/ttyAMA0:921600`, with `serial:` or `serial://`.
 
-    Raises `ConfigError`. The speed is not guessed: a wrong one looks like a broken cable.
+    Raises `ConfigError`. There is no default speed, because a wrong one looks like a broken cable.
     """
     plain = text.removeprefix("serial:")
     if plain.startswith("//"):
@@ -102,7 +102,7 @@ def parse_serial(text: str) -> Address:
 
 
 def resolve(address: Address, name: str) -> Address:
-    """The IPv4 address of a host. Asks the name service, so it may take seconds. Raises `LinkError`."""
+    """The IPv4 address of a host. It asks the name service, so it may take seconds. Raises `LinkError`."""
     try:
         found = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:

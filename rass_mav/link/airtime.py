@@ -1,9 +1,9 @@
 """Airtime: what a node may send on a link, when, and what goes first. Pure: time is an argument.
 
-A slow radio is shared by all who hear each other. The swarm takes a stated share of it (`duty`), whatever the number
-of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data. On the way
-through the autopilot what the node says to it, and to the ground station behind it, counts as well. Frames leave one by
-one, so that whoever passes them on (an autopilot with room for two messages, a radio's small buffer) keeps up.
+All nodes that hear each other share a slow radio. The swarm takes a configured share of it (`duty`), whatever the
+number of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data. Through
+the autopilot, frames to the autopilot and to the ground station behind it count too. Frames leave one by one, so that
+forwarders keep up (an autopilot with buffers for two messages, a radio's small buffer).
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from typing import NamedTuple
 
 from rass_mav.core.messages import Urgency
 
-#: Frames that may wait, by urgency. A beacon that waits is replaced by the next one: only the newest is of use.
+#: Frames that may wait, by urgency. A waiting beacon is replaced by the next one: only the newest is useful.
 MAX_WAITING = (8, 1, 32, 64)
 #: The longest frame of ours on the air, bytes: a full TUNNEL with a signature.
 FRAME_BYTES = 158
-#: A beacon on the air with a signature, bytes.
+#: Size of a beacon on the air with a signature, bytes.
 BEACON_BYTES = 73
-#: Parts of the swarm's airtime that are left for data, and for what is said to the vehicle, when beacons have theirs;
-#: the rest is for answers, which are as many as the data of all neighbours, but small.
+#: Shares of the swarm's airtime without beacons, for data and for frames to the vehicle. The rest is for answers: there
+#: is one for each datum of every neighbour, but they are small.
 DATA_PART = 0.7
 VEHICLE_PART = 0.15
-#: Beacons are never farther apart, seconds: a neighbourhood that slow is none.
+#: The longest time between two beacons, seconds. A slower neighbourhood would be useless.
 MAX_TURN_S = 120.0
-#: An answer or datum that has waited so many turns is dropped: it is being sent again by now.
+#: An answer or datum is dropped after waiting this many turns, because it is being sent again by then.
 STALE_TURNS = 2.0
-#: RADIO_STATUS.txbuf, percent of the radio's buffer that is free: below the first slow down a lot, below the second a
-#: little, above the third speed up (as the firmware of SiK radios recommends).
+#: RADIO_STATUS.txbuf, percent of the radio's buffer that is free. Below the first value slow down a lot, below the
+#: second a little, above the third speed up (as the firmware of SiK radios recommends).
 TXBUF_LOW, TXBUF_MIDDLE, TXBUF_HIGH = 20, 50, 90
-#: The least that a full radio leaves of the rate.
+#: The smallest share of the rate that remains when the radio is full.
 LEAST_THROTTLE = 0.05
-#: A radio tells about once a second. When it has been silent for so long, each second more counts as a word that all is
-#: free: what was said last may have been said by somebody else, or before the air was free again.
+#: A radio reports about once a second. After this many seconds of silence, each further second counts as a report of a
+#: free buffer: the last report may be forged, or from before the air was free again.
 RADIO_STATUS_S = 3.0
 _UP, _DOWN_A_LITTLE, _DOWN_A_LOT = 1.25, 0.8, 0.5
 
@@ -44,26 +44,26 @@ class Budget(NamedTuple):
     """What may be sent on a link."""
 
     bytes_s: float
-    """What the link carries in all, bytes/s: 5760 for 57,600 bit/s with start and stop bit."""
+    """Capacity of the link in bytes/s: 5760 for 57,600 bit/s with start and stop bit."""
     duty: float = 0.3
-    """Part of it that this swarm takes, all nodes in range together, 0..1."""
+    """Share of the capacity for this swarm, all nodes in range together, 0..1."""
     beacons: float = 0.3
-    """Part of what the swarm takes that is for beacons, 0..1."""
+    """Share of the swarm's part for beacons, 0..1."""
     burst_bytes: int = 512
-    """Never more at once, however long the link was idle; at least one frame."""
+    """The most bytes at once, however long the link was idle; at least one frame."""
     burst_frames: int = 2
-    """Likewise in frames."""
+    """The most frames at once."""
     frames_s: float = 100.0
-    """Never more frames a second."""
+    """The most frames per second."""
     listen_s: float = 0.0
-    """After a frame of somebody else: wait for a random part of this before sending, seconds. 0: do not wait."""
+    """After a frame of another sender, wait for a random part of this before sending, seconds. 0: do not wait."""
 
 
 class LinkPace(NamedTuple):
-    """What a link can bear."""
+    """What a link can carry."""
 
     turn_s: float
-    """A beacon every so many seconds."""
+    """Seconds between two beacons."""
     items: int
     """Data frames in that time, 1 or more."""
 
@@ -77,7 +77,7 @@ class Queued(NamedTuple):
 
 
 class _Bucket:
-    """Tokens that come at a rate and are kept up to a limit."""
+    """Tokens that arrive at a rate and are kept up to a limit."""
 
     __slots__ = ("_at", "_size", "level")
 
@@ -92,31 +92,31 @@ class _Bucket:
             self._at = now
 
     def wait(self, amount: float, rate: float) -> float:
-        """Seconds until so much is there."""
+        """Seconds until there are `amount` tokens."""
         return max(0.0, min(amount, self._size) - self.level) / rate
 
 
 class Pacer:
-    """The queue of one link. Push frames when they are there, pop them when `next_at` says so."""
+    """The queue of one link. Push frames when they are ready, and pop them at the time that `next_at` returns."""
 
     def __init__(self, budget: Budget, rng: random.Random, *, now: float, step_s: float) -> None:
-        """`step_s`: beacons are made that often, if the link can bear it."""
+        """`step_s`: seconds between two beacons, if the link can carry them."""
         self.budget = budget
         self.neighbours = 0
         """How many nodes are heard on this link."""
         self.dropped = [0] * len(Urgency)
-        """Frames dropped, by urgency: no room, too old, or (beacons) replaced by a newer one."""
+        """Frames dropped, by urgency: no space, too old, or (beacons) replaced by a newer one."""
         self.sent = [0] * len(Urgency)
-        """Frames handed out, by urgency."""
+        """Frames popped, by urgency."""
         self.throttle = 1.0
-        """What the radio's buffer leaves of the rate."""
+        """The share of the rate that the radio's buffer allows."""
         self._rng = rng
         self.step_s = step_s
-        """Beacons are made that often, seconds."""
+        """Length of a step, in which a beacon may be created, seconds."""
         self._queues: tuple[deque[Queued], ...] = tuple(deque() for _ in Urgency)
         size = max(budget.burst_bytes, FRAME_BYTES)
         self._bytes = _Bucket(size, size, now)
-        # Two to begin with, the next ones at intervals: a bucket of n lets n + 1 through in a moment.
+        # The first two leave at once, the next ones at intervals: a bucket of n lets n + 1 through in a moment.
         self._frames = _Bucket(max(1, budget.burst_frames), max(1, budget.burst_frames), now)
         # Empty at first, so that a swarm that is switched on does not fill the air.
         self._data = _Bucket(2 * FRAME_BYTES, 0.0, now)
@@ -124,27 +124,27 @@ class Pacer:
         self._clear_at = now
         self._status_at = now
 
-    # -- what the link can bear ----------------------------------------------------------------------------------------
+    # -- what the link can carry ---------------------------------------------------------------------------------------
 
     @property
     def rate(self) -> float:
-        """Bytes a second that the swarm takes in all."""
+        """Bytes per second for the whole swarm."""
         return self.budget.bytes_s * self.budget.duty * self.throttle
 
     @property
     def data_rate(self) -> float:
-        """This node's part for data, bytes/s."""
+        """This node's share for data, bytes/s."""
         return self.rate * (1.0 - self.budget.beacons) * DATA_PART / (self.neighbours + 1)
 
     @property
     def vehicle_rate(self) -> float:
-        """This node's part for what it says to the autopilot and the ground, bytes/s."""
+        """This node's share for frames to the autopilot and the ground, bytes/s."""
         return self.rate * (1.0 - self.budget.beacons) * VEHICLE_PART / (self.neighbours + 1)
 
     def pace(self) -> LinkPace:
-        """What the link can bear, with the neighbours that there are now."""
+        """What the link can carry with the present neighbours."""
         wanted = (self.neighbours + 1) * BEACON_BYTES / (self.rate * self.budget.beacons)
-        # Whole steps: that is when beacons are made.
+        # Whole steps, because beacons are created in steps.
         turn_s = self.step_s * max(1, math.ceil(min(wanted, MAX_TURN_S) / self.step_s - 1e-9))
         return LinkPace(turn_s, max(1, int(self.data_rate * turn_s / FRAME_BYTES)))
 
@@ -156,10 +156,10 @@ class Pacer:
         return sum(map(len, self._queues))
 
     def push(self, frame: bytes, target: int, urgency: Urgency, now: float, *, first: bool = False) -> None:
-        """A frame wants to leave. `target`: node id, or BROADCAST. `first`: before all that are as urgent."""
+        """Queue a frame. `target`: node id, or BROADCAST. `first`: before all others of the same urgency."""
         queue = self._queues[urgency]
         if len(queue) >= MAX_WAITING[urgency]:
-            # The oldest has the least use: what was not answered in time is sent again.
+            # The oldest is the least useful: a frame that is not answered in time is sent again.
             queue.popleft()
             self.dropped[urgency] += 1
         (queue.appendleft if first else queue.append)(Queued(frame, target, now))
@@ -179,7 +179,7 @@ class Pacer:
         if urgency == Urgency.DATA:
             self._data.level -= size
         elif urgency == Urgency.BEACON:
-            # A little less than a turn: a node that turns a moment early must not miss one.
+            # Slightly less than a turn: a node whose turn comes a moment early must not miss one.
             self._beacon_at = now + 0.9 * self.pace().turn_s
         self.sent[urgency] += 1
         return queued
@@ -206,7 +206,7 @@ class Pacer:
                 self.dropped[urgency] += 1
 
     def _next(self, now: float) -> Urgency | None:
-        """Whose turn it is: the most urgent, unless a less urgent one may leave before it."""
+        """The most urgent, unless a less urgent one may leave before it."""
         best: Urgency | None = None
         least = math.inf
         for urgency in Urgency:
@@ -227,15 +227,15 @@ class Pacer:
             wait = max(wait, self._beacon_at - now)
         return wait
 
-    # -- what the link says --------------------------------------------------------------------------------------------
+    # -- what the link reports -----------------------------------------------------------------------------------------
 
     def heard(self, now: float) -> None:
-        """A frame has ended, or will at `now`. All who wait heard it too, so each waits for a time of its own."""
+        """A frame has ended, or will end at `now`. All waiting nodes heard it too, so each waits for a random time."""
         if self.budget.listen_s:
             self._clear_at = now + self._rng.random() * self.budget.listen_s
 
     def radio_status(self, txbuf: int, now: float) -> None:
-        """The radio says how much of its buffer is free, percent (RADIO_STATUS.txbuf)."""
+        """The radio reports how much of its buffer is free, percent (RADIO_STATUS.txbuf)."""
         self._settle(now)
         self._status_at = now
         if txbuf < TXBUF_LOW:

@@ -1,4 +1,4 @@
-"""What the driver asks of a link."""
+"""The interface of a link."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ T = TypeVar("T")
 #: Where a datagram came from: (IPv4 address, port), or a name and 0.
 Address: TypeAlias = tuple[str, int]
 
-#: Datagrams that may wait in a link for the driver, and their bytes. Beyond it the link stops reading, and the kernel's
-#: buffer fills.
+#: Datagrams that may wait in a link for the driver, and their bytes. When there are more, the link stops reading, and
+#: the kernel's buffer fills.
 MAX_INBOX = 256
 MAX_INBOX_BYTES = 1 << 16
-#: Of these so many are handed out in one turn, and so many bytes or one datagram: other links, the step and whoever
-#: asks at the control socket come in between, whatever arrives.
+#: Datagrams and bytes handed out in one turn, at least one datagram. So other links, the step and the control socket's
+#: clients get their turn, whatever arrives.
 MAX_TURN = 64
 MAX_TURN_BYTES = 8192
 #: Frames that may wait in a link because the socket would block.
@@ -29,17 +29,17 @@ MAX_OUTBOX = 256
 
 
 class Datagram(NamedTuple):
-    """What has arrived."""
+    """A received datagram."""
 
     data: bytes
     source: Address
 
 
 class Inbox:
-    """What has arrived on a port and waits for the driver."""
+    """Received datagrams that wait for the driver."""
 
     def __init__(self) -> None:
-        self.wake: Callable[[], None] = lambda: None  # nobody is listening yet
+        self.wake: Callable[[], None] = lambda: None  # until the port is started
         """Called when there is something to take."""
         self.taken = 0
         """Datagrams handed out."""
@@ -51,16 +51,16 @@ class Inbox:
 
     @property
     def full(self) -> bool:
-        """Then the kernel has to keep what comes."""
+        """Whether there is no space left. The kernel then has to keep what arrives."""
         return len(self._waiting) >= MAX_INBOX or self._bytes >= MAX_INBOX_BYTES
 
     def put(self, datagram: Datagram) -> None:
-        """Something has arrived. Who puts it calls `wake` when that is all."""
+        """Add a datagram. After the last one the caller calls `wake`."""
         self._waiting.append(datagram)
         self._bytes += len(datagram.data)
 
     def take(self) -> list[Datagram]:
-        """A turn of it, in order. If something is left, `wake` is called when the event loop has gone round."""
+        """The datagrams of one turn, in order. If some remain, `wake` is called when the event loop has gone round."""
         waiting = self._waiting
         turn: list[Datagram] = []
         room = MAX_TURN_BYTES
@@ -78,44 +78,44 @@ class LinkCounters(NamedTuple):
     """What a link has done since it was started."""
 
     sent: int
-    """Datagrams sent, each receiver that was addressed by itself counted."""
+    """Datagrams sent; one to several addressed receivers counts once for each."""
     received: int
-    """Datagrams taken in; own echoes are not counted."""
+    """Datagrams received, without own echoes."""
     dropped_in: int
-    """Datagrams that arrived and were lost for want of room, as far as the system tells."""
+    """Datagrams that arrived and were lost because a buffer was full, as far as the system reports it."""
     dropped_out: int
-    """Datagrams that could not be sent: no route, nobody there, or too many were waiting."""
+    """Datagrams that could not be sent: no route, no receiver, or too many were waiting."""
     echoes: int
     """Own datagrams that came back."""
 
 
 class Remark(NamedTuple):
-    """What of a link's configuration does not fit this computer as it is now, though it may fit it later."""
+    """A part of a link's configuration that does not fit the computer's present state, although it may fit later."""
 
     key: str
-    """Of the configuration."""
+    """Key of the configuration."""
     text: str
     remedy: str
     works: bool = False
-    """The link works, but perhaps not as it was meant."""
+    """The link works, but perhaps not as intended."""
 
 
 class Port(ABC):
-    """Something that bytes come in by and go out. Used on one event loop; never raises for what happens to it."""
+    """A connection that carries bytes in and out. Used on one event loop. Never raises, whatever happens to it."""
 
     name: str
-    """How status and log call it."""
+    """Its name in status and log."""
     stream = False
-    """True: what `receive` returns are pieces of a stream, which may end in the middle of a frame. False: each piece
-    holds whole frames."""
+    """True: `receive` returns pieces of a stream, which may end in the middle of a frame. False: each piece contains
+    whole frames."""
 
     @abstractmethod
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
+        """Start reading, on the running event loop. `wake` is called when something has arrived."""
 
     @property
     def generation(self) -> int:
-        """How often the port was opened: what was half read before has no end any more."""
+        """How often the port was opened. A frame that was half read before an opening cannot be completed."""
         return 1
 
     @property
@@ -125,44 +125,44 @@ class Port(ABC):
 
     @abstractmethod
     def counters(self) -> LinkCounters:
-        """What has been done so far. Not for every datagram: may ask the system."""
+        """The counters so far. It may ask the system, so do not call it for every datagram."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release the sockets. What waits to be sent is lost, as frames may be."""
+        """Release the sockets. Waiting frames are lost."""
 
 
 class Link(Port):
     """Datagrams from and to the neighbours."""
 
     budget: Budget | None = None
-    """What may be sent; None: as much as one likes."""
+    """What may be sent; None: no limit."""
     one_hop = True
-    """Who is heard is one hop away. False: somebody on the way forwards frames."""
+    """Whether nodes that are heard are one hop away. False: frames may be forwarded on the way."""
     only: frozenset[int] | None = None
-    """Node ids that are taken for neighbours on this link; None: all."""
+    """Node ids accepted as neighbours on this link; None: all."""
 
     def __init__(self, name: str) -> None:
-        """`name`: how status and log call it."""
+        """`name`: its name in status and log."""
         self.name = name
         self._inbox = Inbox()
 
     @staticmethod
     def remarks(section: Any, key: str) -> Iterable[Remark]:
-        """What of its section, which was checked, does not fit this computer as it is now. `key`: of the section."""
+        """Settings of a checked section that do not fit the computer's present state. `key`: the section's key."""
         return ()
 
     def carriers(self) -> list[Carrier]:
-        """The network interfaces by which the neighbours are reached; none: it needs none."""
+        """The network interfaces through which the neighbours are reached; empty: it uses none."""
         return []
 
     @abstractmethod
     def receive(self) -> list[Datagram]:
-        """What has arrived, so much as one turn bears, in order. Who does not call it slows the sender, not us."""
+        """The datagrams of one turn, in order. Without calls the sender has to wait; our memory does not grow."""
 
     @abstractmethod
     def send(self, frame: bytes, target: int) -> None:
-        """Send a frame to the node with id `target` if its address is known, else (BROADCAST too) to everybody."""
+        """Send a frame to the node `target` if its address is known, otherwise (also for BROADCAST) to everybody."""
 
     @abstractmethod
     def reaches(self, target: int) -> bool:
@@ -170,11 +170,11 @@ class Link(Port):
 
     @abstractmethod
     def learn(self, node_id: int, source: Address) -> None:
-        """A beacon of this node came from there. What the configuration says of it stays."""
+        """A beacon of this node came from this address. An address in the configuration takes precedence."""
 
 
 def remember(known: OrderedDict[int, T], node_id: int, value: T, most: int) -> None:
-    """Note something about the node that was heard last; beyond `most` the longest silent one is forgotten."""
+    """Store a value for a node that was just heard. If there are more than `most`, forget the longest silent one."""
     known[node_id] = value
     known.move_to_end(node_id)
     if len(known) > most:

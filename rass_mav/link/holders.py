@@ -1,4 +1,4 @@
-"""Who has a UDP port: asked when one is in use, so that the message can name the process."""
+"""Finds the process that uses a UDP port, so that an error message can name it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from .sockets import udp_table
 
-#: So much of a command line is shown, characters.
+#: How much of a command line is shown, characters.
 _MAX_COMMAND = 80
 
 
 def holder(port: int) -> str | None:
-    """A process that has this port, as `process 1234 (rass-mav run drone.yaml)`; None: this user may not see it."""
+    """The process that uses this port, as `process 1234 (rass-mav run drone.yaml)`; None: this user may not see it."""
     try:
         sockets = {f"socket:[{entry.inode}]" for entry in udp_table() if entry.port == port}
     except OSError:

@@ -1,4 +1,4 @@
-"""Network interfaces as the kernel has them now (Linux, netdevice(7)): their addresses, and whether they carry."""
+"""The kernel's present network interfaces (Linux, netdevice(7)): their addresses, and whether they have a carrier."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _SIOCGIFBRDADDR = 0x8919
 _SIOCGIFNETMASK = 0x891B
 _IFF_UP = 0x1
 _IFF_RUNNING = 0x40
-# struct ifreq: the name, then a union of which the largest member is struct ifmap. Its size depends on the machine.
+# struct ifreq: the name, then a union whose largest member is struct ifmap. Its size depends on the machine.
 _REQUEST_BYTES = struct.calcsize("16s2LH4B0L")
-#: Longest name of an interface, bytes (IFNAMSIZ less the closing zero).
+#: Longest name of an interface, bytes (IFNAMSIZ without the closing zero).
 MAX_NAME = 15
-#: The broadcast address of whatever network one is on.
+#: The broadcast address of the local network, whichever it is.
 EVERY_NETWORK = "255.255.255.255"
-#: Own address of a socket that takes what comes to any of them.
+#: Own address of a socket that receives on all addresses.
 ANY_ADDRESS = "0.0.0.0"
 
 
 class Interface(NamedTuple):
-    """An IPv4 address of an interface. An interface with two addresses stands here twice."""
+    """An IPv4 address of an interface. An interface with two addresses is listed twice."""
 
     name: str
     address: str
@@ -45,13 +45,13 @@ class Carrier(NamedTuple):
 
     name: str
     up: bool
-    """It is switched on."""
+    """Whether it is switched on."""
     carrier: bool
-    """It has joined a Wi-Fi network, or somebody is at the other end of its cable."""
+    """Whether it has joined a Wi-Fi network, or its cable is connected at the other end."""
 
     @property
     def trouble(self) -> str:
-        """Why it carries nothing; empty: it does."""
+        """Why it carries nothing; empty if it works."""
         if not self.up:
             return f"{self.name} is down"
         if not self.carrier:
@@ -69,7 +69,7 @@ class Carrier(NamedTuple):
 
 
 def is_address(text: str) -> bool:
-    """Whether something is given by its IPv4 address, and not by its name."""
+    """Whether a text is an IPv4 address, not a name."""
     try:
         socket.inet_pton(socket.AF_INET, text)
     except OSError:
@@ -78,7 +78,7 @@ def is_address(text: str) -> bool:
 
 
 def is_name(text: str) -> bool:
-    """Whether Linux lets an interface have this name."""
+    """Whether Linux allows this name for an interface."""
     return 0 < len(text.encode()) <= MAX_NAME and text not in (".", "..") and not set(text) & set("/: \t\n\0")
 
 
@@ -87,16 +87,16 @@ def interfaces() -> list[Interface]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         found = []
         for entry in _configured(sock):
-            # With the address in it, the request is about this address of the interface, not about its first one.
+            # The address in the request selects this address of the interface, not its first one.
             address = _address_of(entry)
             try:
                 mask = _address_of(fcntl.ioctl(sock.fileno(), _SIOCGIFNETMASK, entry))
                 broadcast = _address_of(fcntl.ioctl(sock.fileno(), _SIOCGIFBRDADDR, entry))
             except OSError:
-                continue  # it went away meanwhile
+                continue  # it has disappeared meanwhile
             network = ipaddress.IPv4Network((address, mask), strict=False)
             if broadcast == ANY_ADDRESS:
-                # Set without `brd +`: the kernel broadcasts there all the same.
+                # Set without `brd +`: the kernel still broadcasts there.
                 broadcast = str(network.broadcast_address)
             label = entry[:16].split(b"\0")[0].decode()
             name = label.partition(":")[0]
@@ -110,45 +110,45 @@ def _configured(sock: socket.socket) -> Iterable[bytes]:
     while True:
         buffer = array.array("B", bytes(room * _REQUEST_BYTES))
         place, length = buffer.buffer_info()
-        # struct ifconf: length and place of the buffer.
+        # struct ifconf: length and address of the buffer.
         answer = fcntl.ioctl(sock.fileno(), _SIOCGIFCONF, struct.pack("iP", length, place))
         filled: int = struct.unpack_from("i", answer)[0]
         if filled <= length - _REQUEST_BYTES:
             return [buffer[at : at + _REQUEST_BYTES].tobytes() for at in range(0, filled, _REQUEST_BYTES)]
-        room *= 2  # what did not fit was left out
+        room *= 2  # entries that did not fit were left out
 
 
 def _address_of(request: bytes) -> str:
-    # Behind the name: family, port and address.
+    # After the name: family, port and address.
     return socket.inet_ntoa(request[20:24])
 
 
 def find_interface(which: str) -> Interface:
-    """The interface of this name or of this own IPv4 address, as it is now.
+    """The present interface with this name or this own IPv4 address.
 
-    Raises `LinkError`: there is none, or it has no IPv4 address yet.
+    Raises `LinkError` if there is none, or if it has no IPv4 address yet.
     """
     known = interfaces()
     for interface in known:
         if which in (interface.name, interface.address):
             return interface
     if is_address(which):
-        raise LinkError(f"{which} is no address of this computer ({listed(known)})", "which there are: ip -br address")
+        raise LinkError(f"{which} is not an address of this computer ({listed(known)})", "to list them: ip -br address")
     if which in (name for _, name in socket.if_nameindex()):
         raise LinkError(f"{which} has no IPv4 address yet", f"sudo ip addr add 192.168.4.7/24 brd + dev {which}")
-    raise LinkError(f"there is no interface {which} ({listed(known)})", "which there are: ip -br link")
+    raise LinkError(f"there is no interface {which} ({listed(known)})", "to list them: ip -br link")
 
 
 def listed(known: Sequence[Interface]) -> str:
-    """What there is, for people."""
+    """The interfaces, for people."""
     each = [f"{i.name} {i.address}" + (f" with broadcast {i.broadcast}" if i.broadcast else "") for i in known]
     return f"there is {', '.join(each)}" if each else "there are none"
 
 
 def interface_to(host: str, known: Sequence[Interface]) -> Interface | None:
-    """Of the `known` ones that by which an IPv4 address is reached; None: none.
+    """The one of the `known` interfaces through which an IPv4 address is reached; None: none.
 
-    What lies in the network of an interface belongs to it, even while the kernel has no route because it is down.
+    An address in the network of an interface belongs to it, even if the kernel has no route because it is down.
     """
     there = ipaddress.IPv4Address(host)
     near = [interface for interface in known if there in interface.network]
@@ -157,7 +157,7 @@ def interface_to(host: str, known: Sequence[Interface]) -> Interface | None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         try:
-            probe.connect((host, 9))  # sends nothing; the kernel chooses the way
+            probe.connect((host, 9))  # sends nothing; the kernel chooses the route
         except OSError:
             return None
         own = probe.getsockname()[0]
@@ -165,8 +165,8 @@ def interface_to(host: str, known: Sequence[Interface]) -> Interface | None:
 
 
 def carriers(hosts: Iterable[str], chosen: str | None) -> list[Carrier]:
-    """The interfaces by which IPv4 addresses are reached, each once. `chosen`: for multicast and for broadcast to
-    255.255.255.255, by name or own address; None: the system chooses."""
+    """The interfaces through which IPv4 addresses are reached, each once. `chosen`: the one for multicast and for
+    broadcast to 255.255.255.255, by name or own address; None: the system chooses."""
     known = interfaces()
     names = dict.fromkeys(name for host in hosts if (name := _name_of_way(host, chosen, known)))
     return [carrier(name) for name in names]
@@ -182,7 +182,7 @@ def _name_of_way(host: str, chosen: str | None, known: Sequence[Interface]) -> s
 
 
 def carrier(name: str) -> Carrier:
-    """How this interface does; one that is not there is down."""
+    """The state of this interface. One that does not exist counts as down."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         try:
             answer = fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, struct.pack(f"{_REQUEST_BYTES}s", name.encode()))

@@ -1,5 +1,5 @@
-"""The links to neighbours that a configuration can name, one row each. A node loads the modules of its own
-ones only."""
+"""The links to neighbours that a configuration can name, one row each. A node loads only the modules of its own
+links."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ class LinkKind(NamedTuple):
     """A type of link."""
 
     link: str
-    """`module:name` of a `Link` with two class methods more: `check(section, key)` raises `ConfigError` for what cannot
-    be set; `of(section, vehicle)` makes it, or raises `LinkError`."""
+    """`module:name` of a `Link` with two more class methods: `check(section, key)` raises `ConfigError` for invalid
+    settings; `of(section, vehicle)` creates the link, or raises `LinkError`."""
     keys: tuple[str, ...] = ()
-    """Keys of `LinkSection` that cannot be set for types which do not list them."""
+    """Keys of `LinkSection` that can only be set for types that list them."""
     shared: bool = True
-    """Everybody hears everybody, so airtime is bounded and nodes listen before they speak. False: nodes have
+    """All nodes hear each other, so airtime is bounded and nodes listen before they send. False: nodes have
     addresses."""
     forwarded: bool = False
-    """Who is heard may be many hops away, unless `one_hop` says otherwise."""
+    """Nodes that are heard may be many hops away, unless `one_hop` is set."""
     through: bool = False
-    """It goes through the autopilot's port."""
+    """The link uses the autopilot's port."""
 
 
 KINDS: dict[str, LinkKind] = {

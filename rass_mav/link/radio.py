@@ -1,4 +1,4 @@
-"""Links on which everybody hears everything: a serial radio, and the way through the autopilot's port."""
+"""Links on which every node hears everything: a serial radio, and the autopilot's port."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from .settings import LinkSection
 from .stream import Opener, OverStream, StreamPort
 from .vehicle import VehiclePort
 
-#: Node ids heard that a link remembers; beyond it the longest silent one is forgotten.
+#: Node ids that a link remembers as heard. When there are more, the longest silent one is forgotten.
 MAX_HEARD = 512
 
 
 class SharedLink(Link):
-    """Nobody has an address: each frame goes to everybody. The link remembers who has been heard on it."""
+    """Nodes have no addresses: each frame goes to everybody. The link remembers which nodes were heard on it."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._heard: OrderedDict[int, None] = OrderedDict()
 
     def reaches(self, target: int) -> bool:
-        """Whether the node has been heard here."""
+        """Whether the node has been heard on this link."""
         return target in self._heard
 
     def learn(self, node_id: int, source: Address) -> None:
-        """The node has been heard here."""
+        """Remember a node that was heard on this link."""
         remember(self._heard, node_id, None, MAX_HEARD)
 
 
 class SerialLink(OverStream, SharedLink):
-    """A telemetry radio (SiK, RFD) on a serial port. The port is opened on `start`, and again when it is lost."""
+    """A telemetry radio (SiK, RFD) on a serial port. The port is opened by `start`, and again when it is lost."""
 
     def __init__(self, opener: Opener) -> None:
         self.port = StreamPort(opener)
@@ -44,31 +44,31 @@ class SerialLink(OverStream, SharedLink):
 
     @staticmethod
     def check(section: LinkSection, key: str) -> None:
-        """Raise `ConfigError` for what cannot be set of such a link. `key`: of the section."""
+        """Raise `ConfigError` for invalid settings of such a link. `key`: the section's key."""
         if section.device is None:
-            raise ConfigError(f"{key}.device: missing, expected a serial port, as /dev/ttyUSB0,57600")
+            raise ConfigError(f"{key}.device: missing, expected a serial port, for example /dev/ttyUSB0,57600")
         with under(f"{key}.device"):
             parse_serial(section.device)
 
     @classmethod
     def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> SerialLink:
-        """The link of a configuration that was checked."""
+        """Create the link of a checked configuration."""
         assert section.device is not None
         return cls(SerialOpener(*parse_serial(section.device), flow_control=section.flow_control))
 
     def receive(self) -> list[Datagram]:
-        """What has arrived, in pieces that end anywhere."""
+        """The bytes of one turn, in pieces that end anywhere."""
         return self.port.receive()
 
     def send(self, frame: bytes, target: int) -> None:
-        """To everybody."""
+        """Send to everybody."""
         self.port.send(frame)
 
 
 class AutopilotLink(SharedLink):
-    """Through the autopilot, which passes frames on to its radio. It shares the port with the way to the vehicle.
+    """Through the autopilot, which forwards frames to its radio. It shares the port with the connection to the vehicle.
 
-    The port's owner reads it, and says with `took` what was for the neighbours.
+    The port's owner reads it, and calls `took` for each frame from the neighbours.
     """
 
     def __init__(self, vehicle: VehiclePort) -> None:
@@ -80,11 +80,11 @@ class AutopilotLink(SharedLink):
 
     @staticmethod
     def check(section: LinkSection, key: str) -> None:
-        """Nothing of its own can be set of such a link."""
+        """Such a link has no settings of its own."""
 
     @classmethod
     def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> AutopilotLink:
-        """The link of a configuration that was checked."""
+        """Create the link of a checked configuration."""
         assert vehicle is not None
         return cls(vehicle)
 
@@ -96,11 +96,11 @@ class AutopilotLink(SharedLink):
         return []
 
     def took(self) -> None:
-        """The port's owner has taken in a frame from the neighbours."""
+        """Count a frame from the neighbours, received by the port's owner."""
         self._took += 1
 
     def send(self, frame: bytes, target: int) -> None:
-        """To everybody, by way of the autopilot."""
+        """Send to everybody, through the autopilot."""
         if self._vehicle.trouble:
             self._dropped += 1
         else:
@@ -113,7 +113,7 @@ class AutopilotLink(SharedLink):
         return self._vehicle.trouble
 
     def counters(self) -> LinkCounters:
-        """What has been done so far. What the open port dropped for want of room is counted there only."""
+        """The counters so far. Frames that the open port dropped because it was full are counted only there."""
         return LinkCounters(self._sent, self._took, 0, self._dropped, 0)
 
     def close(self) -> None:

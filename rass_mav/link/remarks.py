@@ -1,4 +1,4 @@
-"""What of a UDP link's configuration does not fit this computer as it is now, though it may fit it later."""
+"""Settings of a UDP link that do not fit the computer's present state, although they may fit later."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from .sockets import is_local
 
 
 def remarks(section: LinkSection, key: str) -> Iterator[Remark]:
-    """About a link that was checked. `key`: of its section. Names of hosts are not looked up."""
+    """Remarks on a checked link. `key`: its section's key. Host names are not looked up."""
     known = interfaces()
     own = parse_address(section.listen, any_port=True)[0]
     if is_address(own) and own != ANY_ADDRESS and not is_local(own):
         yield Remark(
-            f"{key}.listen", f"{own} is no address of this computer ({listed(known)})", f"correct {key}.listen"
+            f"{key}.listen", f"{own} is not an address of this computer ({listed(known)})", f"correct {key}.listen"
         )
     chosen = section.interface
     if chosen is not None:
@@ -47,7 +47,7 @@ def remarks(section: LinkSection, key: str) -> Iterator[Remark]:
         if chosen is None and interface_to(targets[-1], known) is None:
             yield Remark(
                 f"{key}.multicast", f"{targets[-1]} leaves on no interface ({listed(known)})",
-                f"name one in {key}.interface",
+                f"set {key}.interface",
             )  # fmt: skip
     ways = carriers(filter(is_address, targets), chosen)
     for way in ways:
@@ -56,7 +56,7 @@ def remarks(section: LinkSection, key: str) -> Iterator[Remark]:
 
 
 def _about_broadcast(host: str, section: LinkSection, key: str, known: Sequence[Interface]) -> Iterator[Remark]:
-    remedy = f"write the broadcast address of the drones' network into {key}.broadcast"
+    remedy = f"set {key}.broadcast to the broadcast address of the drones' network"
     if host == EVERY_NETWORK:
         if section.interface is not None:
             return

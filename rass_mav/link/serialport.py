@@ -1,4 +1,4 @@
-"""Serial ports, by pyserial: it sets the line's speed and mode, reading and writing are on the descriptor."""
+"""Serial ports. pyserial sets the line's speed and mode; reading and writing use the descriptor."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import termios
 from typing import TYPE_CHECKING
 
-from rass_mav.errors import LinkError
+from rass_mav.errors import LinkError, installing
 
 from .base import Address
 from .stream import READ_BYTES, Channel, Opener
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from serial import Serial
 
 
-#: Where the control characters stand in what `termios.tcgetattr` returns.
+#: Index of the control characters in the result of `termios.tcgetattr`.
 _CC = 6
 
 
 class SerialOpener(Opener):
-    """Opens a device by its name each time, so a USB port that comes back under the same name is taken up."""
+    """Opens a device by its name each time, so a USB port that comes back under the same name is used again."""
 
     def __init__(self, device: str, baud: int, *, flow_control: bool = False) -> None:
         """`baud`: bit/s, 8N1. `flow_control`: RTS/CTS, for five wires."""
@@ -33,12 +33,12 @@ class SerialOpener(Opener):
         self.source: Address = (device, 0)
 
     async def open(self) -> Channel:
-        """On a thread: a USB device in trouble answers after seconds only."""
+        """Open it on a thread, because a faulty USB device may take seconds to answer."""
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
             return await asyncio.shield(opening)
         except asyncio.CancelledError:
-            # Given up; if the thread opens it all the same, nobody would ever close it.
+            # Nothing waits any more. If the thread still opens the port, close it.
             opening.add_done_callback(_close_unwanted)
             raise
 
@@ -46,9 +46,9 @@ class SerialOpener(Opener):
         try:
             import serial
         except ImportError:
-            raise LinkError("serial ports need pyserial: pip install 'rass-mav[drone]'") from None
+            raise LinkError(f"serial ports need pyserial: {installing('drone')}") from None
         try:
-            # Locked, so that two programs that read the same port do not each get half of it.
+            # Locked: otherwise two programs that read the same port would each get half of the bytes.
             port = serial.Serial(
                 self._device, self._baud, timeout=0, write_timeout=0, rtscts=self._flow_control, exclusive=True
             )
@@ -61,7 +61,7 @@ class SerialOpener(Opener):
             return SerialChannel(port)
         except termios.error as error:
             port.close()
-            raise LinkError(f"no serial port: {error}") from None
+            raise LinkError(f"not a serial port: {error}") from None
 
 
 class SerialChannel(Channel):
@@ -71,26 +71,26 @@ class SerialChannel(Channel):
         self._port = port
         self._fd: int = port.fileno()
         os.set_blocking(self._fd, False)
-        # pyserial asks for reads that return nothing at once. Then "nothing there now" looks like "the device is gone".
+        # pyserial sets up reads that return empty at once. Then "nothing yet" looks like "the device is gone".
         mode = termios.tcgetattr(self._fd)
         mode[_CC][termios.VMIN] = 1
         termios.tcsetattr(self._fd, termios.TCSANOW, mode)
 
     def fileno(self) -> int:
-        """The device."""
+        """The device's descriptor."""
         return self._fd
 
     def read(self) -> bytes:
-        """What the device has."""
+        """The bytes that the device has."""
         return os.read(self._fd, READ_BYTES)
 
     def write(self, data: bytes) -> int:
-        """As much as the device takes."""
+        """Write as much as the device accepts."""
         return os.write(self._fd, data)
 
     def close(self) -> None:
-        """What the device did not send is forgotten: a jammed port would keep us waiting for half a minute."""
-        # A device that was unplugged cannot be flushed any more; its errors change nothing.
+        """Discard unsent bytes and close: a jammed port would block us for half a minute."""
+        # A device that was unplugged cannot be flushed. Its errors do not matter.
         with contextlib.suppress(OSError, termios.error):
             self._port.reset_output_buffer()
         with contextlib.suppress(OSError):

@@ -18,17 +18,17 @@ from .base import MAX_OUTBOX, Address, Datagram, Inbox
 
 log = logging.getLogger(__name__)
 
-#: Datagrams read at one wake, so that other links and the step get their turn.
+#: Datagrams read per wake, so that other links and the step get their turn.
 MAX_PER_WAKE = 64
-#: Longer datagrams are cut. A MAVLink frame has at most 280 bytes; autopilots and routers put several into a datagram,
-#: as many as fit into one packet of an Ethernet.
+#: Longer datagrams are cut. A MAVLink frame has at most 280 bytes. Autopilots and routers put several into a datagram,
+#: as many as fit one Ethernet packet.
 MAX_DATAGRAM = 1472
 #: Socket buffers, bytes: about a thousand frames. The system may grant less.
 _BUFFER_BYTES = 1 << 19
 
 
 def bound_socket(name: str, address: Address) -> socket.socket:
-    """A non-blocking UDP socket bound to an address (port 0: any). Raises `LinkError`, say for a port in use."""
+    """A non-blocking UDP socket bound to an address (port 0: any). Raises `LinkError`, for example if it is in use."""
     sock = udp_socket()
     try:
         sock.bind(address)
@@ -41,13 +41,13 @@ def bound_socket(name: str, address: Address) -> socket.socket:
 
 
 def in_use(name: str, port: int) -> LinkError:
-    """The error for a UDP port that somebody else has. It names the process, if this user may see it."""
+    """The error for a UDP port in use. It names the process, if this user may see it."""
     from .holders import holder
 
     who = holder(port)
     return LinkError(
         f"{name}: address already in use" + (f" by {who}" if who else ""),
-        f"another node runs here? rass-mav status CONFIG; or another program: ss -lunp 'sport = :{port}'",
+        f"is another node running? rass-mav status CONFIG; or another program? ss -lunp 'sport = :{port}'",
     )
 
 
@@ -61,7 +61,7 @@ def udp_socket() -> socket.socket:
 
 
 class Reader:
-    """Drains a socket into an inbox whenever there is something, up to a bound; then the kernel has to keep it."""
+    """Reads a socket into an inbox, until the inbox is full. Then the kernel has to keep what arrives."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Reader:
         *,
         is_echo: Callable[[Address], bool],
     ) -> None:
-        """`is_echo`: whether a datagram from there is one of our own."""
+        """`is_echo`: returns whether a datagram from this address is our own."""
         self._sock = sock
         self._inbox = inbox
         self._is_echo = is_echo
@@ -80,13 +80,13 @@ class Reader:
         self.resume()
 
     def resume(self) -> None:
-        """Go on reading when there is room in the inbox."""
+        """Continue reading. Call it when there is space in the inbox."""
         if not self._reading:
             self._reading = True
             self._loop.add_reader(self._sock, self._readable)
 
     def stop(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         if self._reading:
             self._reading = False
             self._loop.remove_reader(self._sock)
@@ -103,7 +103,7 @@ class Reader:
             except BlockingIOError:
                 break
             except OSError as error:
-                # An earlier datagram was refused by its receiver, for instance; the next one may be good.
+                # For example, the receiver refused an earlier datagram. The next one may be good.
                 log.debug("receiving: %s", error)
                 continue
             if self._is_echo(source):
@@ -114,12 +114,12 @@ class Reader:
             inbox.wake()
 
 
-# So long without an error, seconds, says that sending works again.
+# After this long without an error, sending counts as working again, seconds.
 _CALM_S = 10.0
 
 
 class Sender:
-    """Sends at once; what the socket does not take waits, up to a bound."""
+    """Sends at once. Frames that the socket does not accept wait, up to a bound."""
 
     def __init__(self, sock: socket.socket, name: str) -> None:
         self._sock = sock
@@ -132,7 +132,7 @@ class Sender:
         self._failed_at = 0.0
 
     def send(self, frame: bytes, address: Address | None) -> None:
-        """`address`: None for a connected socket."""
+        """Send a frame. `address`: None for a connected socket."""
         if self._outbox:
             self._wait(frame, address)
         elif not self._try(frame, address):
@@ -142,7 +142,7 @@ class Sender:
 
     def _wait(self, frame: bytes, address: Address | None) -> None:
         if len(self._outbox) >= MAX_OUTBOX:
-            # The oldest waits longest and is the least use to anybody.
+            # The oldest has waited longest and is the least useful.
             self._outbox.popleft()
             self.dropped += 1
         self._outbox.append((frame, address))
@@ -161,12 +161,12 @@ class Sender:
             self._failed_at = asyncio.get_running_loop().time()
             text = error.strerror or str(error)
             if text != self._trouble:
-                # Once, until something else happens: a network that is away stays away for many frames.
+                # Log it once until it changes: a network that is down stays down for many frames.
                 self._trouble = text
                 log.warning("%s: cannot send: %s", self._name, text.lower())
             return True
         self.sent += 1
-        # Where nobody listens, a connected socket fails for the datagram before: every other one seems to be sent.
+        # Without a listener, a connected socket fails for the previous datagram: every other one seems to be sent.
         if self._trouble and asyncio.get_running_loop().time() - self._failed_at > _CALM_S:
             self._trouble = ""
             log.info("%s: sending again", self._name)
@@ -179,7 +179,7 @@ class Sender:
             self.stop()
 
     def stop(self) -> None:
-        """Forget what waits."""
+        """Drop the waiting frames."""
         self._outbox.clear()
         if self._loop is not None:
             self._loop.remove_writer(self._sock)
@@ -187,7 +187,7 @@ class Sender:
 
 
 def kernel_drops(sock: socket.socket) -> int:
-    """Datagrams that found the socket's receive buffer full; 0 where the system does not tell (Linux does)."""
+    """Datagrams that found the socket's receive buffer full; 0 where the system does not report it (Linux does)."""
     try:
         inode = str(os.fstat(sock.fileno()).st_ino)
         return next((entry.drops for entry in udp_table() if entry.inode == inode), 0)
@@ -205,7 +205,7 @@ class UdpEntry(NamedTuple):
 
 
 def udp_table() -> Iterator[UdpEntry]:
-    """All of them (proc_pid_net(5)). Raises `OSError` where the system does not tell."""
+    """All UDP sockets (proc_pid_net(5)). Raises `OSError` where the system does not list them."""
     with Path("/proc/net/udp").open(encoding="ascii") as table:
         for line in table:
             fields = line.split()
@@ -214,7 +214,7 @@ def udp_table() -> Iterator[UdpEntry]:
 
 
 def is_local(host: str) -> bool:
-    """Whether an IPv4 address is one of this machine's, now."""
+    """Whether an IPv4 address now belongs to this machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((host, 0))

@@ -1,7 +1,7 @@
-"""Ports that carry a stream of bytes (serial, TCP): opened again for ever when they are lost.
+"""Ports that carry a stream of bytes (serial, TCP). They are opened again indefinitely when they are lost.
 
-A stream has no datagrams: what is read in one piece may end in the middle of a frame, and frames are put together by
-who reads. What is sent goes out whole or not at all, so a port that jams never sends half a frame and then another one.
+A stream has no datagrams: a piece that is read may end in the middle of a frame, and the reader joins the pieces. A
+frame is sent whole or not at all, so a jammed port never sends half a frame and then another one.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from .base import Address, Datagram, Inbox, LinkCounters, Port
 
 log = logging.getLogger(__name__)
 
-#: Bytes read at once, and pieces read at one wake: other links and the step get their turn.
+#: Bytes read at once, and pieces read per wake, so that other links and the step get their turn.
 READ_BYTES = 4096
 MAX_PER_WAKE = 16
-#: Bytes that may wait because the port does not take them. At 57,600 bit/s they take 0.7 s to leave.
+#: Bytes that may wait because the port does not accept them. At 57,600 bit/s they take 0.7 s to leave.
 MAX_PENDING_BYTES = 4096
-#: A lost port is tried again after so many seconds, then after twice as many, and so on up to the second number.
+#: A lost port is tried again after the first pause, then after twice as long, up to the longest pause. Seconds.
 FIRST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 2.0
-#: An attempt that takes longer is given up, seconds. With the longest pause: back within 5 s of the port's return.
+#: A longer attempt is abandoned, seconds. With the longest pause, the port is open within 5 s of its return.
 OPENING_S = 2.5
 
 
 class Channel(ABC):
-    """An open port, non-blocking. What it raises as OSError means that the port is lost."""
+    """An open port, non-blocking. Any other OSError that it raises means that the port is lost."""
 
     @abstractmethod
     def fileno(self) -> int:
@@ -43,28 +43,28 @@ class Channel(ABC):
 
     @abstractmethod
     def write(self, data: bytes) -> int:
-        """How many bytes were taken. Raises `BlockingIOError` if none can be taken now."""
+        """Write, and return how many bytes were accepted. Raises `BlockingIOError` if none can be accepted now."""
 
     @abstractmethod
     def close(self) -> None:
-        """Never raises."""
+        """Close the port. Never raises."""
 
 
 class Opener(ABC):
-    """Knows how to open one port."""
+    """Opens one port."""
 
     name: str
-    """How status and log call it."""
+    """Its name in status and log."""
     source: Address
-    """What is said to be the source of all that comes from it."""
+    """The address reported as the source of all its input."""
 
     @abstractmethod
     async def open(self) -> Channel:
-        """Raises `OSError` or `LinkError` if it cannot be opened now."""
+        """Open the port. Raises `OSError` or `LinkError` if that is not possible now."""
 
 
 class StreamPort:
-    """One port that is kept open. Used on one event loop."""
+    """A port that is kept open. Used on one event loop."""
 
     def __init__(self, opener: Opener) -> None:
         self._opener = opener
@@ -72,13 +72,13 @@ class StreamPort:
         self.inbox = Inbox()
         """Pieces of the stream that have arrived."""
         self.sent = 0
-        """Frames taken whole by the port."""
+        """Frames that the port accepted whole."""
         self.dropped = 0
-        """Frames lost because the port was away or jammed."""
+        """Frames lost because the port was closed or jammed."""
         self.opened = 0
         """How often the port was opened."""
         self.generation = 0
-        """Grows with each opening: what was half read before has no end any more."""
+        """Grows with each opening. A frame that was half read before cannot be completed."""
         self._channel: Channel | None = None
         self._task: asyncio.Task[None] | None = None
         self._lost = asyncio.Event()
@@ -93,20 +93,20 @@ class StreamPort:
         return "" if self._channel is not None else self._trouble
 
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin to open the port, on the running event loop. `wake` is called when something has arrived, when the port
+        """Start opening the port, on the running event loop. `wake` is called when something has arrived, when the port
         has been opened, and when it is lost or cannot be opened."""
         self.inbox.wake = wake
         self._task = asyncio.create_task(self._keep_open(), name=f"keep {self.name} open")
         self._task.add_done_callback(_fail_loudly)
 
     def receive(self) -> list[Datagram]:
-        """What has arrived, a turn of it."""
+        """The pieces of one turn."""
         arrived = self.inbox.take()
         self._watch()
         return arrived
 
     def send(self, frame: bytes) -> None:
-        """Send a frame, or drop and count it: the port is away, or too much is waiting."""
+        """Send a frame. Drop and count it if the port is closed, or if too much is waiting."""
         if self._channel is None or self._out_bytes + len(frame) > MAX_PENDING_BYTES:
             self.dropped += 1
             return
@@ -119,7 +119,7 @@ class StreamPort:
                 asyncio.get_running_loop().add_writer(self._channel.fileno(), self._write)
 
     def close(self) -> None:
-        """Close the port and open it no more."""
+        """Close the port and stop opening it."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -153,7 +153,7 @@ class StreamPort:
 
     def _tell(self, error: BaseException) -> None:
         text = getattr(error, "strerror", None) or str(error) or "no answer"
-        # Once, until something else happens.
+        # Log it once until it changes.
         if text != self._trouble:
             self._trouble = text
             log.warning("%s: %s; trying again", self.name, text.lower())
@@ -226,13 +226,13 @@ class StreamPort:
 
 
 class OverStream(Port):
-    """What a port does that hands everything on to a `StreamPort`."""
+    """The methods of a port that delegates to a `StreamPort`."""
 
     stream = True
     port: StreamPort
 
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin to open and read the port."""
+        """Start opening and reading the port."""
         self.port.start(wake)
 
     @property
@@ -246,7 +246,7 @@ class OverStream(Port):
         return self.port.trouble
 
     def counters(self) -> LinkCounters:
-        """What has been done so far. Received are pieces of the stream."""
+        """The counters so far. `received` counts pieces of the stream."""
         port = self.port
         return LinkCounters(port.sent, port.inbox.taken, 0, port.dropped, 0)
 

@@ -1,4 +1,4 @@
-"""TCP to an autopilot, a simulator or a MAVLink router: we call, they answer."""
+"""TCP connections to an autopilot, a simulator or a MAVLink router, which is the server."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rass_mav.errors import LinkError
 from .base import Address
 from .stream import READ_BYTES, Channel, Opener
 
-#: What we send and nobody confirms for so long ends the connection, milliseconds: a heartbeat leaves each second.
+#: The connection ends if sent bytes are not confirmed for this long, milliseconds. A heartbeat leaves each second.
 _UNCONFIRMED_MS = 4000
 _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", None)
 
@@ -25,7 +25,7 @@ class TcpOpener(Opener):
         self.source: Address = address
 
     async def open(self) -> Channel:
-        """Looks the name up each time: the address may have changed."""
+        """Connect. The name is looked up each time, because the address may have changed."""
         loop = asyncio.get_running_loop()
         try:
             found = await loop.getaddrinfo(*self._address, family=socket.AF_INET, type=socket.SOCK_STREAM)
@@ -40,8 +40,8 @@ class TcpOpener(Opener):
                 sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNCONFIRMED_MS)
             await loop.sock_connect(sock, found[0][4])
             if sock.getsockname() == sock.getpeername():
-                # On this host, with nobody listening, the system may have given us the very port that we call.
-                raise LinkError("nobody is there")
+                # On this host, without a listener, the system may have given us the very port that we connect to.
+                raise LinkError("no server is listening")
         except BaseException:
             sock.close()
             raise
@@ -55,17 +55,17 @@ class TcpChannel(Channel):
         self._socket = sock
 
     def fileno(self) -> int:
-        """The socket."""
+        """The socket's descriptor."""
         return self._socket.fileno()
 
     def read(self) -> bytes:
-        """What has arrived."""
+        """The bytes that have arrived."""
         return self._socket.recv(READ_BYTES)
 
     def write(self, data: bytes) -> int:
-        """As much as the socket takes."""
+        """Send as much as the socket accepts."""
         return self._socket.send(data)
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._socket.close()

@@ -1,8 +1,8 @@
 """UDP between neighbours: unicast to named peers, broadcast, multicast.
 
-All frames leave from one socket, bound to `listen`, and unicast arrives there. For multicast a second socket, which
-other nodes on the same host share, listens at the group. So each node has a source address of its own, by which its
-neighbours answer and by which it knows its own echoes.
+All frames leave from one socket, bound to `listen`, where unicast also arrives. For multicast, a second socket listens
+to the group; other nodes on the same host share it. So each node has its own source address. Its neighbours answer to
+it, and the node recognises its own echoes by it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from .settings import LinkSection
 from .sockets import Reader, Sender, bound_socket, in_use, is_local, kernel_drops, udp_socket
 from .vehicle import VehiclePort
 
-#: Addresses learned from beacons that a link remembers; beyond it the longest silent one is forgotten.
+#: Addresses learned from beacons that a link remembers. When there are more, the longest silent one is forgotten.
 MAX_LEARNED = 512
-# How long an answer to "is this address ours" holds, seconds: interfaces come and go.
+# How long the answer to "is this address ours" stays valid, seconds: interfaces come and go.
 _LOCAL_S = 30.0
 _MAX_LOCAL = 256
 
@@ -37,11 +37,11 @@ class Peer(NamedTuple):
 
     address: Address
     node_id: int | None = None
-    """If known, frames for this node go to it alone from the start; else once a beacon of it has been heard."""
+    """If known, frames for this node go only there from the start; otherwise after a beacon of it has been heard."""
 
 
 class UdpLink(Link):
-    """A link between neighbours. Opens its sockets when made."""
+    """A link between neighbours. The constructor opens its sockets."""
 
     def __init__(
         self,
@@ -53,9 +53,9 @@ class UdpLink(Link):
         interface: str | None = None,
         ttl: int = 1,
     ) -> None:
-        """`listen`: own address, port 0 for any. `interface`: by name or own IPv4 address, for multicast and for
-        broadcast to 255.255.255.255; None: the system chooses. `ttl`: routers that a multicast frame may pass, plus
-        one.
+        """`listen`: own address; port 0: any. `interface`: name or own IPv4 address of the interface for multicast and
+        for broadcast to 255.255.255.255; None: the system chooses. `ttl`: one more than the number of routers that a
+        multicast frame may pass.
 
         Host names are looked up, which may take seconds. Raises `LinkError`.
         """
@@ -88,7 +88,7 @@ class UdpLink(Link):
         self._socket = bound_socket(self.name, resolve(listen, self.name))
         self._sockets = [self._socket]
         self.address: Address = self._socket.getsockname()
-        """Own address, with the port that was chosen if it was 0."""
+        """Own address, with the chosen port if it was 0."""
         self.name = f"udp:{self.address[0]}:{self.address[1]}"
         self._sender = Sender(self._socket, self.name)
         if multicast is not None:
@@ -100,7 +100,7 @@ class UdpLink(Link):
 
     @staticmethod
     def check(section: LinkSection, key: str) -> None:
-        """Raise `ConfigError` for what cannot be set of such a link. `key`: of the section."""
+        """Raise `ConfigError` for invalid settings of such a link. `key`: the section's key."""
         mistakes = Mistakes()
         with mistakes.gathering(f"{key}.listen"):
             parse_address(section.listen, any_port=True)
@@ -124,7 +124,7 @@ class UdpLink(Link):
 
     @classmethod
     def of(cls, section: LinkSection, vehicle: VehiclePort | None) -> UdpLink:
-        """The link of a configuration that was checked. Raises `LinkError`."""
+        """Create the link of a checked configuration. Raises `LinkError`."""
         return cls(
             parse_address(section.listen, any_port=True),
             peers=[Peer(parse_address(peer.address), peer.id) for peer in section.peers],
@@ -136,7 +136,7 @@ class UdpLink(Link):
 
     @staticmethod
     def remarks(section: LinkSection, key: str) -> Iterable[Remark]:
-        """What of a section that was checked does not fit this computer as it is now. `key`: of the section."""
+        """Settings of a checked section that do not fit the computer's present state. `key`: the section's key."""
         return remarks(section, key)
 
     def _join(self, group: Address, interface: str | None, ttl: int) -> socket.socket:
@@ -160,12 +160,12 @@ class UdpLink(Link):
         return sock
 
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin to read, on the running event loop."""
+        """Start reading, on the running event loop."""
         self._inbox.wake = wake
         self._readers = [Reader(sock, self._inbox, is_echo=self._is_own) for sock in self._sockets]
 
     def receive(self) -> list[Datagram]:
-        """What has arrived, a turn of it."""
+        """The datagrams of one turn."""
         was_full = self._inbox.full
         arrived = self._inbox.take()
         if was_full:
@@ -186,7 +186,7 @@ class UdpLink(Link):
         return own
 
     def send(self, frame: bytes, target: int) -> None:
-        """To the target's address if it is known, else to all peers, the broadcast address and the group."""
+        """Send to the target's address if it is known, otherwise to all peers, the broadcast address and the group."""
         address = self._configured.get(target) or self._learned.get(target)
         if address is not None:
             self._sender.send(frame, address)
@@ -199,17 +199,17 @@ class UdpLink(Link):
         return target in self._configured or target in self._learned
 
     def learn(self, node_id: int, source: Address) -> None:
-        """From now on, frames for this node go there."""
+        """From now on, send frames for this node to this address."""
         if node_id not in self._configured:
             remember(self._learned, node_id, source, MAX_LEARNED)
 
     def carriers(self) -> list[Carrier]:
-        """The interfaces by which the neighbours are reached."""
+        """The interfaces through which the neighbours are reached."""
         return carriers((address[0] for address in self._everybody), self._interface)
 
     @property
     def trouble(self) -> str:
-        """Why nothing can leave: no interface carries, or none has the broadcast address."""
+        """Why nothing can leave: no interface has a carrier, or none has the broadcast address."""
         broadcasts = [EVERY_NETWORK, *(interface.broadcast for interface in interfaces())]
         if self._broadcast is not None and len(self._everybody) == 1 and self._broadcast not in broadcasts:
             return f"{self._broadcast} is the broadcast address of no interface"
@@ -219,7 +219,7 @@ class UdpLink(Link):
         return ""
 
     def counters(self) -> LinkCounters:
-        """What has been done so far; dropped in is what the kernel had no room for."""
+        """The counters so far; `dropped_in` counts datagrams that found the kernel's buffer full."""
         overrun = sum(kernel_drops(sock) for sock in self._sockets)
         echoes = sum(reader.echoes for reader in self._readers)
         return LinkCounters(self._sender.sent, self._inbox.taken, overrun, self._sender.dropped, echoes)

@@ -1,4 +1,4 @@
-"""The way to the autopilot over UDP: `udpin:` listens and answers to whoever spoke last, `udpout:` speaks first."""
+"""The connection to the autopilot over UDP: `udpin:` listens and answers the last sender, `udpout:` sends first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class VehiclePort(Port):
 
     @abstractmethod
     def receive(self) -> list[bytes]:
-        """What has arrived, so much as one turn bears (`base.MAX_TURN`)."""
+        """The bytes of one turn (`base.MAX_TURN`)."""
 
     @abstractmethod
     def send(self, frame: bytes) -> None:
@@ -25,7 +25,7 @@ class VehiclePort(Port):
 
 
 class VehicleLink(VehiclePort):
-    """Datagrams from and to the autopilot. Opens its socket when made."""
+    """Datagrams from and to the autopilot. The constructor opens the socket."""
 
     def __init__(self, url: VehicleUrl) -> None:
         """Raises `LinkError`, for example `udpin:0.0.0.0:14550: address already in use`."""
@@ -42,7 +42,7 @@ class VehicleLink(VehiclePort):
         else:
             self._socket = udp_socket()
             try:
-                # Connected, so that the kernel lets nothing in but from there.
+                # Connected, so that the kernel accepts datagrams only from this address.
                 self._socket.connect(address)
             except OSError as error:
                 self._socket.close()
@@ -52,17 +52,17 @@ class VehicleLink(VehiclePort):
         self._sender = Sender(self._socket, self.name)
 
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin to read, on the running event loop. `wake` is called when something has arrived."""
+        """Start reading, on the running event loop. `wake` is called when something has arrived."""
         self._inbox.wake = wake
         self._reader = Reader(self._socket, self._inbox, is_echo=lambda source: False)
 
     @property
     def generation(self) -> int:
-        """How many have spoken first: each of them has heard nothing of us yet."""
+        """Grows with each new sender, because a new sender has not heard our heartbeat yet."""
         return 1 + self._speakers if self._listens else 1
 
     def receive(self) -> list[bytes]:
-        """What has arrived, a turn of it."""
+        """The datagrams of one turn."""
         was_full = self._inbox.full
         arrived = self._inbox.take()
         if arrived and arrived[-1].source != self._heard:
@@ -73,7 +73,7 @@ class VehicleLink(VehiclePort):
         return [datagram.data for datagram in arrived]
 
     def send(self, frame: bytes) -> None:
-        """Send to the autopilot; with `udpin`, as long as nobody has spoken, to nobody."""
+        """Send to the autopilot. With `udpin`, drop the frame if nothing has been heard yet."""
         if not self._listens:
             self._sender.send(frame, None)
         elif self._heard is not None:
@@ -82,7 +82,7 @@ class VehicleLink(VehiclePort):
             self._unheard += 1
 
     def counters(self) -> LinkCounters:
-        """What has been done so far. Frames that were meant for nobody yet count as dropped."""
+        """The counters so far. Frames without a receiver count as dropped."""
         return LinkCounters(
             self._sender.sent, self._inbox.taken, kernel_drops(self._socket), self._sender.dropped + self._unheard, 0
         )

@@ -1,4 +1,4 @@
-"""The way to the autopilot over a stream: a serial port, or TCP."""
+"""The connection to the autopilot over a stream: a serial port, or TCP."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from .vehicle import VehicleLink, VehiclePort
 
 
 class VehicleStream(OverStream, VehiclePort):
-    """Bytes from and to the autopilot. The port is opened on `start`, and again for ever when it is lost."""
+    """Bytes from and to the autopilot. The port is opened by `start`, and again indefinitely when it is lost."""
 
     def __init__(self, opener: Opener) -> None:
         self.port = StreamPort(opener)
         self.name = self.port.name
 
     def receive(self) -> list[bytes]:
-        """What has arrived, in pieces that end anywhere."""
+        """The bytes of one turn, in pieces that end anywhere."""
         return [data for data, _ in self.port.receive()]
 
     def send(self, frame: bytes) -> None:
@@ -26,7 +26,7 @@ class VehicleStream(OverStream, VehiclePort):
 
 
 def open_vehicle(url: VehicleUrl) -> VehiclePort:
-    """The port that a connection string names. Raises `LinkError` if it can never be opened (UDP); others wait."""
+    """Open the port of a connection string. Raises `LinkError` if it can never be opened (UDP); others wait."""
     if url.mode == "serial":
         return VehicleStream(SerialOpener(*url.address))
     if url.mode == "tcp":

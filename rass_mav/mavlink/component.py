@@ -47,7 +47,7 @@ _CAPABILITIES: int = (
     | common.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | common.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
-# A file transfer's header: sequence, session, opcode, size of the data, answered opcode, burst's end, padding, offset.
+# Header of a file transfer: sequence, session, opcode, data size, answered opcode, end of burst, padding, offset.
 _FTP_HEADER = struct.Struct("<HBBBBBxI")
 _FTP_PAYLOAD = 251
 _UNKNOWN_U8 = 0xFF
@@ -101,7 +101,7 @@ def file_transfer_refusal(request: bytes, *, target_system: int, target_componen
     """FILE_TRANSFER_PROTOCOL that refuses a request as an unknown command (https://mavlink.io/en/services/ftp.html).
 
     :param request: the field `payload` of the request, 251 bytes.
-    :returns: None: it is no request but an answer, which must not be answered.
+    :returns: None if `request` is itself an answer, which must not be answered.
     """
     sequence, session, opcode, *_ = _FTP_HEADER.unpack_from(request)
     if opcode in (common.MAV_FTP_OPCODE_ACK, common.MAV_FTP_OPCODE_NAK):

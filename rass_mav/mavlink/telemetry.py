@@ -98,9 +98,9 @@ class Telemetry:
         self.autopilot: int | None = None
         """MAV_AUTOPILOT of its heartbeat."""
         self.version: AutopilotVersion | None = None
-        """What its AUTOPILOT_VERSION said; None: it was not heard."""
+        """The contents of its AUTOPILOT_VERSION; None: not heard."""
         self.signed = False
-        """The last heartbeat was signed."""
+        """Whether the last heartbeat was signed."""
         self.no_fix_at: float | None = None
         """When the last position without a fix was received."""
         self.armed = False
@@ -189,7 +189,7 @@ class Telemetry:
 
     @property
     def firmware(self) -> Firmware | None:
-        """What the autopilot runs; None: no heartbeat of it was heard."""
+        """What the autopilot runs; None: its heartbeat has not been heard."""
         if self.autopilot is None:
             return None
         return Firmware(self.autopilot) if self.version is None else Firmware(self.autopilot, self.version.version)

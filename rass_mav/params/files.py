@@ -76,7 +76,7 @@ def parse_text(text: str) -> ParameterFile:
         try:
             name, value, kind = _qgroundcontrol(line) if format == "qgroundcontrol" else _ardupilot(line)
             if name in entries:
-                raise ConfigError(f"{name} stands twice, first in line {entries[name].line}")
+                raise ConfigError(f"{name} appears twice, first in line {entries[name].line}")
         except ConfigError as error:
             raise ConfigError(f"line {number}: {error}") from None
         entries[name] = Entry(name, value, number, kind, needs_reboot(name) or bool(_REBOOT.search(comment)))

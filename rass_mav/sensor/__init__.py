@@ -1,1 +1,1 @@
-"""Radiation readings from a counter on the node itself: bytes of the device in, dose rates with their age out."""
+"""Radiation readings from a counter connected to the node: the device's bytes in, dose rates with their time out."""

@@ -1,4 +1,4 @@
-"""What the driver asks of a sensor."""
+"""The interface of a sensor."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
-#: Readings that may wait for the driver. Beyond it the oldest one is lost: the newest says most about the danger now.
+#: Readings that may wait for the driver. When there are more, the oldest is lost: the newest is the most useful.
 MAX_WAITING = 64
 
 
 class SensorReading(NamedTuple):
-    """What a sensor said."""
+    """A reading of a sensor."""
 
     value: float
     """Finite, in the sensor's unit."""
@@ -20,16 +20,16 @@ class SensorReading(NamedTuple):
 
 
 class SensorState(NamedTuple):
-    """How a sensor is, for status and for people."""
+    """The state of a sensor, for status and for people."""
 
     connected: bool
     """Whether its port is open."""
     readings: int
     """Readings so far."""
     malformed: int
-    """Answers, lines or records that made no sense."""
+    """Answers, lines or records that do not parse."""
     saturated: int
-    """Readings that are a lower bound, because the tube was dead nearly all of the time."""
+    """Readings that are a lower bound, because the tube was dead nearly all the time."""
     dropped: int
     """Readings lost because the driver did not take them."""
     connections: int
@@ -39,24 +39,24 @@ class SensorState(NamedTuple):
 
 
 class Sensor(ABC):
-    """A source of readings. It never blocks the driver, and never raises for what the device does."""
+    """A source of readings. It never blocks the driver, and never raises because of the device's behaviour."""
 
     def __init__(self, name: str) -> None:
-        """`name`: how status and log call it."""
+        """`name`: its name in status and log."""
         self.name = name
 
     @abstractmethod
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin, on the running event loop. `wake` is called on it when there is something new; a sensor whose
-        readings can wait for the next step need not call it."""
+        """Start, on the running event loop. The sensor calls `wake` on that loop when it has something new. A sensor
+        whose readings can wait for the next step need not call it."""
 
     @abstractmethod
     def receive(self) -> list[SensorReading]:
-        """The readings since the last call, at most `MAX_WAITING`, in order. A sensor that has failed gives none."""
+        """The readings since the last call, at most `MAX_WAITING`, in order. A failed sensor returns none."""
 
     @abstractmethod
     def state(self) -> SensorState:
-        """How it is."""
+        """Its state."""
 
     @abstractmethod
     def close(self) -> None:

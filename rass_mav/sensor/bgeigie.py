@@ -1,9 +1,9 @@
-"""Sentences of Safecast's bGeigie counters, live and in logs.
+"""The sentences of Safecast's bGeigie counters, live and in logs.
 
 `$BNRDD,204,2012-09-20T15:13:40Z,11,2,11,V,5218.7185,N,00445.6503,E,4.80,A,132,6*64`: header, device, UTC, counts in the
-last minute (CPM), in the last 5 s, in all, whether CPM is valid (A) or the first minute is not over (V), latitude,
-longitude (degrees and minutes), altitude in metres, whether there is a fix (A) or not (V), and two fields that change
-places between firmwares (dilution of precision, satellites), so they are not read. Behind the star stands the XOR of
+last minute (CPM), in the last 5 s, in total, whether CPM is valid (A) or the first minute is not over (V), latitude,
+longitude (degrees and minutes), altitude in metres, whether there is a fix (A) or not (V), and two fields that are not
+read because their order depends on the firmware (dilution of precision, satellites). After the star comes the XOR of
 all bytes between $ and star. See https://github.com/Safecast/bGeigieNanoKit.
 """
 
@@ -21,10 +21,10 @@ from .protocol import LineProtocol, Sample, shown
 
 #: Headers of measurements, by kind of device: bGeigie Mini, Classic, Nano, NX, Pointcast, Zen.
 HEADERS = frozenset((b"BMRDD", b"BGRDD", b"BNRDD", b"BNXRDD", b"PNTDD", b"CZRDD"))
-#: A measurement has at least so many fields, header included; the last one that is read says whether there is a fix.
+#: A measurement has at least this many fields, including the header. The last one that is read is the flag for a fix.
 MIN_FIELDS = 13
 
-#: Where a sentence begins in a text.
+#: The start of a sentence in a text.
 SENTENCE = re.compile(rb"\$(?:" + b"|".join(sorted(HEADERS)) + rb"),")
 
 _CHECKED = re.compile(rb"\$([\x20-\x7e]*)\*([0-9A-Fa-f]{2})")
@@ -53,7 +53,7 @@ class Record(NamedTuple):
     device: int
     """The device's number."""
     time_us: int
-    """Microseconds since 1970. Without a fix the device's clock may never have been set."""
+    """Microseconds since 1970. Without a fix, the device's clock may never have been set."""
     cpm: float | None
     """Counts per minute; None: not valid (V)."""
     place: Place | None
@@ -61,16 +61,16 @@ class Record(NamedTuple):
 
 
 def fields_of(sentence: bytes) -> list[bytes] | None:
-    """The fields of a measurement, the header first; None: an intact sentence about something else.
+    """The fields of a measurement, starting with the header; None: a valid sentence of another kind.
 
     :param sentence: from `$` to the checksum, without the end of the line.
-    :raises MalformedError: no sentence, a wrong checksum, or too few fields.
+    :raises MalformedError: not a sentence, a wrong checksum, or too few fields.
     """
     found = _CHECKED.fullmatch(sentence)
     if found is None:
         raise MalformedError(f"expected $...*XX, got {shown(sentence)}")
     checksum = int(found[2], 16)
-    # Some firmwares write -07355.3663,W: the sign says what the letter says, and the checksum was made without it.
+    # Some firmware writes -07355.3663,W: the sign repeats the letter, and is not part of the checksum.
     body = _SIGN.sub(rb",\1", found[1])
     if reduce(xor, body, 0) != checksum:
         body = found[1]
@@ -93,13 +93,13 @@ def rate_of(fields: list[bytes]) -> float | None:
 
 
 def decode_record(sentence: bytes) -> Record | None:
-    """All of a sentence; None: an intact sentence about something else. Raises `MalformedError`."""
+    """The whole measurement in a sentence; None: a valid sentence of another kind. Raises `MalformedError`."""
     fields = fields_of(sentence)
     if fields is None:
         return None
     if _NUMBER.fullmatch(fields[1]) is None:
         raise MalformedError(f"expected a device number, got {shown(fields[1])}")
-    # A place without a fix is the last one known, or none at all, and is not looked at.
+    # Without a fix, the place is the last one known, or none at all. Ignore it.
     place = None
     if _flag(fields[12], "fix"):
         if _METRES.fullmatch(fields[11]) is None:
@@ -124,24 +124,24 @@ def _time_us(text: bytes) -> int:
     try:
         time = datetime.fromisoformat(text[:-1].decode("ascii") + "+00:00")
     except ValueError as error:
-        # Before a device knows the time it says the 0th of month 0.
+        # Before a device knows the time, it writes day 0 of month 0.
         raise MalformedError(f"{shown(text)}: {error}") from None
     return (time - _EPOCH) // timedelta(microseconds=1)
 
 
 def _degrees(text: bytes, letter: bytes, letters: bytes, limit: float) -> float:
-    """Degrees of `dddmm.mmmm` and a letter, of which the second is negative."""
+    """Degrees from `dddmm.mmmm` and a letter; the second of `letters` makes them negative."""
     if _DEGREES.fullmatch(text) is None or len(letter) != 1 or letter not in letters:
         raise MalformedError(f"expected dddmm.mmmm and one of {letters.decode()}, got {shown(text + b',' + letter)}")
     degrees, minutes = divmod(float(text), 100.0)
     value = degrees + minutes / 60.0
     if minutes >= 60.0 or value > limit:
-        raise MalformedError(f"no such place: {shown(text + b',' + letter)}")
+        raise MalformedError(f"not a place on Earth: {shown(text + b',' + letter)}")
     return -value if letter == letters[1:] else value
 
 
 class Bgeigie(LineProtocol):
-    """A bGeigie on a serial port: a sentence every 5 s or so. Where it is and what time it has are not used."""
+    """A bGeigie on a serial port, which sends a sentence about every 5 s. Its position and time are not used."""
 
     def _line(self, line: bytes, now: float) -> Sample | None:
         if line.startswith(b"#"):

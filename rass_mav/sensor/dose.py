@@ -1,4 +1,4 @@
-"""Counts to dose rate: dead time, the tube's sensitivity, units."""
+"""Converts counts to a dose rate: dead time, the tube's sensitivity, units."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 
 Unit = Literal["usvh", "cpm", "cps"]
 
-#: The correction for dead time ends where a tube is dead for this share of the time: there the true rate is 100 times
-#: the measured one, and beyond it the formula says more about its own pole than about the radiation.
+#: The correction for dead time stops growing where a tube is dead for this share of the time. There the true rate is
+#: 100 times the measured one. Close to the formula's pole its result would mean nothing.
 MAX_DEAD = 0.99
 
 
@@ -15,9 +15,9 @@ class Tube(NamedTuple):
     """A Geiger-Mueller tube."""
 
     cpm_per_usvh: float
-    """Counts per minute in 1 microsievert per hour of Cs-137."""
+    """Counts per minute at 1 microsievert per hour of Cs-137."""
     dead_time_us: float
-    """Microseconds after each pulse in which it sees nothing; 0: not known, so not corrected."""
+    """Microseconds after each pulse in which it detects nothing; 0: unknown, so not corrected."""
 
 
 TUBES: dict[str, Tube] = {
@@ -25,19 +25,19 @@ TUBES: dict[str, Tube] = {
     "j305": Tube(135.0, 0.0),
     "m4011": Tube(108.0, 0.0),
     "lnd-7317": Tube(253.0, 40.0),
-    # The same tube as Safecast converts it, without a correction; with it, readings agree with Safecast's map.
+    # The same tube with Safecast's conversion and no correction, so that readings agree with Safecast's map.
     "safecast": Tube(334.0, 0.0),
 }
 
 
 class DoseMeter:
-    """Turns the counts that a device tells into readings of one unit."""
+    """Converts a device's counts into readings of one unit."""
 
     __slots__ = ("believe_device", "cpm_per_usvh", "dead_time_us", "saturated", "unit")
 
     def __init__(self, tube: Tube, unit: Unit = "usvh", *, believe_device: bool = True) -> None:
         """:param unit: of the readings: usvh (microsievert per hour), cpm or cps (counts per minute, per second).
-        :param believe_device: a sensitivity that the device tells of itself counts instead of that of `tube`.
+        :param believe_device: use the sensitivity that the device reports, if any, instead of that of `tube`.
         :raises ValueError: a sensitivity that is not above 0, or a negative dead time.
         """
         if tube.cpm_per_usvh <= 0.0 or tube.dead_time_us < 0.0:
@@ -47,12 +47,12 @@ class DoseMeter:
         self.unit: Unit = unit
         self.believe_device = believe_device
         self.saturated = 0
-        """Readings for which the tube was dead more than `MAX_DEAD` of the time, so that they are a lower bound."""
+        """Readings that are a lower bound, because the tube was dead more than `MAX_DEAD` of the time."""
 
     def true_cpm(self, cpm: float) -> float:
-        """What the tube would have counted without dead time tau: m / (1 - m tau), non-paralysable.
+        """The rate without dead time tau: m / (1 - m tau), non-paralysable.
 
-        Where m tau reaches `MAX_DEAD` the factor stays at 100, and `saturated` counts it.
+        From m tau = `MAX_DEAD` the factor stays at 100, and `saturated` counts the reading.
         """
         dead = cpm * self.dead_time_us / 60e6
         if dead > MAX_DEAD:
@@ -63,8 +63,8 @@ class DoseMeter:
     def reading(self, cpm: float, cpm_per_usvh: float | None = None) -> float:
         """The reading for a measured rate.
 
-        :param cpm: counts per minute as the device tells them, at least 0.
-        :param cpm_per_usvh: the sensitivity that the device tells of itself, above 0; None: it tells none.
+        :param cpm: counts per minute as the device reports them, at least 0.
+        :param cpm_per_usvh: the sensitivity that the device reports, above 0; None: it reports none.
         """
         true = self.true_cpm(cpm)
         if self.unit == "cpm":

@@ -1,10 +1,10 @@
-"""The sensors that a configuration can name, one row each. A node loads the module of its own one only."""
+"""The sensors that a configuration can name, one row each. A node loads only the module of its own sensor."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-#: The keys that say how counts become readings.
+#: The keys that determine how counts become readings.
 _OF_COUNTS = ("unit", "tube", "cpm_per_usvh", "dead_time_us")
 
 
@@ -12,24 +12,24 @@ class SensorKind(NamedTuple):
     """A kind of sensor."""
 
     opener: str | None
-    """`module:name` of what makes the `Sensor` of the `SensorSettings` and the node's clock. None: readings are the
-    autopilot's."""
+    """`module:name` of the function that creates the `Sensor` from the `SensorSettings` and the node's clock. None:
+    readings come from the autopilot."""
     keys: tuple[str, ...] = ()
-    """The keys that have an effect with it; the first one must be given."""
+    """The keys that have an effect with it. The first one is required."""
     needs: str = ""
-    """What that one must be, in words."""
+    """What the required key must be, in words."""
     tube: str = ""
-    """The tube that it usually has, a key of `dose.TUBES`."""
+    """Its usual tube, a key of `dose.TUBES`."""
     protocol: str = ""
     """`module:name` of the `Protocol` of a device on a serial port."""
     baud: int = 0
-    """bit/s of such a device, as it comes from the factory."""
+    """Factory setting of such a device, bit/s."""
     corrects: bool = False
-    """It corrects its rate for dead time itself, so that we do not by default."""
+    """Whether the device corrects its rate for dead time. By default, we then do not."""
 
 
 def counter(protocol: str, baud: int, tube: str, *, corrects: bool = False) -> SensorKind:
-    """The row of a counter on a serial port, as it comes from the factory."""
+    """The row of a counter on a serial port, with its factory settings."""
     opener, keys = "rass_mav.sensor.serial_sensor:open_counter", ("port", "baud", *_OF_COUNTS)
     return SensorKind(opener, keys, "the counter's serial port", tube, protocol, baud, corrects)
 

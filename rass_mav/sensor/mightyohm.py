@@ -1,8 +1,8 @@
 """The MightyOhm Geiger counter: a line a second, 9600 baud 8N1 (https://mightyohm.com/blog/products/geiger-counter/).
 
-`CPS, 0, CPM, 13, uSv/hr, 0.07, SLOW`. Its CPM is that of the last minute (SLOW), of the last five seconds when there
-are many counts (FAST), or 60 times CPS when there are very many (INST). Its dose rate is that of the tube it was sold
-with, so it is not used.
+`CPS, 0, CPM, 13, uSv/hr, 0.07, SLOW`. CPM is that of the last minute (SLOW), of the last five seconds when there are
+many counts (FAST), or 60 times CPS when there are very many (INST). The dose rate assumes the tube that the counter was
+sold with, so it is not used.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _LINE = re.compile(rb"CPS, ?\d{1,9}, ?CPM, ?(\d{1,9}), ?uSv/hr, ?\d{1,9}(?:\.\d{
 
 
 def decode_line(line: bytes) -> float:
-    """Counts per minute of a line without its end. Raises `MalformedError`."""
+    """Counts per minute from a line without its line end. Raises `MalformedError`."""
     found = _LINE.fullmatch(line)
     if found is None:
         raise MalformedError(f"expected 'CPS, n, CPM, n, uSv/hr, x, MODE', got {shown(line)}")
@@ -25,7 +25,7 @@ def decode_line(line: bytes) -> float:
 
 
 class MightyOhm(LineProtocol):
-    """Listens; there is nothing to ask."""
+    """Listens only: the counter sends without being asked."""
 
     def _line(self, line: bytes, now: float) -> Sample:
         return Sample(decode_line(line), now)

@@ -1,4 +1,4 @@
-"""A recorded log as sensor, for demonstrations: its readings come in the rhythm in which they were measured."""
+"""A recorded log as a sensor, for demonstrations: readings come at the intervals at which they were measured."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from .settings import SensorSettings
 
 
 class PlaybackSensor(Sensor):
-    """The first record of the log is now, when it starts. After the last one it is silent, and grows stale."""
+    """Plays the log from its first record when it starts. After the last record there are no more readings."""
 
     def __init__(
         self, name: str, log: BgeigieLog, meter: DoseMeter, now: Callable[[], float], *, speed: float = 1.0
     ) -> None:
         """:param log: with at least one record.
         :param now: the driver's timeline, seconds.
-        :param speed: seconds of the log in a second, above 0.
+        :param speed: seconds of the log per second, above 0.
         """
         super().__init__(name)
         begin_us = log.records[0].time_us
@@ -35,11 +35,11 @@ class PlaybackSensor(Sensor):
         self._dropped = 0
 
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin with the log. `wake` is not called: the driver looks at every step."""
+        """Start the log. `wake` is not called: the driver asks at every step."""
         self._begin = self._now()
 
     def receive(self) -> list[SensorReading]:
-        """What the log says up to now; its age is right even if the driver comes late."""
+        """The log's readings up to now. Their times are right even if the driver is late."""
         if self._begin is None:
             return []
         passed = self._now() - self._begin
@@ -53,19 +53,19 @@ class PlaybackSensor(Sensor):
         ]
 
     def state(self) -> SensorState:
-        """How it is."""
+        """Its state."""
         ended = self._next == len(self._due)
         return SensorState(
             self._begin is not None, self._next - self._dropped, self._malformed, self._meter.saturated, self._dropped,
-            int(self._begin is not None), "the log is at its end" if ended else "",
+            int(self._begin is not None), "the log has ended" if ended else "",
         )  # fmt: skip
 
     def close(self) -> None:
-        """There is nothing to release."""
+        """Nothing to release."""
 
 
 def open_log(settings: SensorSettings, now: Callable[[], float]) -> PlaybackSensor:
-    """The log of a configuration, `now` on the driver's timeline. Raises `ConfigError`: it has no valid record."""
+    """Open the log of a configuration; `now`: the driver's timeline. Raises `ConfigError`: no valid record."""
     assert settings.path is not None
     try:
         log = load_bgeigie(settings.path)

@@ -1,4 +1,4 @@
-"""What all device protocols have in common. They are pure: bytes and times in, samples and questions out."""
+"""The base of all device protocols. They are pure: bytes and times in, samples and questions out."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ MAX_LINE = 256
 
 
 class Sample(NamedTuple):
-    """A rate as a device told it."""
+    """A rate as reported by a device."""
 
     cpm: float
-    """Counts per minute, finite, at least 0; not corrected for dead time by us."""
+    """Counts per minute, finite, at least 0; not yet corrected for dead time by us."""
     at: float
     """When it arrived, seconds on the caller's timeline."""
     cpm_per_usvh: float | None = None
-    """The device's own sensitivity, counts per minute in 1 uSv/h; None: it does not tell."""
+    """The sensitivity that the device reports, counts per minute at 1 uSv/h; None: it reports none."""
 
 
 class Protocol(ABC):
-    """One device's language, for one connection after the other."""
+    """The protocol of one device, for one connection after another."""
 
     def __init__(self) -> None:
         self.heard = 0
-        """Lines or answers that made sense. A device that is heard lives, even while it has no valid rate to tell."""
+        """Lines or answers that parsed. They show that the device works, even while it has no valid rate."""
         self.malformed = 0
-        """Lines or answers that did not."""
+        """Lines or answers that did not parse."""
         self.trouble = ""
-        """Why the last one did not; empty after one that did."""
+        """Why the last one did not parse; empty if it did."""
 
     @abstractmethod
     def reset(self) -> None:
-        """A new connection: forget what was half said."""
+        """A new connection: forget incomplete input."""
 
     def ask(self, now: float) -> bytes:
-        """What is to be sent to the device at `now`. Call it a few times a second; most of the time it is nothing."""
+        """The bytes to send to the device at `now`, usually none. Call it a few times a second."""
         return b""
 
     @abstractmethod
     def feed(self, data: bytes, now: float) -> list[Sample]:
-        """Take in what has arrived, perhaps nothing. Never raises for what a device says."""
+        """Take the bytes that have arrived, perhaps none. Never raises because of what a device sends."""
 
     def _understood(self) -> None:
         self.heard += 1
@@ -55,16 +55,16 @@ class Protocol(ABC):
 
 
 class Lines:
-    """Cuts a stream into lines, however its bytes arrive. Holds at most `MAX_LINE` bytes."""
+    """Splits a stream into lines, however its bytes arrive. Holds at most `MAX_LINE` bytes."""
 
     def __init__(self) -> None:
         self.overlong = 0
-        """Lines that were longer, and were left out."""
+        """Longer lines, which were dropped."""
         self._rest = b""
         self._skipping = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that have become whole, without their ends; empty ones are left out."""
+        """The lines that are now complete, without their line ends; empty ones are left out."""
         *whole, rest = (self._rest + data).split(b"\n")
         lines = []
         for line in whole:
@@ -82,18 +82,18 @@ class Lines:
 
 
 class LineProtocol(Protocol):
-    """A device that speaks in lines of text."""
+    """A device that sends lines of text."""
 
     def __init__(self) -> None:
         super().__init__()
         self._lines = Lines()
 
     def reset(self) -> None:
-        """A new connection: forget what was half said."""
+        """A new connection: forget incomplete input."""
         self._lines = Lines()
 
     def feed(self, data: bytes, now: float) -> list[Sample]:
-        """Take in what has arrived, perhaps nothing. Never raises for what a device says."""
+        """Take the bytes that have arrived, perhaps none. Never raises because of what a device sends."""
         samples = []
         lines = self._lines
         overlong = lines.overlong
@@ -112,9 +112,9 @@ class LineProtocol(Protocol):
 
     @abstractmethod
     def _line(self, line: bytes, now: float) -> Sample | None:
-        """What a line says; None: nothing about the rate. Raises `MalformedError`."""
+        """The sample in a line; None: the line contains no rate. Raises `MalformedError`."""
 
 
 def shown(data: bytes) -> str:
-    """Bytes of a device as they stand in an error: short, and on one line."""
+    """A device's bytes for an error message: short, and on one line."""
     return repr(data[:40])[1:] + ("..." if len(data) > 40 else "")

@@ -1,8 +1,8 @@
 """Counters with the Rad Pro firmware: questions and answers in lines, 115200 baud 8N1.
 
-https://github.com/Gissio/radpro/blob/main/docs/comm.md. An answer is `OK value` or `ERROR` and does not say to which
-question. So one question is open at a time; if its answer is late, nothing is asked for a while and what comes then is
-left out.
+https://github.com/Gissio/radpro/blob/main/docs/comm.md. An answer is `OK value` or `ERROR`, and does not name its
+question. So only one question is open at a time. If its answer is late, nothing is asked for a while, and answers that
+come in that time are dropped.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from rass_mav.errors import MalformedError
 
 from .protocol import LineProtocol, Lines, Sample, shown
 
-#: Seconds between two questions; the counter works out its rate once a second.
+#: Seconds between two questions. The counter computes its rate once a second.
 POLL_S = 1.0
 
 _SENSITIVITY = b"GET tubeSensitivity\r\n"
@@ -22,7 +22,7 @@ _VALUE = re.compile(rb"OK (\d{1,12}(?:\.\d{1,9})?)")
 
 
 def decode_answer(line: bytes) -> float | None:
-    """The value, at least 0; None: the device said ERROR. Raises `MalformedError`."""
+    """The value, at least 0; None: the device answered ERROR. Raises `MalformedError`."""
     if line == b"ERROR":
         return None
     found = _VALUE.fullmatch(line)
@@ -32,7 +32,7 @@ def decode_answer(line: bytes) -> float | None:
 
 
 class RadPro(LineProtocol):
-    """Asks for the tube's sensitivity at first, then for its rate once a second."""
+    """Asks for the tube's sensitivity first, then for its rate once a second."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,13 +42,13 @@ class RadPro(LineProtocol):
         """A new connection: perhaps another device."""
         super().reset()
         self._open: bytes | None = None
-        """The question that has not been answered."""
+        """The unanswered question."""
         self._due: float | None = None
         self._sensitivity: float | None = None
         self._next = _SENSITIVITY
 
     def ask(self, now: float) -> bytes:
-        """The next question, when its time has come."""
+        """The next question, if it is due."""
         if self._due is not None and now < self._due:
             return b""
         self._due = now + POLL_S
@@ -62,14 +62,14 @@ class RadPro(LineProtocol):
     def _line(self, line: bytes, now: float) -> Sample | None:
         asked, self._open = self._open, None
         if asked is None:
-            raise MalformedError(f"an answer to no question: {shown(line)}")
+            raise MalformedError(f"an answer without a question: {shown(line)}")
         value = decode_answer(line)
         if asked is _SENSITIVITY:
-            # Firmware that does not know the question says ERROR: then the configured tube counts.
+            # Firmware that does not know the question answers ERROR. Then the configured tube is used.
             self._sensitivity = value or None
             self._next = _RATE
             self._due = None
             return None
         if value is None:
-            raise MalformedError("ERROR, when asked for the rate")
+            raise MalformedError("the counter answered ERROR when asked for the rate")
         return Sample(value, now, self._sensitivity)

@@ -1,6 +1,6 @@
-"""A counter on a serial port. A thread of its own talks to it: a USB device that hangs must not stop the heartbeat.
+"""A counter on a serial port. A separate thread talks to it, because a USB device that hangs must not stop the node.
 
-pyserial is imported when the first port is opened; nodes without a serial sensor do without it.
+pyserial is imported when the first port is opened. Nodes without a serial sensor do not need it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple
 
-from rass_mav.errors import ConfigError, LinkError
+from rass_mav.errors import ConfigError, LinkError, installing
 
 from .base import MAX_WAITING, Sensor, SensorReading, SensorState
 from .dose import DoseMeter
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-#: How long a read waits, seconds: so often questions are considered.
+#: How long a read waits, seconds. Questions are considered as often.
 READ_S = 0.1
-#: A question that is not sent after so long never will be, seconds.
+#: How long a write waits, seconds. A question not sent by then never will be.
 WRITE_S = 1.0
-#: Bytes read at once, and the pause after them, seconds: a device that never stops talking is read at 50 kB/s, several
-#: times what a counter's line carries, and leaves the processor to the node.
+#: Bytes read at once, and the pause after them, seconds. So a device that never stops sending is read at 50 kB/s, which
+#: is several times what a counter's line carries, and the processor stays free for the node.
 MAX_READ = 1024
 GATHER_S = 0.02
-#: How long `close` waits for the thread, seconds; one that hangs in the kernel ends with the process.
+#: How long `close` waits for the thread, seconds. A thread that hangs in the kernel ends with the process.
 CLOSE_S = 2.0
 
 
@@ -44,14 +44,14 @@ class Patience(NamedTuple):
     """How long to wait, seconds."""
 
     first_pause: float = 0.25
-    """After a port was lost; the pauses double from then on."""
+    """Pause after a port was lost. From then on the pauses double."""
     longest_pause: float = 2.0
     silence: float = 20.0
-    """A port on which nothing sensible was heard for so long is opened anew; adapters that hang may recover by it."""
+    """A port without valid input for this long is opened again. An adapter that hangs may recover this way."""
 
 
 class SerialSensor(Sensor):
-    """Readings from a device; its port is opened again for ever, with growing pauses."""
+    """Readings from a device. Its port is opened again indefinitely, with growing pauses."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class SerialSensor(Sensor):
         now: Callable[[], float],
         patience: Patience = Patience(),  # noqa: B008 (it cannot be changed)
     ) -> None:
-        """:param port: a device file; names below /dev/serial/by-id survive another order of plugging in.
+        """:param port: a device file. Names below /dev/serial/by-id do not depend on the order of plugging in.
         :param baud: bit/s, 8N1.
         :param now: the driver's timeline, seconds; called on the sensor's thread.
         :raises ConfigError: pyserial is not installed.
@@ -71,7 +71,7 @@ class SerialSensor(Sensor):
         try:
             import serial  # noqa: F401
         except ImportError:
-            raise ConfigError("sensor.type: a serial port needs pyserial: pip install 'rass-mav[drone]'") from None
+            raise ConfigError(f"sensor.type: a serial port needs pyserial: {installing('drone')}") from None
         self._port = port
         self._baud = baud
         self._protocol = protocol
@@ -81,7 +81,7 @@ class SerialSensor(Sensor):
         self._readings: deque[SensorReading] = deque(maxlen=MAX_WAITING)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._wake: Callable[[], None] = lambda: None  # nobody is listening yet
+        self._wake: Callable[[], None] = lambda: None  # until `start`
         self._connected = False
         self._count = 0
         self._dropped = 0
@@ -90,14 +90,14 @@ class SerialSensor(Sensor):
         self._ended = False
 
     def start(self, wake: Callable[[], None]) -> None:
-        """Begin, on the running event loop."""
+        """Start, on the running event loop."""
         loop = asyncio.get_running_loop()
 
         def from_thread() -> None:
             try:
                 loop.call_soon_threadsafe(wake)
             except RuntimeError:
-                # The loop has been closed while this thread hung in the kernel.
+                # The loop was closed while this thread hung in the kernel.
                 self._stop.set()
 
         self._wake = from_thread
@@ -107,13 +107,13 @@ class SerialSensor(Sensor):
     def receive(self) -> list[SensorReading]:
         """The readings since the last call."""
         if self._ended and not self._stop.is_set():
-            # A bug of ours, which Python has printed; a sensor that just looks silent would hide it.
+            # A bug of ours, which Python has printed. A sensor that only seems silent would hide it.
             raise RuntimeError(f"the thread of sensor {self.name} has ended")
-        # As many as there are now: the thread goes on.
+        # Only as many as there are now, because the thread adds more.
         return [self._readings.popleft() for _ in range(len(self._readings))]
 
     def state(self) -> SensorState:
-        """How it is."""
+        """Its state."""
         return SensorState(
             self._connected, self._count, self._protocol.malformed, self._meter.saturated, self._dropped,
             self._connections, self._trouble or self._protocol.trouble,
@@ -129,12 +129,12 @@ class SerialSensor(Sensor):
 
     def _run(self) -> None:
         try:
-            self._connect_for_ever()
+            self._keep_connecting()
         finally:
             self._ended = True
             self._wake()
 
-    def _connect_for_ever(self) -> None:
+    def _keep_connecting(self) -> None:
         pause = self._patience.first_pause
         while not self._stop.is_set():
             heard = self._protocol.heard
@@ -145,7 +145,7 @@ class SerialSensor(Sensor):
                     self._wake()
                     self._talk(port)
             except (LinkError, OSError, termios.error) as error:
-                # pyserial lets both others through where a device vanishes in the middle of a call.
+                # pyserial lets the last two through when a device vanishes during a call.
                 self._connected = False
                 self._tell(_reason(error))
             self._connected = False
@@ -172,7 +172,7 @@ class SerialSensor(Sensor):
             for sample in samples:
                 self._take(SensorReading(self._meter.reading(sample.cpm, sample.cpm_per_usvh), sample.at))
             if samples:
-                # Once for all of them: what wakes the loop waits there.
+                # Once for all of them: waking the loop takes time.
                 self._wake()
             if data:
                 self._stop.wait(GATHER_S)
@@ -180,27 +180,27 @@ class SerialSensor(Sensor):
                 heard, heard_at = protocol.heard, now
             elif now - heard_at > self._patience.silence:
                 why = f" ({protocol.trouble})" if protocol.trouble else ""
-                raise LinkError(f"nothing sensible heard for {self._patience.silence:g} s{why}")
+                raise LinkError(f"no valid input for {self._patience.silence:g} s{why}")
 
     def _take(self, reading: SensorReading) -> None:
         if self._trouble:
             self._trouble = ""
-            log.warning("sensor %s: reads again", self.name)
-        # One thread appends, one takes away; what is counted too much in between is one reading.
+            log.warning("sensor %s: working again", self.name)
+        # One thread appends, another removes. In between, at most one reading too many is counted as dropped.
         self._dropped += len(self._readings) == MAX_WAITING
         self._readings.append(reading)
         self._count += 1
 
     def _tell(self, trouble: str) -> None:
         if trouble != self._trouble:
-            # Once, until something else happens: a port that is away stays away for many tries.
+            # Log it once until it changes: a missing port stays missing for many attempts.
             self._trouble = trouble
             log.warning("sensor %s: %s", self.name, trouble)
             self._wake()
 
 
 def open_counter(settings: SensorSettings, now: Callable[[], float]) -> SerialSensor:
-    """The counter of a configuration, `now` on the driver's timeline. Raises `ConfigError`: pyserial is missing."""
+    """Open the counter of a configuration; `now`: the driver's timeline. Raises `ConfigError`: pyserial is missing."""
     assert settings.port is not None
     kind = settings.kind
     return SerialSensor(settings.port, settings.baud or kind.baud, resolve_name(kind.protocol)(), settings.meter(), now)
@@ -210,7 +210,7 @@ def _opened(port: str, baud: int) -> serial.Serial:
     import serial
 
     try:
-        # Exclusive: two programs on one port each get half of the bytes.
+        # Exclusive: otherwise two programs on one port each get half of the bytes.
         return serial.Serial(port, baud, timeout=READ_S, write_timeout=WRITE_S, exclusive=True)
     except ValueError as error:
         raise LinkError(f"{error}".lower()) from None

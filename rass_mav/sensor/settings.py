@@ -1,4 +1,4 @@
-"""What can be set of a node's own radiation sensor (docs/sensors.md)."""
+"""Settings of a node's own radiation sensor (docs/sensors.md)."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ TubeName = Annotated[str, Meta(one_of=TUBES.keys)]
 
 
 class CountsSettings(Section):
-    """From counts to readings, for recorded bGeigie logs."""
+    """How counts become readings, for recorded bGeigie logs."""
 
     unit: Unit = "usvh"
     """usvh: microsievert per hour; cpm, cps: counts per minute, per second."""
     tube: TubeName | None = None
-    """Which tube it is; null: the one that bGeigies have, converted as Safecast does."""
+    """Name of the tube; null: the tube of bGeigies, with Safecast's conversion."""
     cpm_per_usvh: Positive | None = None
-    """Its counts per minute in 1 uSv/h; null: the tube's."""
+    """Counts per minute at 1 uSv/h; null: the tube's."""
     dead_time_us: NonNegative | None = None
-    """Its dead time, microseconds; null: the tube's; 0: no correction."""
+    """Dead time, microseconds; null: the tube's; 0: no correction."""
 
     def meter(self) -> DoseMeter:
         """A new converter with these settings."""
@@ -43,19 +43,19 @@ class SensorSettings(Section):
     port: Annotated[str, Meta(min_length=1)] | None = None
     """Serial port of the counter."""
     baud: Annotated[int, Meta(ge=50, le=4_000_000)] | None = None
-    """bit/s; null: as the counter comes from the factory."""
+    """bit/s; null: the counter's factory setting."""
     path: Annotated[str, Meta(min_length=1)] | None = None
-    """The log."""
+    """Path of the log."""
     speed: Positive = 1.0
-    """Seconds of the log in a second."""
+    """Seconds of the log per second."""
     unit: Unit = "usvh"
-    """Of a counter's readings. usvh: microsievert per hour; cpm, cps: counts per minute, per second."""
+    """Unit of a counter's readings. usvh: microsievert per hour; cpm, cps: counts per minute, per second."""
     tube: TubeName | None = None
-    """Which tube the counter has; null: the one it usually has."""
+    """The counter's tube; null: its usual one."""
     cpm_per_usvh: Positive | None = None
-    """Its counts per minute in 1 uSv/h; null: what the counter says, else the tube's."""
+    """Counts per minute at 1 uSv/h; null: what the counter reports, otherwise the tube's."""
     dead_time_us: NonNegative | None = None
-    """Its dead time, microseconds; null: the tube's, unless the counter corrects for it; 0: no correction."""
+    """Dead time, microseconds; null: the tube's, unless the counter corrects for it; 0: no correction."""
 
     @property
     def kind(self) -> SensorKind:
@@ -64,11 +64,11 @@ class SensorSettings(Section):
 
     @property
     def own(self) -> bool:
-        """Whether the node has a sensor of its own; False: readings are the autopilot's."""
+        """Whether the node has its own sensor; False: readings come from the autopilot."""
         return self.kind.opener is not None
 
     def check(self) -> None:
-        """Raise `ConfigError` for keys that are missing, or would have no effect."""
+        """Raise `ConfigError` for keys that are missing or have no effect."""
         kind = self.kind
         mistakes = Mistakes()
         if kind.needs and getattr(self, kind.keys[0]) is None:
@@ -79,10 +79,10 @@ class SensorSettings(Section):
         mistakes.check()
 
     def open(self, now: Callable[[], float]) -> Sensor | None:
-        """The sensor; None: readings are the autopilot's.
+        """Open the sensor; None: readings come from the autopilot.
 
         :param now: the node's timeline, seconds.
-        :raises ConfigError: pyserial is missing, or there is no log with a valid record at `path`.
+        :raises ConfigError: pyserial is missing, or `path` is not a log with a valid record.
         """
         opener = self.kind.opener
         return None if opener is None else resolve_name(opener)(self, now)

@@ -151,5 +151,5 @@ def test_answers_of_others_and_to_others_count_for_nothing() -> None:
 
 
 def test_an_unknown_name_is_said() -> None:
-    with pytest.raises(ConfigError, match="GLOBAL_POSITON: no message"):
+    with pytest.raises(ConfigError, match="GLOBAL_POSITON: not a message"):
         message_ids({"GLOBAL_POSITON": 1.0})

@@ -163,6 +163,10 @@ def test_what_runs_at_home_can_read_it_and_a_store_elsewhere_can_be_written(tmp_
     )
     # In a unit, % begins a specifier.
     assert service("/opt/x/bin/python")["ReadWritePaths"] == '"/mnt/fast disk/100%%"'
+    # A store at home must be visible too, wherever the program is.
+    file.write_text(CONFIG + "store: {path: /home/pi/n7.db}\n")
+    assert service("/opt/rass-mav/bin/python")["ProtectHome"] == "read-only"
+    assert service("/opt/rass-mav/bin/python")["ReadWritePaths"] == "/home/pi"
 
 
 def test_print_shows_everything_and_does_nothing(drone: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -220,7 +224,7 @@ def test_a_configuration_edited_in_place_is_not_lost(
     (card / UNIT).unlink()
     assert main(["service", "install", drone, *here]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"{installed}: is there already, with other contents: edit it, or give --replace"
+    assert line == f"{installed}: exists with other contents: edit it, or use --replace"
     # Refused as a whole.
     assert not (card / UNIT).exists()
     assert main(["service", "install", str(installed), *here]) == 0
@@ -279,7 +283,7 @@ def test_a_program_that_the_service_could_not_see_is_refused(
     program(folder)
     assert main(["service", "install", drone, "--root", str(card)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{folder}/bin/python: the service has a /tmp and a /var/tmp of its own")
+    assert line.startswith(f"{folder}/bin/python: the service has its own /tmp and /var/tmp")
     assert line.endswith("install rass-mav elsewhere, for example in /opt/rass-mav")
     assert below(card) == set()
     # A folder of that name elsewhere is no such folder.
@@ -313,7 +317,7 @@ def test_a_file_that_the_service_could_not_see_is_refused(
     file.write_text(CONFIG + section)
     assert main(["service", "install", str(file), "--root", str(card)]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"{key}: the service has a /tmp and a /var/tmp of its own, so it would not find /")
+    assert line.startswith(f"{key}: the service has its own /tmp and /var/tmp, so it cannot find /")
     assert below(card) == set()
     # A relative path leads to the service's own folder.
     file.write_text(CONFIG + section.replace(": /", ": "))

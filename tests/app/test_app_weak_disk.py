@@ -30,7 +30,7 @@ command = [sys.executable, "-m", "rass_mav", "run", str(config)]
 node = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 for line in node.stderr:
     print(line, end="", flush=True)
-    if "nobody can ask" in line:
+    if "cannot be queried" in line:
         break
 node.terminate()
 print("exit", node.wait(20))

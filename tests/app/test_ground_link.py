@@ -174,7 +174,7 @@ def test_a_listing_is_complete_over_udp() -> None:
     [
         ("ground: {url: nonsense}", "ground.url: expected udpin:host:port"),
         ("ground: {values_s: -1}", "ground.values_s: expected a number >= 0"),
-        ("mavlink: {reading_name: RASS_RISK}", "mavlink.reading_name: expected another name than RASS_PHI"),
+        ("mavlink: {reading_name: RASS_RISK}", "mavlink.reading_name: expected a name other than RASS_PHI"),
     ],
 )
 def test_what_cannot_be_configured(tmp_path: Path, lines: str, said: str) -> None:

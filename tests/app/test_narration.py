@@ -49,7 +49,7 @@ def test_a_flight_is_told() -> None:
     assert taken(said) == [
         "neighbour 1 (base) heard",
         "base 1 reached: 1 hop, next node 1",
-        "a base has data of this node",
+        "data of this node have arrived at a base",
     ]
     field.silent = {4, BASE}
     field.until(50.0)
@@ -84,11 +84,11 @@ def test_after_a_while_it_says_what_was_never_heard() -> None:
     field.until(NOT_YET_S - 1.0)
     assert said == []
     field.until(60.0)
-    assert said == ["not heard yet: autopilot, sensor, neighbour (rass-mav doctor says why)"]
+    assert said == ["not heard yet: autopilot, sensor, neighbour (rass-mav doctor shows why)"]
     field, said = narrated(autopilot=False, reading=False)
     field.silent, field.autopilot = {BASE}, False
     field.until(60.0)
-    assert said == ["not heard yet: neighbour (rass-mav doctor says why)"]
+    assert said == ["not heard yet: neighbour (rass-mav doctor shows why)"]
 
 
 def test_a_neighbour_that_comes_and_goes_does_not_flood_the_terminal() -> None:

@@ -214,5 +214,5 @@ def test_without_matplotlib_it_says_what_to_install_before_it_runs_anything(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["experiment", "five-drones", "--out", str(tmp_path / "out")]) == 2
-    assert "rass-mav[sim]" in capsys.readouterr().err
+    assert "'.[sim]' in the checkout" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

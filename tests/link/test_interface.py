@@ -76,7 +76,7 @@ def test_by_name_or_by_address() -> None:
         "192.168.4.7",
         "wlan0",
         f"there is no interface wlan7 {there}",
-        f"10.1.1.1 is no address of this computer {there}",
+        f"10.1.1.1 is not an address of this computer {there}",
         "air has no IPv4 address yet",
     ]
 

@@ -265,7 +265,7 @@ def test_without_pyserial_a_person_is_told_what_to_install(monkeypatch: pytest.M
     monkeypatch.setitem(sys.modules, "serial", None)
 
     async def scenario() -> None:
-        with pytest.raises(Exception, match=r"pip install 'rass-mav\[drone\]'"):
+        with pytest.raises(Exception, match=r"pip install '\.\[drone\]' in the checkout"):
             await SerialOpener("/dev/ttyUSB0", 57600).open()
 
     run(scenario)

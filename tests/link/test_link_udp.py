@@ -245,7 +245,7 @@ def test_a_port_in_use() -> None:
         UdpLink((host, port))
     first.close()
     assert caught.value.text.startswith(f"udp:127.0.0.1:{port}: address already in use by process {os.getpid()} (")
-    assert caught.value.remedy.endswith(f"rass-mav status CONFIG; or another program: ss -lunp 'sport = :{port}'")
+    assert caught.value.remedy.endswith(f"rass-mav status CONFIG; or another program? ss -lunp 'sport = :{port}'")
     assert str(caught.value) == f"{caught.value.text}; {caught.value.remedy}"
 
 
@@ -272,7 +272,7 @@ def test_an_interface_that_is_not_there() -> None:
 
 
 def test_an_interface_that_is_not_ours() -> None:
-    with pytest.raises(LinkError, match=r"^udp:127\.0\.0\.1:0: 203\.0\.113\.9 is no address of this computer"):
+    with pytest.raises(LinkError, match=r"^udp:127\.0\.0\.1:0: 203\.0\.113\.9 is not an address of this computer"):
         UdpLink(ANY, multicast=("239.1.2.3", 14600), interface="203.0.113.9")
 
 

@@ -46,7 +46,7 @@ def test_both_formats() -> None:
         ("# nothing\n", "no parameters in it"),
         ("A 1\nB\n", "line 2: expected NAME VALUE"),
         ("A 1 # why\n", "line 1: expected NAME VALUE, and comments on lines of their own"),
-        ("A 1\n\nA 2\n", "line 3: A stands twice, first in line 1"),
+        ("A 1\n\nA 2\n", "line 3: A appears twice, first in line 1"),
         ("1A 2\n", "line 1: expected a name of 1 to 16 letters"),
         ("A2345678901234567 2\n", "line 1: expected a name of 1 to 16 letters"),
         ("A nan\n", "line 1: expected a number that 32 bits hold, got 'nan'"),

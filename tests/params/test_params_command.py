@@ -147,7 +147,7 @@ def test_write_shows_the_list_first_and_reads_back(
     assert vehicle.parameters["SERIAL2_PROTOCOL"] == (2, INT8)
     out = capsys.readouterr().out
     assert "  SERIAL2_PROTOCOL written: 2, needs a reboot\n" in out
-    assert out.endswith("3 the same, 1 written\nreboot the autopilot: some of these take effect then only\n")
+    assert out.endswith("3 the same, 1 written\nreboot the autopilot: some of these take effect only then\n")
 
 
 @pytest.mark.parametrize("answer", ["", "\n", "n\n", "yesterday\n"])
@@ -159,7 +159,7 @@ def test_without_a_yes_nothing_is_written(
     with ardupilot().on_udp(port) as vehicle:
         assert params(tmp_path, "write", FILE, "--live", path) == 1
     assert vehicle.sets == []
-    assert capsys.readouterr().out.endswith("nothing written: not confirmed (--yes does not ask)\n")
+    assert capsys.readouterr().out.endswith("nothing written: not confirmed (--yes skips the question)\n")
 
 
 def test_scripts_get_one_object_and_the_list_on_stderr(
@@ -387,7 +387,7 @@ def test_nobody_there_is_one_line(tmp_path: Path, config: tuple[str, int], capsy
     quiet = tmp_path / "quiet.yaml"
     quiet.write_text("node: {id: 7, role: base}\n")
     assert params(tmp_path, "check", FILE, "--live", str(quiet)) == 2
-    assert capsys.readouterr().err == f"{quiet}: autopilot.url: missing, expected where the autopilot is\n"
+    assert capsys.readouterr().err == f"{quiet}: autopilot.url: missing, expected the autopilot's address\n"
 
 
 def test_the_node_that_has_the_port_is_named(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
@@ -402,7 +402,7 @@ def test_the_node_that_has_the_port_is_named(tmp_path: Path, config: tuple[str, 
         node.end()
     said = capsys.readouterr().err
     assert said.startswith(f"udpin:127.0.0.1:{port}: address already in use by process ")
-    assert said.endswith(f"); the node of {path} runs and has the autopilot's port: stop it first\n")
+    assert said.endswith(f"); the node of {path} is running and uses the autopilot's port: stop it first\n")
 
 
 def test_another_autopilot_than_the_configured_one(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:

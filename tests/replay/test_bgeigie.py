@@ -130,7 +130,7 @@ def test_readings_go_through_the_meter(tmp_path: Path) -> None:
 def test_a_log_without_one_valid_record_says_why(tmp_path: Path, comments: bytes) -> None:
     path = tmp_path / "drive.LOG"
     path.write_bytes(comments + sentence(latitude=b"nowhere") + b"\n")
-    with pytest.raises(LogError, match=r"not one valid bGeigie record in it \(1 rejected; line \d: expected dddmm"):
+    with pytest.raises(LogError, match=r"no valid bGeigie record \(1 rejected; line \d: expected dddmm"):
         read_logs([str(path)])
 
 

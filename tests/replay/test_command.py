@@ -137,7 +137,7 @@ def test_a_file_without_a_valid_record_fails_the_run(
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert "bad.tlog: not one valid MAVLink record" in captured.err
-    assert "bad.tlog" in json.loads(captured.out)["error"]
+    assert json.loads(captured.out)["error"] == [captured.err.rstrip("\n")]
 
 
 def test_a_missing_file_is_bad_usage(flight: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,9 +95,9 @@ def test_a_sign_that_came_after_the_checksum_says_what_the_letter_says() -> None
         (sentence(fix=b""), "expected A or V for the fix"),
         (sentence(longitude=b"-07355.3663", ew=b"W"), "expected dddmm.mmmm"),
         (sentence(latitude=b""), "expected dddmm.mmmm"),
-        (sentence(latitude=b"5260.0000"), "no such place"),
-        (sentence(latitude=b"9000.0001"), "no such place"),
-        (sentence(longitude=b"18000.1"), "no such place"),
+        (sentence(latitude=b"5260.0000"), "not a place on Earth"),
+        (sentence(latitude=b"9000.0001"), "not a place on Earth"),
+        (sentence(longitude=b"18000.1"), "not a place on Earth"),
         (sentence(ns=b"E"), "expected dddmm.mmmm"),
         (sentence(ns=b"NS"), "expected dddmm.mmmm"),
         (sentence(ns=b""), "expected dddmm.mmmm"),
@@ -172,10 +172,10 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         load_bgeigie(str(tmp_path / "none.LOG"))
     path = tmp_path / "empty.LOG"
     path.write_bytes(b"# NEW LOG\n")
-    with pytest.raises(LogError, match=r"empty\.LOG: not one valid bGeigie record in it$"):
+    with pytest.raises(LogError, match=r"empty\.LOG: no valid bGeigie record$"):
         load_bgeigie(str(path))
     path.write_bytes(b"# NEW LOG\n" + sentence()[:-1] + b"\n")
-    with pytest.raises(LogError, match=r"not one valid bGeigie record in it \(1 rejected; line 2: expected"):
+    with pytest.raises(LogError, match=r"no valid bGeigie record \(1 rejected; line 2: expected"):
         load_bgeigie(str(path))
 
 

@@ -46,7 +46,7 @@ def test_readings_come_in_the_rhythm_of_the_log() -> None:
     assert sensor.receive() == [(2.0, 115.0)], "its age is that of the log"
     assert sensor.receive() == []
     state = sensor.state()
-    assert (state.readings, state.malformed, state.trouble) == (2, 1, "the log is at its end")
+    assert (state.readings, state.malformed, state.trouble) == (2, 1, "the log has ended")
     sensor.close()
 
 

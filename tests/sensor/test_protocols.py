@@ -167,7 +167,7 @@ def test_gmc_that_never_stops_talking_fills_no_memory() -> None:
         assert gmc.feed(b"\x00\x07" * 50, 1.0 + n / 2000) == []
     assert len(gmc._answer) == MAX_ANSWER + 1
     gmc.ask(2.0)
-    assert gmc.trouble.startswith("an answer that does not end")
+    assert gmc.trouble.startswith("an answer without an end")
 
 
 # -- Rad Pro -----------------------------------------------------------------------------------------------------------
@@ -203,7 +203,7 @@ def test_radpro_late_answers_are_not_taken_for_the_next_question() -> None:
     radpro.feed(b"OK 153.800\r\n", 2.1)
     assert radpro.ask(2.2) == b"GET tubeRate\r\n"
     assert radpro.feed(b"ERROR\r\n", 2.3) == []
-    assert radpro.trouble == "ERROR, when asked for the rate"
+    assert radpro.trouble == "the counter answered ERROR when asked for the rate"
 
 
 @pytest.mark.parametrize("line", [b"OK", b"OK -1", b"OK nan", b"OK 1e9", b"ok 1", b"OK 1 2", b"OK 1.", b""])

@@ -155,7 +155,10 @@ def test_a_port_that_comes_late(device: SerialDevice, caplog: pytest.LogCaptureF
 
     scenario(device, MightyOhm(), act, Patience(0.01, 0.05))
     # However often it was tried.
-    assert [record.message.split(": ")[1] for record in caplog.records] == ["no such file or directory", "reads again"]
+    assert [record.message.split(": ")[1] for record in caplog.records] == [
+        "no such file or directory",
+        "working again",
+    ]
 
 
 def test_garbage_and_a_wrong_rate_are_counted_and_told(device: SerialDevice) -> None:
@@ -175,7 +178,7 @@ def test_a_device_that_says_nothing_sensible_is_opened_anew(device: SerialDevice
     async def act(watched: Watched) -> None:
         await watched.connected()
         device.say(b"gibberish\n")
-        await watched.trouble("nothing sensible heard for 0.3 s (expected 'CPS")
+        await watched.trouble("no valid input for 0.3 s (expected 'CPS")
         await watched.connected(2)
         device.say(line(3))
         assert [reading.value for reading in await watched.readings()] == [3.0]
@@ -278,5 +281,5 @@ def test_closing_ends_the_thread_and_frees_the_port(device: SerialDevice) -> Non
 
 def test_without_pyserial_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(ConfigError, match=r"needs pyserial: pip install 'rass-mav\[drone\]'"):
+    with pytest.raises(ConfigError, match=r"needs pyserial: pip install '\.\[drone\]' in the checkout"):
         SerialSensor("tty", 9600, MightyOhm(), DoseMeter(METER), time.monotonic)

@@ -39,7 +39,7 @@ def test_all_mistakes_of_a_scenario_are_told_at_once(tmp_path: Path) -> None:
         "mine.yaml: radio.range_m: expected a number > 0, got 0",
         "mine.yaml: mobility.pitch: unknown key (did you mean 'pitch_m'?)",
         "mine.yaml: radiation.tolerance: expected two rising numbers, got [0.5, 0.1]",
-        "mine.yaml: radiation.cylinder_m: expected 0 unless the sources are given and stay where they are",
+        "mine.yaml: radiation.cylinder_m: expected 0 unless the sources are given and do not move",
         "mine.yaml: failures.recharge_steps: expected null unless failures.battery_steps is given",
         "mine.yaml: failures.base_off: expected [from, to] one after the other, each from below its to, got [[5, 3]]",
         "mine.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'surival'",
@@ -58,5 +58,5 @@ def test_what_the_sections_of_a_scenario_say_of_each_other(tmp_path: Path) -> No
         "mine.yaml: bases: expected at most nodes (3), got 4",
         "mine.yaml: mobility.positions: expected one [x, y] for each of 3 nodes, got 0",
         "mine.yaml: disk: expected null unless the transport is loopback; processes have the machine's disk",
-        "mine.yaml: radiation.corruption: expected false with a disk; disk.flip_rate flips bits where they lie on it",
+        "mine.yaml: radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk",
     ]

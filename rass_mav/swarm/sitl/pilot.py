@@ -23,12 +23,12 @@ from typing import Any
 
 import msgspec
 
-from rass_mav.errors import ConfigError, SwarmError
+from rass_mav.errors import ConfigError, SwarmError, installing
 from rass_mav.mavlink.mission import MissionItem
 from rass_mav.swarm.tether import watch
 
-#: How long a vehicle may take until it is heard, and until it does as it is told, seconds. A simulated GPS takes half a
-#: minute to be believed.
+#: How long a vehicle may take until it is heard, then until it is ready, and later until it flies, seconds. A simulated
+#: GPS takes half a minute to be believed.
 CONNECT_S = 60.0
 OBEY_S = 120.0
 _AGAIN_S = 1.0
@@ -72,7 +72,7 @@ def need_mavsdk() -> None:
         there = False
     if not there:
         raise ConfigError(
-            "sitl needs MAVSDK 4 to fly: pip install 'rass-mav[sitl]' (there are packages for 64-bit computers only)"
+            f"sitl needs MAVSDK 4 to fly: {installing('sitl')} (there are packages for 64-bit computers only)"
         )
 
 
@@ -94,16 +94,17 @@ class Pilot:
 
     async def prepare(self) -> None:
         """Upload the mission, wait for a position, and arm. Raises `SwarmError`."""
+        until = asyncio.get_running_loop().time() + OBEY_S
         items = [_raw(number, item) for number, item in enumerate(self._flight.items)]
-        await self._until_done("upload the mission", lambda: self._mission.upload_mission(items))
+        await self._until_done("upload the mission", lambda: self._mission.upload_mission(items), until)
         self._say("uploaded")
-        await self._until_done("say its position when asked to", lambda: self._telemetry.set_rate_position(1.0))
+        await self._until_done("say its position", lambda: self._telemetry.set_rate_position(1.0), until)
         try:
-            await asyncio.wait_for(self._locate(), OBEY_S)
+            await asyncio.wait_for(self._locate(), until - asyncio.get_running_loop().time())
         except asyncio.TimeoutError:
             raise self._failed(f"no position within {OBEY_S:g} s") from None
         self._say("located")
-        await self._until_done("arm", self._action.arm)
+        await self._until_done("arm", self._action.arm, until)
         self._say("armed")
 
     async def _locate(self) -> None:
@@ -123,7 +124,8 @@ class Pilot:
 
     async def fly(self) -> None:
         """Start, and report for ever. Raises `SwarmError`."""
-        await self._until_done("start the mission", self._mission.start_mission)
+        until = asyncio.get_running_loop().time() + OBEY_S
+        await self._until_done("start the mission", self._mission.start_mission, until)
         self._say("flying")
         item = 0
         async with contextlib.aclosing(self._mission.subscribe_mission_progress()) as progress:
@@ -132,18 +134,16 @@ class Pilot:
                     item = now.current
                     self._say("item", item=item)
 
-    async def _until_done(self, what: str, call: Callable[[], Awaitable[object]]) -> None:
-        """A vehicle refuses what it is not ready for yet: ask again, for a while."""
+    async def _until_done(self, what: str, call: Callable[[], Awaitable[object]], until: float) -> None:
+        """A vehicle refuses what it is not ready for yet: ask again, until a time of the loop."""
         from mavsdk.exceptions import MavsdkError
 
-        loop = asyncio.get_running_loop()
-        until = loop.time() + OBEY_S
         while True:
             try:
                 await call()
                 return
             except MavsdkError as error:
-                if loop.time() > until:
+                if asyncio.get_running_loop().time() > until:
                     raise self._failed(f"does not {what}: {error}") from None
             await asyncio.sleep(_AGAIN_S)
 

@@ -1,0 +1,40 @@
+"""`completion`: prints a shell's completions of the commands."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from .common import Subparsers, add_command, print_json
+
+#: The folder with the files, which tools/shell_files.py generates.
+DIRECTORY = Path(__file__).parent / "shell"
+#: The file of each shell.
+FILES = {"bash": "rass-mav", "zsh": "_rass-mav", "fish": "rass-mav.fish"}
+MANUAL = "rass-mav.1"
+
+_HOW = """
+bash: rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav
+zsh:  rass-mav completion zsh > ~/.zfunc/_rass-mav, with `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc
+fish: rass-mav completion fish > ~/.config/fish/completions/rass-mav.fish
+"""
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    completion = add_command(
+        subparsers, "completion", _completion, help="print the completions for a shell",
+        example="rass-mav completion bash > ~/.local/share/bash-completion/completions/rass-mav",
+    )  # fmt: skip
+    completion.description = f"{completion.description}\n{_HOW}".rstrip()
+    completion.add_argument("shell", choices=tuple(FILES), metavar="SHELL", help=f"one of {', '.join(FILES)}")
+
+
+def _completion(options: argparse.Namespace) -> int:
+    text = (DIRECTORY / FILES[options.shell]).read_text(encoding="utf-8")
+    if options.json:
+        print_json({"shell": options.shell, "script": text})
+    else:
+        sys.stdout.write(text)
+    return 0

@@ -1,0 +1,119 @@
+"""The completions of the shells, tried in the shells, and the manual page."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import shutil
+import signal
+import subprocess
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from rass_mav.cli import main
+from rass_mav.commands.completion import DIRECTORY, FILES, MANUAL
+from rass_mav.policy.settings import kinds
+from rass_mav.swarm.catalogue import shipped
+
+PATIENCE_S = 60.0
+
+
+def needs(program: str) -> pytest.MarkDecorator:
+    return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
+
+
+@pytest.mark.skipif(
+    find_spec("shtab") is None or find_spec("argparse_manpage") is None, reason="shtab or argparse-manpage is missing"
+)
+def test_they_fit_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tools.shell_files import texts
+
+    for name in ("COLUMNS", "SOURCE_DATE_EPOCH"):
+        monkeypatch.setenv(name, "")  # is put back as it was
+    for name, text in texts().items():
+        assert (DIRECTORY / name).read_text(encoding="utf-8") == text, f"{name} is old: make shell"
+
+
+@pytest.mark.parametrize("shell", FILES)
+def test_the_command_prints_them(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (DIRECTORY / FILES[shell]).read_text(encoding="utf-8")
+    assert main(["completion", shell]) == 0
+    assert capsys.readouterr().out == text
+    assert main(["completion", shell, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"shell": shell, "script": text}
+
+
+_IN_BASH = """
+source "$1"
+shift
+COMP_WORDS=("$@")
+COMP_CWORD=$(($# - 1))
+COMPREPLY=()
+function=$(complete -p rass-mav | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
+"$function" rass-mav "${@: -1}" "${@: -2:1}"
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+def completed_by(shell: str, *words: str) -> set[str]:
+    """What may stand in the place of the last word."""
+    file = str(DIRECTORY / FILES[shell])
+    if shell == "bash":
+        command = ["bash", "--norc", "-c", _IN_BASH, "bash", file, *words]
+    else:
+        command = ["fish", "--no-config", "-c", f"source {file}; complete -C '{' '.join(words)}'"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    return {line.split("\t")[0] for line in done.stdout.splitlines()}
+
+
+@pytest.mark.parametrize("shell", [pytest.param(shell, marks=needs(shell)) for shell in ("bash", "fish")])
+def test_commands_options_and_names_are_completed(shell: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("paper-plane.yaml").touch()
+    assert completed_by(shell, "rass-mav", "sw") == {"swarm"}
+    assert {"check", "write"} <= completed_by(shell, "rass-mav", "params", "")
+    assert "--topology" in completed_by(shell, "rass-mav", "swarm", "--to")
+    assert completed_by(shell, "rass-mav", "swarm", "--policy", "") == set(kinds())
+    named = {name for name in shipped() if name.startswith("paper-")}
+    assert completed_by(shell, "rass-mav", "swarm", "paper-") == {*named, "paper-plane.yaml"}
+    assert completed_by(shell, "rass-mav", "check", "pap") == {"paper-plane.yaml"}
+
+
+@needs("zsh")
+def test_zsh_completes_too(tmp_path: Path) -> None:
+    """zsh completes only what somebody types."""
+    process, terminal = pty.fork()
+    if process == 0:
+        os.execvpe("zsh", ["zsh", "-f", "-i"], {**os.environ, "TERM": "dumb", "HOME": str(tmp_path), "ZDOTDIR": ""})
+    try:
+        setup = f"PS1=; fpath=({DIRECTORY} $fpath); autoload -U compinit; compinit -D; echo rea''dy\n"
+        os.write(terminal, setup.encode())
+        _await(terminal, b"\nready")
+        os.write(terminal, b"rass-mav swarm --topology len\t")
+        _await(terminal, b"rass-mav swarm --topology lennard-jones")
+    finally:
+        os.kill(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        os.close(terminal)
+
+
+def _await(terminal: int, text: bytes) -> None:
+    said = b""
+    deadline = time.monotonic() + PATIENCE_S
+    while text not in said:
+        assert select.select([terminal], [], [], max(0.0, deadline - time.monotonic()))[0], said
+        said += os.read(terminal, 4096)
+
+
+@needs("groff")
+def test_the_manual_page_is_a_manual_page() -> None:
+    command = ["groff", "-man", "-Tascii", "-ww", "-rLL=100n", str(DIRECTORY / MANUAL)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+    assert done.stderr == ""
+    for words in ("rass-mav run", "--through-autopilots", ", ".join(sorted(kinds()))):
+        assert words in " ".join(done.stdout.split())

@@ -1,0 +1,102 @@
+"""Writes what shells and `man` know of the commands: completions and the manual page, from the commands themselves.
+
+They go with the package as they are, so that a drone needs none of what makes them. `make shell` runs this; a test
+tells when it is due.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import shtab
+from argparse_manpage.manpage import Manpage
+
+from rass_mav import __version__
+from rass_mav.cli import build_parser
+from rass_mav.commands.common import listed, lists
+from rass_mav.commands.completion import DIRECTORY, FILES, MANUAL
+
+# What completes an argument, by its metavar.
+_BY_METAVAR = {
+    "FILE": shtab.FILE,
+    "FILE.csv": shtab.FILE,
+    "FILE.tlog": shtab.FILE,
+    "CONFIG.yaml": shtab.FILE,
+    "LOG": shtab.FILE,
+    "PATH": shtab.FILE,
+    "DIR": shtab.DIRECTORY,
+}
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from _actions(below)
+
+
+def _name_or_file(names: list[str]) -> dict[str, object]:
+    """For an argument that is a file or one of these names."""
+    words = " ".join(names)
+    return {
+        "bash": "_rass_mav_name_or_file",
+        "zsh": "_rass_mav_name_or_file",
+        "fish": f"(string split ' ' '{words}'; __fish_complete_path (commandline -ct))",
+        "preamble": {
+            "bash": f'_rass_mav_name_or_file() {{\n  compgen -W "{words}" -- "$1"\n  compgen -f -- "$1"\n}}',
+            "zsh": f"_rass_mav_name_or_file() {{\n  _alternative 'names:name:({words})' 'files:file:_files'\n}}",
+        },
+    }
+
+
+def _for_manual() -> argparse.ArgumentParser:
+    """The whole command line, with the names in the help: the manual page has a formatter of its own."""
+    parser = build_parser()
+    parser.man_short_description = "risk-aware swarm storage for MAVLink drones"  # type: ignore[attr-defined]
+    for action in _actions(parser):
+        if names := listed(action):
+            action.help = f"{action.help}: {', '.join(names)}"
+    return parser
+
+
+def _for_shells() -> argparse.ArgumentParser:
+    """The whole command line, each argument with what completes it."""
+    parser = build_parser()
+    for action in _actions(parser):
+        names = listed(action)
+        lists(action, tuple)
+        if names and action.option_strings:
+            action.choices = names
+        elif names:
+            action.complete = _name_or_file(names)  # type: ignore[attr-defined]
+        elif action.metavar in _BY_METAVAR:
+            action.complete = _BY_METAVAR[str(action.metavar)]  # type: ignore[attr-defined]
+    return parser
+
+
+def texts() -> dict[str, str]:
+    """All files, by name."""
+    os.environ["COLUMNS"] = "100"
+    # Otherwise the manual page has the date of its making.
+    os.environ["SOURCE_DATE_EPOCH"] = "0"
+    made = {file: shtab.complete(_for_shells(), shell) for shell, file in FILES.items()}
+    page = Manpage(_for_manual(), {"project_name": "rass-mav", "version": __version__, "manual_title": "User Commands"})
+    page.date = ""
+    return {**{file: text.rstrip() + "\n" for file, text in made.items()}, MANUAL: str(page)}
+
+
+def main() -> int:
+    """Write them."""
+    for name, text in texts().items():
+        (DIRECTORY / name).write_text(text, encoding="utf-8")
+        sys.stdout.write(f"{(DIRECTORY / name).relative_to(Path.cwd())}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
