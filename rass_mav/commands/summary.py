@@ -26,14 +26,14 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     delay, hops = s["delay_steps"], s["hops"]
     if delay["mean"] is not None:
         yield (
-            f"reliability {s['reliability']:.3f}; a datum took {delay['mean']:.1f} steps to a base "
-            f"(half of them at most {delay['p50']}, 95 % at most {delay['p95']}), {hops['mean']:.1f} hops"
+            f"reliability {s['reliability']:.3f}; mean delay {delay['mean']:.1f} steps (median {delay['p50']}, "
+            f"95 % within {delay['p95']}) and {hops['mean']:.1f} hops to a base"
         )
     else:
         yield f"reliability {s['reliability']:.3f}; nothing has arrived"
     yield (
-        f"drones' memory used {s['memory_used_percent']:.2f} %, {s['copies_mean']:.2f} copies a datum, "
-        f"{s['transmissions_per_datum']:.1f} transmissions a datum"
+        f"drones' memory used {s['memory_used_percent']:.2f} %, {s['copies_mean']:.2f} copies and "
+        f"{s['transmissions_per_datum']:.1f} transmissions per datum"
     )
     frames = s["frames"]
     yield (
@@ -50,7 +50,7 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     if "wall_s" in s:
         yield (
             f"{s['wall_s']:.1f} s, {s['cpu_s']:.1f} s of processor time; "
-            f"{s['robot_steps_per_s']:,} robot-steps a second of processor time"
+            f"{s['robot_steps_per_s']:,} robot-steps per second of processor time"
         )
 
 
