@@ -10,6 +10,8 @@ import pytest
 from coverage import Coverage
 from hypothesis import settings
 
+from rass_mav.mavlink.dialect import common
+
 from .extent import EXAMPLES, SOAK_EXAMPLES
 from .skips import pytest_make_collect_report as pytest_make_collect_report
 from .skips import pytest_runtest_makereport as pytest_runtest_makereport
@@ -40,3 +42,14 @@ def _logging_as_it_was() -> Iterator[None]:
     yield
     root.setLevel(level)
     root.handlers[:] = handlers
+
+
+_TEXTS = dict(common.enums)
+
+
+@pytest.fixture(autouse=True)
+def _dialect_as_it_was() -> Iterator[None]:
+    """A node's command frees the dialect's texts, as if it had its process for itself."""
+    yield
+    if not common.enums:
+        common.enums.update(_TEXTS)

@@ -35,9 +35,16 @@ DOWN = (*JOINED, "link set wlan0 down")
 
 
 def ip(*commands: str) -> None:
-    """Run commands of ip(8)."""
+    """Run commands of ip(8). When the other end goes down, the kernel takes a moment to notice: waits for that."""
     for command in commands:
-        subprocess.run(["ip", *command.split()], check=True, capture_output=True)
+        _ip(command)
+        if command == "link set air down":
+            while "NO-CARRIER" not in _ip("link show wlan0"):
+                pass
+
+
+def _ip(command: str) -> str:
+    return subprocess.run(["ip", *command.split()], check=True, capture_output=True, text=True).stdout
 
 
 def in_namespace(setup: Sequence[str], work: Callable[[], T]) -> T:
