@@ -45,7 +45,7 @@ $(SMALL): requirements.lock requirements-demo.lock requirements-interop.lock pyp
 	@touch '$(SMALL)'
 
 $(READY): $(SMALL)
-	@echo 'Adding the tools of the tests and figures to $(VENV) (once, about a minute) ...'
+	@echo 'Adding the tools of the tests and figures to $(VENV) (once, half a minute) ...'
 	@$(PIP) --require-hashes -r requirements.lock
 	@$(PIP) --no-deps --require-hashes -r requirements-interop.lock
 	@touch '$(READY)'

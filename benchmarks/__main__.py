@@ -3,8 +3,8 @@
     python -m benchmarks            tables
     python -m benchmarks --json     one JSON object
 
-It takes about two minutes. docs/benchmarks.md says what the figures mean. Times depend on the machine, so the aims are
-ratios where they can be.
+It takes about two minutes. docs/benchmarks.md explains the figures. Times depend on the machine, so the aims are ratios
+where possible.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
     (("handover", "scrub all", "fsyncs_drone"), "fsyncs a datum, drone", 0.1, True),
     (("handover", "scrub all", "fsyncs_base"), "fsyncs a datum, base", 0.1, True),
     (("node", "node - bare", "rss"), "drone node over bare Python, MiB", 24.0, True),
-    # Those of a Pi Zero, which has one slow core and 512 MiB for everything.
+    # For a Pi Zero, which has one slow core and 512 MiB for everything.
     (("node", "node", "rss"), "drone node, MiB resident", 34.0, True),
     (("node", "serial node", "rss"), "drone node with serial ports, MiB resident", 34.0, True),
     (("node", "node", "start_ms"), "drone node, start, ms", 1500.0, True),
@@ -42,7 +42,7 @@ AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
 
 
 def measure() -> dict[str, Any]:
-    """Everything, with what it was measured on."""
+    """All results, with a description of the machine."""
     from rass_mav.mavlink.crc import HAVE_FASTCRC
 
     return {
@@ -64,7 +64,7 @@ def measure() -> dict[str, Any]:
 
 
 def aims(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each aim with what was measured; figures that could not be measured here are left out."""
+    """Each aim with the measured figure; figures that could not be measured here are left out."""
     found = []
     for path, what, bound, at_most in AIMS:
         value: Any = results

@@ -3,8 +3,8 @@
     python -m benchmarks.frames            a table
     python -m benchmarks.frames --json     one JSON object
 
-Each pair is measured in one process, round about, and the median of the rounds is taken: other load on the machine
-hits both alike, so the ratio is steadier than the times. The numbers without fastcrc come from a second process in
+Each pair is measured in one process, in turns, and the result is the median of the rounds. Other load on the machine
+affects both alike, so the ratio is steadier than the times. The numbers without fastcrc come from a second process in
 which neither side can import it.
 """
 
@@ -93,7 +93,7 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
 
         return work
 
-    # The datagram path: one frame in each call, as it comes from a socket.
+    # The datagram path: one frame in each call, as from a socket.
     def datagrams() -> None:
         for frame in frames:
             tunnel_from_datagram(frame)

@@ -1,16 +1,17 @@
-"""Durable hand-overs a second between two nodes on SQLite, and how often each of them syncs its disk for that.
+"""Durable hand-overs a second between two nodes on SQLite, and how often each of them syncs its disk for them.
 
     python -m benchmarks.handover            a table
     python -m benchmarks.handover --json     one JSON object
 
-A drone holds a bulk of data on its disk and hands them over to a base: two real drivers on one event loop, joined by
-a loopback link. A hand-over is done when the base has the datum on disk and has said so, and the drone has noted that.
-The clock runs from the first step to the last such note. Bandwidth bounds it to `BANDWIDTH / STEP_S` a second.
+A drone holds many data on its disk and hands them over to a base: two real drivers on one event loop, joined by a
+loopback link. A hand-over is complete when the base has the datum on disk and has confirmed it, and the drone has
+recorded the confirmation. The clock runs from the first step to the last such record. Bandwidth limits the rate to
+`BANDWIDTH / STEP_S` a second.
 
-The syncs of the disk are counted twice. `commits` is what the two drivers say: one commit syncs the write-ahead log
-once. `fsyncs` is the truth, where the system has `strace`: one more run under it, in which every fsync and fdatasync
-from opening the two stores to closing them is counted by the file that it is for, checkpoints included. The bulk was
-put into the drone's store before that.
+The syncs of the disk are counted in two ways. `commits` is the drivers' own count: one commit syncs the write-ahead log
+once. `fsyncs` is the true count, if the system has `strace`. One more run under strace counts every fsync and fdatasync
+by its file, from opening the two stores to closing them, checkpoints included. The data are put into the drone's store
+before that.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ from typing import Any
 SIDES = {"drone": 1, "base": 2}
 STEP_S = 0.01
 PAYLOAD_BYTES = 60
-#: Data that may leave in a step: more than a step has time for, and fewer frames than a link queues.
+#: Data that may leave in a step: more than a step has time for, but fewer frames than a link queues.
 BANDWIDTH = 100
 GIVE_UP_S = 120.0
-#: How many held data the drone verifies in a step: the default verifies all, which costs a read of each.
+#: How many held data the drone verifies in a step. The default is all of them, which costs a read of each.
 SCRUBS = {"scrub all": None, "scrub 50": 50}
 _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
@@ -51,7 +52,7 @@ def _agent_settings(side: str, scrub_items: int | None) -> Any:
 
     return RunConfig(
         node=NodeSection(id=SIDES[side], role="base" if side == "base" else "drone", step_s=STEP_S),
-        # An answer waits for the other's disk: it is not missed before a second has passed.
+        # An answer waits for the other's disk, so it counts as missing only after a second.
         custody=CustodySettings(receipts=False, retry_steps=round(1.0 / STEP_S)),
         store=RunStoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
         data=DataSettings(interval_steps=0),
@@ -133,12 +134,12 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
 
 
 def hand_over(directory: Path, scrub_items: int | None) -> dict[str, float]:
-    """Hand all over that the drone's store in `directory` holds. Figures are for one datum, but `per_s`."""
+    """Hand over everything in the drone's store in `directory`. Figures are for one datum, except `per_s`."""
     return asyncio.run(_hand_over(directory, scrub_items))
 
 
 def sync_seconds(directory: Path, rounds: int = 50) -> float:
-    """What one small append and fsync costs on this disk, median."""
+    """Seconds that one small append and fsync take on this disk, median."""
     times = []
     with (directory / "sync").open("wb", buffering=0) as file:
         for _ in range(rounds):
@@ -150,7 +151,7 @@ def sync_seconds(directory: Path, rounds: int = 50) -> float:
 
 
 def _traced(directory: Path, scrub_items: int | None) -> dict[str, float]:
-    """Syncs a datum on each side, seen by strace."""
+    """Syncs per datum on each side, counted by strace."""
     trace = directory / "trace"
     strace = ["strace", "-f", "-y", "-qq", "-e", "trace=fsync,fdatasync", "-o", str(trace)]
     python = [sys.executable, "-m", "benchmarks.handover", "--traced", str(directory), "--scrub", str(scrub_items or 0)]

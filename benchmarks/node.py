@@ -3,12 +3,13 @@
     python -m benchmarks.node            a table
     python -m benchmarks.node --json     one JSON object
 
-The node is `python -m rass_mav run` with a UDP link, an autopilot port and a new store; it is ready when it says so.
+The node is `python -m rass_mav run` with a UDP link, an autopilot port and a new store. It is ready when it reports so.
 The serial node has its autopilot, a radio and a Geiger counter on serial ports (pseudo-terminals) instead. Bare Python
-is the same interpreter that says a word and waits. `dialect` is bare Python that has imported pymavlink's common
-dialect: the part of the node's memory that is not ours. All are started in turns. Memory is read some steps after the
-start, from /proc (Linux only): RSS is all that is resident, shared libraries included; PSS divides what is shared
-among those who share it; USS is what would be freed if the process ended.
+is the same interpreter, which prints a line and waits. `dialect` is bare Python that has imported pymavlink's common
+dialect: the part of the node's memory that is not ours. All are started in turns.
+
+Memory is read some steps after the start, from /proc (Linux only). RSS is all resident memory, shared libraries
+included. PSS divides shared memory among the processes that share it. USS is what would be freed if the process ended.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def _serial_config(ports: Sequence[str]) -> dict[str, Any]:
 
 def start(command: list[str], directory: Path, settle_s: float) -> dict[str, float]:
     """Start a process, wait until it is ready, measure it after `settle_s` seconds more, and stop it."""
-    # The environment of a user who has installed the package, whose bytecode is compiled: it is after the first start.
+    # As for a user who has installed the package: after the first start its bytecode is compiled.
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     begin = time.perf_counter()
     with subprocess.Popen(
@@ -102,7 +103,7 @@ def start(command: list[str], directory: Path, settle_s: float) -> dict[str, flo
 
 
 def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
-    """Medians of each kind of process, and what the node takes more than bare Python."""
+    """Medians of each kind of process, and what the node needs in addition to bare Python."""
     found: dict[str, list[dict[str, float]]] = {name: [] for name in (*BARE, "node", "serial node")}
     pairs = [pty.openpty() for _ in range(3)]
     ports = [os.ttyname(near) for _, near in pairs]

@@ -1,4 +1,4 @@
-"""What survival routing, spare copies, receipts and immediate forwarding cost in processor time, beside RASS.
+"""What survival routing, spare copies, receipts and immediate forwarding cost in processor time, compared with RASS.
 
     python -m benchmarks.policies            a table
     python -m benchmarks.policies --json     one JSON object
@@ -24,7 +24,7 @@ from benchmarks.swarm import PLAIN, SMALL, take_turns
 
 _MIRROR = {"custody.mirror": True, "custody.mirror_until": "passed-on"}
 _SURVIVAL = {"policy.name": "survival"}
-#: What is compared with the first one: overrides of the scenario `demo`.
+#: The variants, each compared with the first one: overrides of the scenario `demo`.
 WAYS: dict[str, dict[str, Any]] = {
     "rass": PLAIN,
     "rass, receipts": {**PLAIN, "custody.receipts": True},
@@ -39,7 +39,7 @@ WAYS: dict[str, dict[str, Any]] = {
 
 
 def measure(rounds: int, robot_steps: int, warm_up: int) -> dict[str, dict[str, float]]:
-    """For each way: robot-steps a second, frames heard in one, and the ratio of its cost to that of `rass`."""
+    """For each variant: robot-steps a second, frames heard in one, and the ratio of its cost to that of `rass`."""
     scenarios = {name: {"nodes": SMALL, **way} for name, way in WAYS.items()}
     costs, frames = take_turns(list(scenarios.values()), rounds, robot_steps, warm_up)
     first = costs[json.dumps(scenarios["rass"])]

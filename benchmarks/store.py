@@ -1,9 +1,9 @@
-"""How much is gained by committing in groups, and what the two stores cost a datum.
+"""How much commits in groups gain, and what a datum costs in each of the two stores.
 
     python benchmarks/store.py [--directory DIR] [--seconds S]
 
-`DIR` decides which disk is measured. The absolute figures say more about the disk than about the program, so look at
-the ratios: a commit costs one fsync however much is in it.
+`DIR` determines which disk is measured. The absolute figures say more about the disk than about the program, so look at
+the ratios: a commit costs one fsync, however many data it contains.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ PAYLOAD = os.urandom(100)
 
 
 def new_datum(store: Store) -> Datum:
-    """A datum made by the node that owns the store."""
+    """A datum created by the node that owns the store."""
     return make_datum(DatumId(1, store.epoch, store.next_sequence()), 1, 0.0, PAYLOAD)
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
-    """Data a second that `work` does; it returns how many it did."""
+    """Data a second that `work` processes; it returns how many it processed."""
     done = 0
     begin = time.perf_counter()
     while (spent := time.perf_counter() - begin) < seconds:
@@ -40,7 +40,7 @@ def rate(work: Callable[[], int], seconds: float) -> float:
 
 
 def in_groups(store: Store, group: int) -> Callable[[], int]:
-    """Put `group` data, remove those of the group before, and make it all durable."""
+    """Put `group` data, remove those of the previous group, and make all of this durable."""
     before: list[DatumId] = []
 
     def work() -> int:
@@ -60,7 +60,7 @@ def in_groups(store: Store, group: int) -> Callable[[], int]:
 
 
 def reads(store: Store) -> Callable[[], int]:
-    """Get all that is stored."""
+    """Get all stored data."""
     ids = list(store.ids())
 
     def work() -> int:

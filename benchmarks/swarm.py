@@ -1,14 +1,14 @@
-"""Robot-steps a second of the mock swarm, and how much dearer a robot-step is among 1,000 nodes than among 100.
+"""Robot-steps a second of the mock swarm, and how much more a robot-step costs among 1,000 nodes than among 100.
 
     python -m benchmarks.swarm            a table
     python -m benchmarks.swarm --json     one JSON object
 
 A robot-step is one turn of one node: it hears what its neighbours sent, moves, senses, runs Alg. 1 and sends. The time
-is processor time. Each swarm lives in a process of its own, with the settings of the garbage collector that the product
-has, and is warmed up first. Then the swarms take turns, so that other load on the machine hits all alike: a
-ratio is the median over the rounds, a rate that of the fastest round, since other load can only slow it down.
+is processor time. Each swarm runs in its own process, with the product's settings of the garbage collector, and is
+warmed up first. Then the swarms take turns, so that other load on the machine affects all alike. A ratio is the median
+over the rounds. A rate is that of the fastest round, since other load can only slow it down.
 
-Larger swarms do more in a robot-step: their data travel farther. `variants` says what each line holds equal.
+Larger swarms do more in a robot-step, because their data travel farther. `variants` defines what each line keeps equal.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SMALL, LARGE = 100, 1000
-#: One copy, one hop a step, no receipts: the paper's node. What the other ways cost beside it: `benchmarks.policies`.
+#: One copy, one hop a step, no receipts: the paper's node. `benchmarks.policies` compares the other variants with it.
 PLAIN: dict[str, Any] = {
     "policy.name": "rass", "custody.mirror": False, "custody.receipts": False, "node.forward": "step",
 }  # fmt: skip
 
 
 class Variant(NamedTuple):
-    """What is measured at 1,000 nodes, and what it is compared with at 100."""
+    """A swarm of 1,000 nodes, and the swarm of 100 with which it is compared."""
 
     meaning: str
     small: dict[str, Any]
@@ -45,19 +45,19 @@ class Variant(NamedTuple):
 def variants() -> dict[str, Variant]:
     """The lines of the table."""
     small, large = {"nodes": SMALL, **PLAIN}, {"nodes": LARGE, **PLAIN}
-    # As many hand-overs in a robot-step: a datum makes so many times as many hops, so it is made so much more rarely.
+    # For the same number of hand-overs in a robot-step: data need this many times more hops, so fewer are created.
     farther = _mean_hops(large) / _mean_hops(small)
     bases = LARGE // SMALL
     return {
         "default": Variant("demo with the paper's node; one corner base, which saturates at 1,000 nodes", small, large),
         "same load": Variant(
-            f"data made {farther:.1f} times as rarely at 1,000 nodes, for they have so many times as many hops to go",
+            f"1,000 nodes create data {farther:.1f} times less often, because data need that many times more hops",
             small,
             {**large, "data.interval_steps": round(10 * farther)},
         ),
         "bases in proportion": Variant(f"{bases} bases at 1,000 nodes, side by side", small, {**large, "bases": bases}),
         "islands of 100": Variant(
-            f"{bases} swarms of 100 beside each other, out of each other's range: 1,000 nodes do what 100 do",
+            f"{bases} swarms of 100 nodes, out of each other's range: 1,000 nodes do what 100 do",
             {**small, **_islands(1)},
             {**large, **_islands(bases)},
         ),
@@ -93,7 +93,7 @@ def _mean_hops(options: dict[str, Any]) -> float:
 
 
 def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
-    """A process with one swarm. Told a number of steps, it does them and answers with processor seconds and frames."""
+    """A process with one swarm. It receives a number of steps, runs them, and returns processor seconds and frames."""
     from rass_mav.commands.common import start_logging
     from rass_mav.swarm.catalogue import load_scenario
     from rass_mav.swarm.world import World
@@ -145,7 +145,7 @@ def measure(rounds: int, robot_steps: int, warm_up: int, names: Sequence[str] = 
 def take_turns(
     scenarios: Sequence[dict[str, Any]], rounds: int, robot_steps: int, warm_up: int
 ) -> tuple[dict[str, list[float]], dict[str, float]]:
-    """Swarms that take turns, each in a process of its own. `scenarios`: overrides of `demo`, `nodes` among them.
+    """Swarms that take turns, each in its own process. `scenarios`: overrides of `demo`, including `nodes`.
 
     Returns by `json.dumps` of the overrides: processor seconds of a robot-step in each round, and frames heard in one.
     """
@@ -160,7 +160,7 @@ def take_turns(
             child.start()
             children.append(child)
             swarms[key] = here, options["nodes"]
-            # One after the other: two that warm up at the same time would only heat each other's cache.
+            # One after the other: two that warm up at the same time would disturb each other's cache.
             here.send(1)
             here.recv()
     costs: dict[str, list[float]] = {key: [] for key in swarms}

@@ -7,6 +7,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+from coverage import Coverage
 from hypothesis import settings
 
 from .extent import EXAMPLES, SOAK_EXAMPLES
@@ -19,10 +20,16 @@ settings.register_profile("soak", deadline=None, max_examples=SOAK_EXAMPLES)
 settings.load_profile("suite")
 
 
-def pytest_configure() -> None:
-    """A shell starts what it runs in the background without Ctrl-C, and children inherit that: give it back."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Put right what this process has inherited."""
+    # A shell starts what it runs in the background without Ctrl-C, and children of ours would be without it too.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # pytest-cov measures an xdist worker from the start of its session. The measurement that a worker inherits as a
+    # subprocess would take as long again, and would continue in tests with `no_cover`.
+    if hasattr(config, "workerinput"):
+        while (measurement := Coverage.current()) is not None:
+            measurement.stop()
 
 
 @pytest.fixture(autouse=True)

@@ -23,6 +23,8 @@ ALLOWED: tuple[str, ...] = (
     # Rights that a container may not have.
     "may not mount here",
     "no multicast here",
+    "no network namespaces here",
+    "no interfaces in a network namespace here",
     # What else may run here, and how Python was built.
     "PX4's ports are in use here",
     "SQLite is built into the interpreter",

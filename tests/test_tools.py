@@ -22,6 +22,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, encode_measurement
+from tools import emulated_pi
 from tools.explain_frame import UnreadableError, explain_frames, explain_payload, from_hex, main
 
 ROOT = Path(__file__).parents[1]
@@ -206,3 +207,19 @@ def test_as_a_program() -> None:
     assert good.stdout.rstrip() == example
     bad = subprocess.run([*command, "ff"], check=False, timeout=60, **options)
     assert (bad.returncode, bad.stdout, len(bad.stderr.splitlines())) == (1, "", 1)
+
+
+def test_what_the_emulated_systems_need_is_said_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    assert emulated_pi.main(["armhf"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "debootstrap" in line
+    assert "qemu-arm-static" in line
+    assert "qemu-aarch64-static" not in line
+
+
+def test_a_process_takes_memory_that_is_not_the_emulators() -> None:
+    # Without an emulator only the code does not count.
+    assert 1 < emulated_pi.memory_mib(os.getpid()) < 10_000

@@ -3,11 +3,11 @@
     sudo .venv/bin/python -m tools.emulated_pi                 all of them, some minutes each
     sudo .venv/bin/python -m tools.emulated_pi armel --keep DIR
 
-Each system is unpacked from Debian's own packages, and its Python is run by QEMU's user emulation; nothing is mounted,
-registered or booted. The program is installed as docs/raspberry-pi.md says. Then a node measures what a mock vehicle
-sends to it over a serial port, and hands its datum to a base that runs here, on another processor. Packages come from
-where apt and pip on this computer get theirs. This needs a Debian with debootstrap and qemu-user-static, and root for
-debootstrap. The exit code is 1 if any of the systems fails.
+Each system is unpacked from Debian's own packages, and QEMU's user emulation runs its Python. Nothing is mounted,
+registered or booted. The program is installed as docs/raspberry-pi.md describes. Then a mock vehicle sends readings to
+a node over a serial port, and the node hands a datum over to a base that runs here, on another processor. Packages
+come from the sources that apt and pip use on this computer. This needs a Debian with debootstrap and
+qemu-user-static, and root for debootstrap. The exit code is 1 if any of the systems fails.
 """
 
 from __future__ import annotations
@@ -250,16 +250,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Installs the drone's part into emulated ARM Debians and runs a node there (docs/raspberry-pi.md).",
         epilog="example: sudo .venv/bin/python -m tools.emulated_pi armhf",
     )
-    parser.add_argument("arch", nargs="*", choices=BOARDS, help=f"which (all: {', '.join(BOARDS)})")
+    parser.add_argument("arch", nargs="*", choices=[*BOARDS, "all"], default="all", help="which systems (all)")
     parser.add_argument("--keep", metavar="DIR", type=Path, help="a new folder for the systems; else they are removed")
     options = parser.parse_args(arguments)
-    needed = ["debootstrap", "dpkg-deb", "apt-get", *{board.qemu for board in BOARDS.values()}]
+    arches = BOARDS if "all" in options.arch else options.arch
+    needed = ["debootstrap", "dpkg-deb", "apt-get", *sorted({BOARDS[arch].qemu for arch in arches})]
     missing = [name for name in needed if shutil.which(name) is None]
     if missing or os.geteuid() != 0:
-        print(
-            f"needs root and {', '.join(missing or needed)} (Debian: apt install debootstrap qemu-user-static)",
-            file=sys.stderr,
-        )
+        programs = f"{', '.join(missing)} (Debian: apt install debootstrap qemu-user-static)"
+        print(f"needs {programs if missing else 'root, for debootstrap'}", file=sys.stderr)
         return 2
     failed = False
     with contextlib.ExitStack() as stack:
@@ -267,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             wheels = make_wheels(folder.resolve())
-            for arch in options.arch or BOARDS:
+            for arch in arches:
                 print(check(arch, folder.resolve(), wheels), flush=True)
         except FailedError as error:
             print(f"failed: {error}", file=sys.stderr)

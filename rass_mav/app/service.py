@@ -91,7 +91,7 @@ def plan_install(
     own = f"/var/lib/{name}"
     outside = {str(path.parent) for path in (config.store_path, config.socket_path) if path.is_absolute()}
     writable = sorted(path for path in outside if not Path(path).is_relative_to(own))
-    at_home = any(_below(path, "/home", "/root") for path in program)
+    at_home = any(_below(path, "/home", "/root") for path in (*program, *_files(config).values()))
     values = {
         "NAME": name,
         "USER": user,
@@ -164,14 +164,19 @@ def check_visible(config: RunConfig, program: Sequence[str]) -> None:
     for path in program:
         if _below(path, *_PRIVATE):
             raise ServiceError(f"{path}: {own} its program: install rass-mav elsewhere, for example in /opt/rass-mav")
-    files = {
+    for key, file in _files(config).items():
+        if _below(file, *_PRIVATE):
+            raise ServiceError(f"{key}: {own} {file}: choose another folder, or a relative path in the service's own")
+
+
+def _files(config: RunConfig) -> dict[str, str]:
+    """The absolute paths that the configuration names, by key."""
+    named = {
         "store.path": config.store.path,
         "control.socket": config.control.socket,
         "sensor.path": config.sensor.path,
     }
-    for key, file in files.items():
-        if file is not None and Path(file).is_absolute() and _below(file, *_PRIVATE):
-            raise ServiceError(f"{key}: {own} {file}: choose another folder, or a relative path in the service's own")
+    return {key: file for key, file in named.items() if file is not None and Path(file).is_absolute()}
 
 
 def _below(path: str, *folders: str) -> bool:

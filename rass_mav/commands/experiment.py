@@ -234,7 +234,9 @@ def _runs(
     begin = time.perf_counter()
     runs = out / "runs"
     show = partial(progress, unit="runs", quiet=options.json)
-    with keeping(lambda: f"{len(list(runs.glob('*.json')))} finished runs are in {runs}; the same command continues"):
+    with keeping(
+        lambda: f"finished runs: {len(list(runs.glob('*.json')))}, kept in {runs}; the same command continues"
+    ):
         outcome = run_all(planned, runs, jobs=options.jobs, dask=options.dask, progress=show)
     wall = time.perf_counter() - begin
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}

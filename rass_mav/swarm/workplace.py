@@ -32,4 +32,4 @@ def _prepare(directory: Path) -> None:
         directory.mkdir(parents=True, exist_ok=True)
         used = any(directory.iterdir())
     if used:
-        raise ConfigError(f"{directory}: expected a new or an empty directory")
+        raise ConfigError(f"{directory}: expected a new or empty directory")

@@ -296,7 +296,7 @@ def test_what_a_running_node_refuses_is_one_line(tmp_path: Path, tidy: Tidy) -> 
         answers.close()
     said = command(tmp_path, "get", "-c", "n1.yaml", "1-00000000-0", "--json")
     assert (said.returncode, said.stderr) == (1, b"1-00000000-0: this node does not hold it\n")
-    assert json.loads(said.stdout) == {"error": "1-00000000-0: this node does not hold it"}
+    assert json.loads(said.stdout) == {"error": ["1-00000000-0: this node does not hold it"]}
     assert command(tmp_path, "get", "-c", "n1.yaml", "seven").returncode == 2
     (tmp_path / "empty").write_bytes(b"")
     assert command(tmp_path, "put", "-c", "n1.yaml", "-", stdin=b"").returncode == 2

@@ -163,6 +163,10 @@ def test_what_runs_at_home_can_read_it_and_a_store_elsewhere_can_be_written(tmp_
     )
     # In a unit, % begins a specifier.
     assert service("/opt/x/bin/python")["ReadWritePaths"] == '"/mnt/fast disk/100%%"'
+    # A store at home must be visible too, wherever the program is.
+    file.write_text(CONFIG + "store: {path: /home/pi/n7.db}\n")
+    assert service("/opt/rass-mav/bin/python")["ProtectHome"] == "read-only"
+    assert service("/opt/rass-mav/bin/python")["ReadWritePaths"] == "/home/pi"
 
 
 def test_print_shows_everything_and_does_nothing(drone: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.cli import main
-from rass_mav.commands import experiment as command
 from rass_mav.experiment import policies
 from rass_mav.experiment.comparison import compare
 from rass_mav.experiment.measures import Series
@@ -27,11 +26,6 @@ def plan(*, runs: int = 2, **options: Any) -> list[Run]:
 
 
 # -- which runs --------------------------------------------------------------------------------------------------------
-
-
-def test_the_command_offers_what_there_is() -> None:
-    assert tuple(VARIANTS) == command._VARIANTS
-    assert (*command._TOPOLOGIES, "islands") == tuple(policies.PLACES)
 
 
 def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_one() -> None:

@@ -106,7 +106,7 @@ def test_as_json_it_says_one_object_and_keeps_nothing(capsys: pytest.CaptureFixt
         (["--drones", "17"], f"--drones: expected 1 to {MAX_DRONES}, got 17"),
         (["--for", "-1"], "--for: expected seconds above 0, got -1"),
         (["--for", "nan"], "--for: expected seconds above 0, got nan"),
-        (["--keep", "{}"], "{}: expected a new or an empty directory"),
+        (["--keep", "{}"], "{}: expected a new or empty directory"),
     ],
 )
 def test_what_it_cannot_do_it_says_in_one_line(
