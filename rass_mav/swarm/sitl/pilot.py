@@ -5,8 +5,8 @@ It is a separate process, so that it can be ended at any moment. It is started w
 ends.
 
 Before `start` it finds the vehicles, uploads the missions, waits until each knows its position, and arms. A vehicle
-that does not trust its position yet refuses to arm, so the pilot asks repeatedly. After `start` it starts the missions and
-reports their progress. It forwards the vehicles' texts.
+that does not trust its position yet refuses to arm, so the pilot asks repeatedly. After `start` it starts the missions
+and reports their progress. It forwards the vehicles' texts.
 """
 
 from __future__ import annotations
