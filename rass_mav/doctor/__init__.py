@@ -1,1 +1,1 @@
-"""`rass-mav doctor`: is everything there that a node needs? One small function for each check (docs/doctor.md)."""
+"""`rass-mav doctor`: is everything there that a node needs? Each check is one small function (docs/doctor.md)."""

@@ -1,4 +1,4 @@
-"""All checks, in the order in which a person would look."""
+"""All checks, in the order in which a person would do them."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from .watch import Evidence
 
 
 class Report(NamedTuple):
-    """What all checks found."""
+    """The findings of all checks."""
 
     config: str
     node_id: int | None
     """None: the configuration could not be read."""
     running: bool
-    """The node was running, and was asked."""
+    """Whether the node was running, and was queried."""
     findings: tuple[Finding, ...]
 
     def count(self, level: str) -> int:
-        """How many findings of this level."""
+        """The number of findings of this level."""
         return sum(finding.level == level for finding in self.findings)
 
     def plain(self) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class Report(NamedTuple):
 
 
 def check_up(path: str) -> Report:
-    """Check a node, whether it runs or not. `path`: of its configuration. Takes ten seconds at most."""
+    """Check a node, running or not. `path`: its configuration. Takes ten seconds at most."""
     name = service.name_of(path)
     findings = [computer.python(sys.version_info[:3], sys.executable)]
     try:
@@ -61,7 +61,7 @@ def check_up(path: str) -> Report:
             failed(
                 "configuration",
                 "; ".join(error.lines()),
-                "rass-mav check says the same; docs/configuration.md has all keys",
+                "rass-mav check reports the same; docs/configuration.md lists all keys",
             ),
             service.service(name),
         ]
@@ -106,9 +106,9 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
 
 
 def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/")) -> RunConfig:
-    """The configuration as the service `name` reads it: a relative store lies in the service's own folder.
+    """The configuration as the service `name` reads it: a relative store is in the service's own folder.
 
-    `path`: of the configuration; another one than the service's is left as it is.
+    `path`: the configuration's. Any other configuration than the service's is returned unchanged.
     """
     home = place(root, f"/var/lib/{name}")
     if Path(path).absolute() != place(root, config_path(name)) or not home.is_dir():

@@ -16,18 +16,18 @@ from rass_mav.mavlink.crc import HAVE_FASTCRC
 from .finding import Finding, failed, passed, warned
 from .ports import serial_ports
 
-#: What the source needs (pyproject.toml, requires-python).
+#: The oldest supported version (pyproject.toml, requires-python).
 LEAST_PYTHON = (3, 10)
 #: Always needed; pyserial comes with a serial port.
 PACKAGES = ("pymavlink", "pyyaml")
-#: No clock that is right is before this: 2025-01-01.
+#: A clock before this is wrong: 2025-01-01.
 _BUILT_S = 1_735_689_600.0
-#: Files may be this much in the future before the clock is doubted, seconds.
+#: A file may be this far in the future before the clock counts as doubtful, seconds.
 _SLACK_S = 60.0
 
 
 def python(version: tuple[int, ...], executable: str) -> Finding:
-    """Is Python new enough? `version`: of the interpreter, at least two numbers."""
+    """Is Python new enough? `version`: the interpreter's, at least two numbers."""
     text = f"{'.'.join(map(str, version))} on {platform.machine()} ({executable})"
     if version[:2] < LEAST_PYTHON:
         least = ".".join(map(str, LEAST_PYTHON))
@@ -36,7 +36,7 @@ def python(version: tuple[int, ...], executable: str) -> Finding:
 
 
 def needed_packages(config: RunConfig | None) -> list[str]:
-    """What this configuration imports; None: not known."""
+    """The packages that this configuration needs; None: unknown."""
     names = list(PACKAGES)
     if config is not None and any(serial_ports(config)):
         names.append("pyserial")
@@ -46,10 +46,10 @@ def needed_packages(config: RunConfig | None) -> list[str]:
 def packages(
     names: Iterable[str], version: Callable[[str], str] = metadata.version, least: Mapping[str, str] | None = None
 ) -> Finding:
-    """Are they installed, and new enough?
+    """Are these packages installed, and new enough?
 
-    :param version: of an installed package; raises `PackageNotFoundError`.
-    :param least: lowest version by name; None: what the installed rass-mav demands.
+    :param version: returns the version of an installed package, or raises `PackageNotFoundError`.
+    :param least: lowest version by name; None: those that the installed rass-mav requires.
     """
     least = demanded() if least is None else least
     found, wrong = [], []
@@ -64,12 +64,12 @@ def packages(
         found.append(f"{name} {installed}")
     if wrong:
         return failed("packages", ", ".join(wrong), f"{installing('drone')}, into the same environment")
-    extra = "" if HAVE_FASTCRC else "; without fastcrc, frames take somewhat longer to read"
+    extra = "" if HAVE_FASTCRC else "; without fastcrc, reading frames takes somewhat longer"
     return passed("packages", ", ".join(found) + extra)
 
 
 def demanded() -> dict[str, str]:
-    """The lowest versions that the installed rass-mav demands; empty if it runs from its source."""
+    """The lowest versions that the installed rass-mav requires; empty if it runs from its source."""
     try:
         requirements = metadata.requires("rass-mav") or []
     except metadata.PackageNotFoundError:
@@ -83,26 +83,26 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def clock(now: float, store: Path, root: Path = Path("/")) -> Finding:
-    """Can the date be right? A Raspberry Pi has no clock that goes on without power.
+    """Can the date be right? A Raspberry Pi has no clock that runs without power.
 
     :param now: seconds since 1970.
-    :param store: the store's file; it was written before now.
-    :param root: where `run` and `sys` are.
+    :param store: the store's file, which was written before now.
+    :param root: the folder with `run` and `sys`.
     """
     said = datetime.fromtimestamp(now, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    remedy = "data would bear a wrong date: connect to a time server, or add a clock module (RTC)"
+    remedy = "data would have a wrong date: connect to a time server, or add a clock module (RTC)"
     if now < _BUILT_S:
-        return warned("clock", f"says {said}, which cannot be", remedy)
+        return warned("clock", f"shows {said}, which is impossible", remedy)
     try:
         written = store.stat().st_mtime
     except OSError:
         written = 0.0
     if written > now + _SLACK_S:
         later = datetime.fromtimestamp(written, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-        return warned("clock", f"says {said}, but the store was written at {later}", remedy)
+        return warned("clock", f"shows {said}, but the store was written at {later}", remedy)
     if (root / "run/systemd/timesync/synchronized").exists():
         return passed("clock", f"{said}, set by a time server")
     rtc = root / "sys/class/rtc"
     if rtc.is_dir() and any(rtc.iterdir()):
         return passed("clock", f"{said}, from a clock chip")
-    return warned("clock", f"says {said}, with no clock chip and no time server seen", remedy)
+    return warned("clock", f"shows {said}, and no clock chip or time server was found", remedy)

@@ -1,4 +1,4 @@
-"""The links to the neighbours, and who is heard on them."""
+"""The links to the neighbours, and the nodes that are heard on them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from . import remedies, vehicle
 from .finding import Finding, failed, passed, skipped, warned
 from .watch import Evidence
 
-#: So many own frames back in the few seconds of a look are a loop, not an accident.
+#: This many own frames that come back within the few seconds of a check are a loop, not an accident.
 LOOP = 5
 
 
 def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
-    """Is it open?"""
+    """Is the link open?"""
     section = config.links[index]
     name = f"links[{index}]"
     if f"{name}.device" in evidence.blocked or (
@@ -31,7 +31,7 @@ def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
         if section.kind.through:
             return skipped(name, "the autopilot's port is not open")
         remedy = (
-            "is it still there, and does no other program use it?"
+            "is it still connected, and is no other program using it?"
             if section.kind.shared
             else f"see {name} address above"
         )
@@ -42,7 +42,7 @@ def link(config: RunConfig, index: int, evidence: Evidence) -> Finding:
         sent, dropped = evidence.grown(index, "sent"), evidence.grown(index, "dropped_out")
         if dropped > sent:
             return warned(
-                name, f"{text}; while we looked {dropped} could not be sent and {sent} could", "is the network there?"
+                name, f"{text}; during the check {dropped} could not be sent and {sent} could", "is the network up?"
             )
     return passed(name, text)
 
@@ -52,17 +52,17 @@ def hops(config: RunConfig, index: int) -> Finding:
     section = config.links[index]
     name = f"links[{index}] hops"
     if section.direct:
-        return passed(name, "who is heard is one hop away")
+        return passed(name, "nodes that are heard are one hop away")
     if section.only is not None:
         return passed(name, f"frames are forwarded; only nodes {', '.join(map(str, section.only))} are neighbours")
     return warned(
-        name, "frames are forwarded on it, so who is heard may be many hops away",
-        f"name the neighbours in links[{index}].only; or one_hop: true if all share one radio channel (docs/links.md)",
+        name, "frames are forwarded on it, so a node that is heard may be many hops away",
+        f"list the neighbours in links[{index}].only; or one_hop: true if all share one radio channel (docs/links.md)",
     )  # fmt: skip
 
 
 def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
-    """Who is heard? None: there are no links."""
+    """Which nodes are heard? None: there are no links."""
     if not config.links:
         return None
     known = evidence.last["neighbours"]
@@ -70,7 +70,7 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
         return skipped("neighbours", why)
     if not known:
         return warned(
-            "neighbours", "nobody heard while we looked",
+            "neighbours", "nobody heard during the check",
             "is another node running, with the same port, network or radio channel? (links on slow radios take longer)",
         )  # fmt: skip
     names = ", ".join(f"{n['node_id']}{' (base)' if n['base'] else ''}" for n in known)
@@ -81,12 +81,12 @@ def neighbours(config: RunConfig, evidence: Evidence) -> Finding | None:
             "set the same section policy on all nodes",
         )  # fmt: skip
     if not config.base and not any(n["base"] or n["hops"] is not None for n in known):
-        return warned("neighbours", f"{names}, but nobody knows a way to a base", "start the base")
+        return warned("neighbours", f"{names}, but none knows a route to a base", "start the base")
     return passed("neighbours", names)
 
 
 def no_way(config: RunConfig, evidence: Evidence) -> str:
-    """Why nobody can be heard, if another check has told it; empty: somebody should be heard."""
+    """Why no node can be heard, if another check reports it; empty: a node should be heard."""
     if not all(link.kind.through for link in config.links):
         return ""
     if not vehicle.is_heard(evidence):
@@ -94,11 +94,11 @@ def no_way(config: RunConfig, evidence: Evidence) -> str:
     if vehicle.refuses(evidence):
         return "the autopilot ignores this node"
     forwarding = vehicle.forwarding(config, evidence)
-    return "the autopilot passes nothing on" if forwarding is not None and forwarding.level == "fail" else ""
+    return "the autopilot forwards nothing" if forwarding is not None and forwarding.level == "fail" else ""
 
 
 def system_ids(evidence: Evidence) -> Finding:
-    """Has every vehicle that is heard a system id of its own?"""
+    """Does every vehicle that is heard have its own system id?"""
     shared = evidence.last["shared_system_ids"]
     if not shared:
         return passed("system ids", f"{evidence.last['system_id']}, no two nodes that are heard share one")
@@ -106,32 +106,32 @@ def system_ids(evidence: Evidence) -> Finding:
         f"nodes {', '.join(map(str, one['node_ids']))} all use system id {one['system_id']}" for one in shared
     )
     return warned(
-        "system ids", f"{said}, so a ground station takes them for one vehicle",
+        "system ids", f"{said}, so a ground station sees them as one vehicle",
         remedies.for_system_id(evidence.firmware),
     )  # fmt: skip
 
 
 def identity(config: RunConfig, evidence: Evidence) -> Finding:
-    """Has somebody else the same node id?"""
+    """Does another node have the same node id?"""
     rivals = evidence.last["rivals"]
     if rivals:
         return failed(
             "node id", f"another node with the id {config.node_id} is heard (life {rivals[0]['life']})",
             "give one of them another node.id",
         )  # fmt: skip
-    return passed("node id", f"{config.node_id}, nobody else with it was heard")
+    return passed("node id", f"{config.node_id}, no other node with it was heard")
 
 
 def versions(config: RunConfig, evidence: Evidence) -> Finding:
-    """Does everybody speak this node's version of the wire format?"""
-    # Who was updated meanwhile has fallen silent in the other one.
+    """Do all nodes use this node's version of the wire format?"""
+    # A node that was updated meanwhile no longer sends in the other version.
     others = [other for other in evidence.last["other_versions"] if other["age_s"] <= MAX_TURN_S]
     if not others:
-        return passed("versions", f"no other than {VERSION} of the wire format is heard")
+        return passed("versions", f"only version {VERSION} of the wire format is heard")
     behind = {other["node_id"] if other["version"] < VERSION else config.node_id for other in others}
     said = ", ".join(f"node {other['node_id']} uses version {other['version']}" for other in others)
     return warned(
-        "versions", f"{said}, this one {VERSION}; they take no data from each other",
+        "versions", f"{said}, this one {VERSION}; they accept no data from each other",
         f"update rass-mav on node {', '.join(map(str, sorted(behind)))} (docs/protocol.md)",
     )  # fmt: skip
 
@@ -142,7 +142,7 @@ def loops(evidence: Evidence) -> Finding:
     echoes, copies = last["echoes"] - first["echoes"], last["heard_twice"] - first["heard_twice"]
     remedy = "turn forwarding off on one of the ports between the autopilots (docs/links.md)"
     if echoes >= LOOP:
-        return failed("loops", f"{echoes} own frames came back while we looked", remedy)
+        return failed("loops", f"{echoes} own frames came back during the check", remedy)
     if copies >= LOOP:
-        return warned("loops", f"{copies} frames were heard twice while we looked", remedy)
+        return warned("loops", f"{copies} frames were heard twice during the check", remedy)
     return passed("loops", "no frames come twice")

@@ -1,4 +1,4 @@
-"""UDP links: do their addresses and interfaces fit this computer, and do the interfaces carry?"""
+"""UDP links: do their addresses and interfaces fit this computer, and do the interfaces have a carrier?"""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rass_mav.link.settings import LinkSection, PeerSection
 
 from .finding import Finding, failed, passed, warned
 
-#: How long a name may take to be looked up, seconds.
+#: How long the lookup of a name may take, seconds.
 LOOKUP_S = 2.0
 
 
 def link_address(index: int, link: LinkSection) -> Finding:
-    """Where a UDP link sends to and from where, and whether the interfaces on the way carry."""
+    """The addresses of a UDP link, and whether the interfaces on the route have a carrier."""
     key = f"links[{index}]"
     name = f"{key} address"
     named = [text for text in (link.listen, link.broadcast, *(peer.address for peer in link.peers)) if text]
     for text in named:
         host = parse_address(text, any_port=True)[0]
         if not is_known(host):
-            return failed(name, f"the name {host} is not known", "write the IPv4 address instead, or see /etc/hosts")
+            return failed(name, f"the name {host} is not known", "use the IPv4 address instead, or see /etc/hosts")
     found = {text: resolve(parse_address(text, any_port=True), name) for text in named}
     plain = {text: f"{host}:{port}" for text, (host, port) in found.items()}
     remarks = replace(
@@ -52,7 +52,7 @@ def link_address(index: int, link: LinkSection) -> Finding:
 
 @lru_cache(64)
 def is_known(host: str) -> bool:
-    """Whether the name service knows a host, and says so in time."""
+    """Whether the name service knows a host, and answers in time."""
     known: list[bool] = []
 
     def look() -> None:
@@ -62,7 +62,7 @@ def is_known(host: str) -> bool:
         except LinkError:
             known.append(False)
 
-    # A name service that is not reached would take half a minute; the thread may hang on, it ends with the process.
+    # An unreachable name service would take half a minute. The thread may hang; it ends with the process.
     thread = threading.Thread(target=look, daemon=True)
     thread.start()
     thread.join(LOOKUP_S)

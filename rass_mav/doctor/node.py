@@ -1,4 +1,4 @@
-"""The running node, asked through its control socket."""
+"""The running node, queried through its control socket."""
 
 from __future__ import annotations
 
@@ -14,27 +14,31 @@ from rass_mav.errors import ControlError
 from .finding import Finding, failed, passed, warned
 from .watch import LOOK_S, MOST_S, Evidence, Status, seen_enough
 
-#: How long the node has for an answer, seconds.
+#: How long to wait for the node's answer, seconds.
 ANSWER_S = 2.0
 
 
 def look(
     config: RunConfig, clock: Callable[[], float] = time.monotonic, pause: Callable[[float], None] = time.sleep
 ) -> tuple[Finding, Evidence | None, bool]:
-    """Whether the node runs, what was seen of it, and whether its ports are free to be tried.
+    """Whether the node is running, what was seen of it, and whether its ports are free for a trial.
 
-    :param clock: seconds; `pause`: waits for so many of them.
+    :param clock: returns seconds. `pause`: waits for this many seconds.
     """
     path = config.socket_path
     if not os.path.lexists(path):
-        return passed("node", f"does not run (no {path}); its ports were tried, nothing was said to others"), None, True
+        return (
+            passed("node", f"is not running (no {path}); its ports were tried, nothing was sent to neighbours"),
+            None,
+            True,
+        )
     if not os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         owner = _owner(path)
         return failed("node", f"{path} belongs to {owner}", f"ask as that user: sudo -u {owner} ..."), None, False
     try:
         client = ControlClient(path, timeout_s=ANSWER_S)
     except ControlError:
-        text = f"does not run, but was killed (it left {path} behind); its ports were tried"
+        text = f"is not running: it was killed (it left {path} behind); its ports were tried"
         return passed("node", text), None, True
     samples: list[Status] = []
     began = clock()
@@ -46,24 +50,24 @@ def look(
                 samples.append(client.ask("status")["status"])
     except ControlError as error:
         if not samples:
-            return failed("node", str(error), "look at its log, and start it again"), None, False
+            return failed("node", str(error), "look at its log, and restart it"), None, False
     evidence = Evidence(True, samples, opened=list(range(len(samples[-1]["links"]))))
     return health(config, evidence), evidence, False
 
 
 def health(config: RunConfig, evidence: Evidence) -> Finding:
-    """How the running node does."""
+    """The state of the running node."""
     first, last = evidence.samples[0], evidence.last
-    about = f"runs: node {last['node_id']} ({last['role']}), process {last['pid']}, up {last['uptime_s']:.0f} s"
+    about = f"is running: node {last['node_id']} ({last['role']}), process {last['pid']}, up {last['uptime_s']:.0f} s"
     if (last["node_id"], last["role"]) != (config.node_id, config.node.role):
         return failed(
-            "node", f"{about}, but the configuration is of node {config.node_id} ({config.node.role})",
-            "restart it with this configuration, or name the one that it was started with",
+            "node", f"{about}, but the configuration is for node {config.node_id} ({config.node.role})",
+            "restart it with this configuration, or give the one that it was started with",
         )  # fmt: skip
     if len(last["links"]) != len(config.links):
         return failed("node", f"{about}, with {len(last['links'])} links, not as configured", "restart it")
     if last["commits"]["failed"] > first["commits"]["failed"]:
-        return failed("node", f"{about}; its disk does not take what it writes", "look at its log and at the disk")
+        return failed("node", f"{about}; it cannot write to its disk", "look at its log and at the disk")
     if last["commits"]["failed"]:
         return warned("node", f"{about}; {last['commits']['failed']} commits failed earlier", "look at its log")
     if last["skipped_steps"] > first["skipped_steps"]:

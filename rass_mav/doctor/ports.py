@@ -1,4 +1,4 @@
-"""Serial ports: are they there, and may this user open them?"""
+"""Serial ports: do they exist, and can this user open them?"""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class SerialPort(NamedTuple):
     """A serial port of a configuration."""
 
     key: str
-    """Where it is configured."""
+    """Its key in the configuration."""
     device: str
     baud: int
 
 
 def serial_ports(config: RunConfig) -> Iterator[SerialPort]:
-    """All of them."""
+    """All serial ports of a configuration."""
     for key, url in (("autopilot.url", config.autopilot.url), ("ground.url", config.ground.url)):
         if url is not None and (parsed := parse_vehicle_url(url)).mode == "serial":
             yield SerialPort(key, *parsed.address)
@@ -43,7 +43,7 @@ def serial_ports(config: RunConfig) -> Iterator[SerialPort]:
 
 
 def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
-    """One of them. `root`: where `proc` is."""
+    """Check a serial port. `root`: the folder with `proc`."""
     name = f"serial port {port.device}"
     path = Path(port.device)
     try:
@@ -53,27 +53,27 @@ def serial_port(port: SerialPort, root: Path = Path("/")) -> Finding:
     except OSError as error:
         return failed(name, f"{why(error)} ({port.key})", "see docs/raspberry-pi.md")
     if not stat.S_ISCHR(about.st_mode):
-        return failed(name, f"no device ({port.key})", "name a serial device, see ls -l /dev/serial/by-id/")
+        return failed(name, f"not a device ({port.key})", "use a serial device, see ls -l /dev/serial/by-id/")
     real = path.resolve().name
     if (real in _consoles(root)) or path.name in _consoles(root):
         return failed(
-            name, "the system's console is on it, and would talk to the device",
+            name, "the system's console uses it, and would send to the device",
             "sudo raspi-config, Interface Options, Serial Port: login shell no, hardware yes; then reboot",
         )  # fmt: skip
     if not os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
-        return failed(name, f"user {_user()} may not open it", _how_to_join(about.st_gid))
+        return failed(name, f"user {_user()} cannot open it", _how_to_join(about.st_gid))
     where = "" if real == path.name else f"{real}, "
     if path.name == "serial0" and real.startswith("ttyS") and port.baud > MINI_UART_BAUD:
         return warned(
             name, f"is the mini UART ({real}), which loses bytes at {port.baud} bit/s",
             "dtoverlay=disable-bt in /boot/firmware/config.txt, then reboot (docs/raspberry-pi.md)",
         )  # fmt: skip
-    return passed(name, f"{where}{port.baud} bit/s, may be opened")
+    return passed(name, f"{where}{port.baud} bit/s, can be opened")
 
 
 def _how_to_get(device: str) -> str:
     if "USB" in device or "ACM" in device or "by-id" in device:
-        return "plug it in; what is there: ls -l /dev/serial/by-id/"
+        return "plug it in; to list devices: ls -l /dev/serial/by-id/"
     return "turn the port on (sudo raspi-config, Interface Options, Serial Port); Pi 5: docs/raspberry-pi.md"
 
 
@@ -81,7 +81,7 @@ def _how_to_join(gid: int) -> str:
     try:
         group = grp.getgrgid(gid)
     except KeyError:
-        return "give the device a group that you are in, by a udev rule"
+        return "give the device one of your groups, with a udev rule"
     if _user() in group.gr_mem:
         return f"you have joined the group {group.gr_name}, but not in this session: log out and in again"
     return f"sudo usermod -aG {group.gr_name} {_user()}, then log out and in again"
@@ -95,7 +95,7 @@ def _user() -> str:
 
 
 def _consoles(root: Path) -> set[str]:
-    """Names of devices that the kernel uses as consoles, or was told to use."""
+    """Names of devices that the kernel uses as consoles, or is configured to use."""
     found: set[str] = set()
     for file, sign in (("consoles", ""), ("cmdline", "console=")):
         try:

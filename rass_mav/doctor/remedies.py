@@ -1,4 +1,4 @@
-"""What a person can do at the autopilot, by its firmware: names of parameters, and what it cannot do at all."""
+"""What a person can do at the autopilot, depending on its firmware: parameter names, and what it cannot do."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 from rass_mav.params.names import system_id_names
 from rass_mav.params.ports import SCRIPTING, ClosedPort, has_scripting_port
 
-#: Parameters of the vehicle by name, those that it has. None: they were not read.
+#: The vehicle's parameters by name. None: they were not read.
 Values = Mapping[str, float] | None
 
 
 def for_positions(firmware: Firmware) -> str:
-    """Positions do not come, or too seldom."""
+    """Positions do not come, or too rarely."""
     if firmware.autopilot == PX4:
         return "set MAV_1_MODE 2 (Onboard) on the autopilot, and reboot it"
     if firmware.autopilot != ARDUPILOT:
@@ -23,20 +23,20 @@ def for_positions(firmware: Firmware) -> str:
 
 
 def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
-    """The autopilot sends no readings: why, if the parameters tell (else empty), and what to do."""
+    """The autopilot sends no readings: why, if the parameters show it (otherwise empty), and what to do."""
     if firmware.autopilot != ARDUPILOT:
-        # PX4 has no scripts; of others nothing is known.
+        # PX4 has no scripts. Nothing is known about others.
         return "", "connect the counter to this computer, and set sensor.type (docs/sensors.md)"
     otherwise = "or connect the counter to this computer, and set sensor.type"
     if values is None:
-        script = "a script sends it: SCR_ENABLE 1, rass_rad.lua, and RADS_SOURCE for where it reads (firmware_params/)"
+        script = "a script sends it: SCR_ENABLE 1, rass_rad.lua, and RADS_SOURCE for its source (firmware_params/)"
         return "", f"{script}; {otherwise}"
     if values.get("SCR_ENABLE") != 1:
         install = "install rass_rad.lua, set SCR_ENABLE 1 and reboot (firmware_params/)"
         return "the autopilot runs no scripts", f"{install}; {otherwise}"
     source = values.get("RADS_SOURCE")
     if source is None:
-        put = "put rass_rad.lua into APM/scripts on its card, and reboot (firmware_params/)"
+        put = "copy rass_rad.lua to APM/scripts on its card, and reboot (firmware_params/)"
         return "scripts run on the autopilot, but not rass_rad.lua", f"{put}; {otherwise}"
     if source == 0:
         return "RADS_SOURCE is 0: the script sends nothing", "set RADS_SOURCE and reboot (firmware_params/)"
@@ -47,34 +47,34 @@ def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
         )
     if source == 1:
         return (
-            "RADS_SOURCE is 1, and the script sends nothing before it hears the counter",
-            "is the counter on, and wired to that port with the speed RADS_BAUD?",
+            "RADS_SOURCE is 1, and the script sends nothing until it hears the counter",
+            "is the counter on, and wired to that port, with the speed in RADS_BAUD?",
         )
     if source == 2:
         return "RADS_SOURCE is 2, pulses on a pin", "see RADS_PIN and SERVOn_FUNCTION (firmware_params/)"
     if source == 3:
-        return "RADS_SOURCE is 3: readings are made up, once there is a position", "wait for the position"
+        return "RADS_SOURCE is 3: readings are simulated when there is a position", "wait for the position"
     return f"RADS_SOURCE is {source:g}, which the script does not know", "set RADS_SOURCE 1, 2 or 3 and reboot"
 
 
 def for_signing(firmware: Firmware) -> str:
-    """The autopilot wants signatures, and this node has none."""
+    """The autopilot requires signatures, and this node does not sign."""
     if firmware.autopilot == PX4:
         return "turn signing off with the ground station that has its key (firmware_params/README.md)"
     return (
-        "let unsigned frames in on this port (ArduPilot 4.7 and later: bit 0 of its MAVn_OPTIONS), use the autopilot's "
+        "allow unsigned frames on this port (ArduPilot 4.7 and later: bit 0 of its MAVn_OPTIONS), use the autopilot's "
         "USB port (SERIAL0), or turn signing off (firmware_params/README.md)"
     )
 
 
 def for_closed_ports(closed: Sequence[ClosedPort]) -> str:
-    """These ports pass on nothing."""
+    """These ports do not forward."""
     settings = ", ".join(f"{port.parameter} {port.opened}" for port in closed)
     return f"set {settings}, and reboot the autopilot"
 
 
 def for_system_id(firmware: Firmware | None) -> str:
-    """Two vehicles have one system id; `firmware`: of this node's own."""
+    """Two vehicles have the same system id. `firmware`: that of this node's autopilot."""
     names = () if firmware is None else system_id_names(firmware)
     called = " or ".join(names or ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID"))
     return (

@@ -1,4 +1,4 @@
-"""The service of systemd, if there is one."""
+"""The systemd service, if there is one."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from rass_mav.errors import ServiceError
 
 from .finding import Finding, failed, passed, warned
 
-#: How long systemd has for its answer, seconds.
+#: How long to wait for systemd's answer, seconds.
 ANSWER_S = 2.0
 DEFAULT_NAME = "rass-mav"
 
 
 def name_of(config: str) -> str:
-    """The service that reads this configuration: /etc/NAME/node.yaml is the one of NAME."""
+    """The service that reads this configuration: /etc/NAME/node.yaml belongs to NAME."""
     path = Path(config).absolute()
     return path.parent.name if str(path) == config_path(path.parent.name) else DEFAULT_NAME
 
 
 def service(name: str, ask: Callable[[str, float], dict[str, str]] = state, root: Path = Path("/")) -> Finding:
-    """Does it run? A node may as well be started by hand, so one that is not installed is no fault.
+    """Is it running? A node can also be started by hand, so a missing service is not a fault.
 
-    :param ask: systemd about a service: properties by name; raises `ServiceError`.
+    :param ask: returns systemd's properties of a service by name; raises `ServiceError`.
     """
     if not (root / unit_path(name).lstrip("/")).exists():
         return passed("service", f"{name} is not installed")
@@ -38,7 +38,7 @@ def service(name: str, ask: Callable[[str, float], dict[str, str]] = state, root
     if active != "active":
         return failed("service", f"{name} is {active}", f"{look}; sudo systemctl start {name}")
     if restarts:
-        return warned("service", f"{name} is active, but was started again {restarts} times", look)
+        return warned("service", f"{name} is active, but was restarted {restarts} times", look)
     if known.get("UnitFileState") != "enabled":
         return warned("service", f"{name} is active, but does not start at boot", f"sudo systemctl enable {name}")
     return passed("service", f"{name} is active and starts at boot")

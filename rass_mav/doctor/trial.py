@@ -1,7 +1,7 @@
-"""A trial: the node's own agent with its configured ports, for a few seconds, when the node does not run.
+"""A trial: runs the node's own agent with its configured ports for a few seconds, when the node is not running.
 
-It stores nothing and says nothing to the neighbours, who must not take it for the node. To the autopilot it says what
-the node says: its heartbeat, without which an autopilot sends nothing, and its requests for messages.
+It stores nothing and sends nothing to the neighbours, which must not mistake it for the node. To the autopilot it sends
+what the node sends: its heartbeat, without which an autopilot sends nothing, and its requests for messages.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from .network import is_known
 from .watch import LOOK_S, MOST_S, Ear, Evidence, seen_enough
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
-#: What an autopilot does not have it may pass over in silence, and there is not much time.
+#: An autopilot may not answer about parameters that it does not have, and there is not much time.
 _PATIENCE = Patience(answer_s=0.7, tries=2, window=10)
 
 
 class Listener:
-    """A service of the agent: notes which autopilots are heard, and reads the parameters that the checks are about."""
+    """A service of the agent. It notes which autopilots are heard, and reads the parameters that the checks need."""
 
     def __init__(self, agent: Agent) -> None:
         self.ear = Ear()
@@ -54,12 +54,12 @@ class Listener:
 
     @property
     def busy(self) -> bool:
-        """Whether answers of an autopilot that is heard are still to come."""
+        """Whether answers from an autopilot that was heard are still missing."""
         heard = self._agent.telemetry.heartbeat_at is not None
         return heard and (self._talk is None or not self._talk.done)
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Heartbeats and parameters."""
+        """Take heartbeats and parameters."""
         self.ear.frames += 1
         if frame.component_id == AUTOPILOT_COMPONENT and frame.message_id == HEARTBEAT:
             autopilot = parse(frame).autopilot
@@ -70,7 +70,7 @@ class Listener:
             self._ask(self._talk, now)
 
     def step(self, now: float) -> None:
-        """Once a step: begins when the autopilot has told its version, for names depend on it."""
+        """Once a step. Questions start when the autopilot's version is known, because parameter names depend on it."""
         telemetry = self._agent.telemetry
         if self._talk is None and telemetry.version is not None and telemetry.firmware is not None:
             autopilot = Autopilot(telemetry.system_id, telemetry.firmware.autopilot, armed=telemetry.armed)
@@ -88,7 +88,7 @@ class Listener:
 
 
 async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
-    """Open what the configuration names, look for at most so many seconds, and close it again. Opens no store."""
+    """Open the configured ports, observe them for at most `most_s` seconds, and close them. Opens no store."""
     clock = Clock()
     evidence = Evidence(False, [])
     async with AsyncExitStack() as stack:
@@ -116,7 +116,7 @@ async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
         task = asyncio.create_task(driver.run())
         samples = evidence.samples
         while not samples or (clock.now() - started < most_s and (listener.busy or not seen_enough(config, samples))):
-            # A bug that ends the driver comes out here.
+            # A bug that ends the driver raises here.
             await asyncio.wait({task}, timeout=LOOK_S)
             if task.done():
                 break
@@ -131,18 +131,18 @@ def _settings(config: RunConfig) -> AgentSettings:
     settings = config.agent_settings()
     mavlink = settings.mavlink
     if mavlink.system_id is None and not mavlink.autopilot_id:
-        # As the node does: autopilots never forget a sender, so the right id from the first frame on.
+        # Like the node: autopilots never forget a sender, so use the right id from the first frame on.
         try:
             with SqliteReader(config.store_path) as reader:
                 mavlink = replace(mavlink, system_id=reader.meta().get("system_id"))
         except StoreError:
-            pass  # there is no store yet, or a damaged one, which another check tells
+            pass  # there is no store yet, or a damaged one, which another check reports
     return replace(
         settings,
         ground=None,
         mavlink=mavlink,
         data=replace(settings.data, interval_steps=0),
-        # Shorter ones would find out no more; in longer ones the heartbeat would be late.
+        # Shorter steps would not find more. With longer ones the heartbeat would be late.
         step_s=min(settings.step_s, 1.0),
     )
 

@@ -14,31 +14,31 @@ from .watch import Evidence, heartbeats, positions, rate, readings, unfixed
 
 #: An autopilot is heard if its last heartbeat is not older than this, seconds.
 SILENT_S = 3.0
-#: Slower than asked for by this factor is too slow.
+#: A rate that is lower than requested by this factor is too low.
 _SLACK = 2.0
 
 
 def is_heard(evidence: Evidence) -> bool:
-    """Whether the node's own autopilot is there. If not, `autopilot` says why, and the other checks say nothing."""
+    """Whether the node's own autopilot is heard. If not, `autopilot` reports why, and the other checks are skipped."""
     known, port = evidence.last["autopilot"], evidence.last["vehicle"] or {}
     return known is not None and known["heartbeat_age_s"] <= SILENT_S and not port.get("trouble")
 
 
 def refuses(evidence: Evidence) -> bool:
-    """Whether it signs what it says, and does not answer us, who do not sign."""
+    """Whether it signs its frames, and does not answer us, because we do not sign."""
     known = evidence.last["autopilot"]
     return known is not None and known["signed"] and known["version"] is None
 
 
 def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
-    """Is it heard? Which one is it?"""
+    """Is the autopilot heard? Which one is it?"""
     url = config.autopilot.url
     if url is None:
         if config.base:
             return passed("autopilot", "none configured, a base needs none")
-        return warned("autopilot", "none configured, so data bear no position", "set autopilot.url")
+        return warned("autopilot", "none configured, so data have no position", "set autopilot.url")
     if why := evidence.troubles.get("autopilot.url"):
-        remedy = "another program may have the port; see ss -ulnp, and docs/installation.md"
+        remedy = "another program may be using the port; see ss -ulnp, and docs/installation.md"
         return failed("autopilot", why, evidence.remedies.get("autopilot.url", remedy))
     known, firmware = evidence.last["autopilot"], evidence.firmware
     if not is_heard(evidence) or firmware is None:
@@ -56,7 +56,9 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
     values = evidence.parameters or {}
     for name in system_id_names(firmware):
         if values.get(name, known["system_id"]) != known["system_id"]:
-            return warned("autopilot", f"{text}; {name} is {values[name]:g}, but not used yet", "reboot the autopilot")
+            return warned(
+                "autopilot", f"{text}; {name} is {values[name]:g}, but not in use yet", "reboot the autopilot"
+            )
     others = sorted((evidence.ear.autopilots.keys() if evidence.ear else set()) - {known["system_id"]})
     if others and not config.mavlink.autopilot_id:
         return warned(
@@ -75,10 +77,10 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
     if trouble := port.get("trouble"):
         if "temporarily unavailable" in trouble.lower():
             return failed(
-                "autopilot", f"{url}: another program has the port",
-                "stop the other program or put a router between (docs/installation.md)",
+                "autopilot", f"{url}: another program is using the port",
+                "stop the other program, or share the port with a router (docs/installation.md)",
             )  # fmt: skip
-        return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start what it names")
+        return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start the program there")
     heard = sorted(evidence.ear.autopilots) if evidence.ear is not None else []
     wanted = config.mavlink.autopilot_id
     if heard and wanted:
@@ -89,8 +91,8 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
     received = port.get("received", 0)
     if received and (evidence.ear.frames == 0 if evidence.ear else evidence.last["vehicle_malformed"]):
         return failed(
-            "autopilot", f"what comes from {url} is no MAVLink",
-            "set the same speed in autopilot.url and on the autopilot's port; look at wires and ground",
+            "autopilot", f"the input from {url} is not MAVLink",
+            "set the same speed in autopilot.url and on the autopilot's port; check wires and ground",
         )  # fmt: skip
     if received:
         return failed("autopilot", f"MAVLink comes from {url}, but no autopilot's heartbeat", "connect an autopilot")
@@ -101,7 +103,7 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
 
 
 def position(config: RunConfig, evidence: Evidence) -> Finding | None:
-    """Do positions come, and often enough? None: there is no autopilot to ask."""
+    """Do positions come, and often enough? None: there is no autopilot."""
     if config.autopilot.url is None or "autopilot.url" in evidence.troubles:
         return None
     firmware = evidence.firmware
@@ -113,15 +115,15 @@ def position(config: RunConfig, evidence: Evidence) -> Finding | None:
     asked = config.autopilot.messages.get("GLOBAL_POSITION_INT")
     seldom = asked is not None and (per_second is None or per_second * asked * _SLACK < 1.0)
     if refuses(evidence) and seldom and not unfixed(evidence.samples):
-        return skipped("position", "the autopilot ignores what we ask for")
+        return skipped("position", "the autopilot ignores our requests")
     if not times:
         if unfixed(evidence.samples):
-            return warned("position", "no fix yet", "wait, or go where the sky is seen")
+            return warned("position", "no fix yet", "wait, or go where the sky is visible")
         return warned("position", "none comes", remedy)
     if per_second is None:
-        return warned("position", "one came while we looked", remedy)
+        return warned("position", "only one came during the check", remedy)
     if asked is not None and seldom:
-        return warned("position", f"{per_second:.1f}/s, asked for {1 / asked:.1f}/s", remedy)
+        return warned("position", f"{per_second:.1f}/s, requested {1 / asked:.1f}/s", remedy)
     at = evidence.last["position"]
     return passed("position", f"{at['latitude']:.5f} {at['longitude']:.5f}, {per_second:.1f}/s")
 
@@ -144,7 +146,7 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
             state = last["sensor"] or {}
             trouble = state.get("trouble") or ("the port is open, but nothing comes" if state else "")
             return failed(
-                "sensor", f"no reading of {source}, {what}: {trouble}",
+                "sensor", f"no reading from {source}, {what}: {trouble}",
                 "is it on, and are sensor.type and sensor.baud right (docs/sensors.md)?",
             )  # fmt: skip
         if config.autopilot.url is None:
@@ -160,42 +162,44 @@ def reading(config: RunConfig, evidence: Evidence) -> Finding:
     text = f"{source}: {known['value']:g}, {known['age_s']:.1f} s old"
     if per_second is None:
         return warned(
-            "sensor", text, f"it seldom speaks; risk.stale_s ({config.risk.stale_s:g}) must be twice its pause"
+            "sensor", text, f"readings are rare; risk.stale_s ({config.risk.stale_s:g}) must be twice their interval"
         )
     if per_second * config.risk.stale_s < _SLACK:
         return warned("sensor", f"{text}, {per_second:.2f}/s: less than two in risk.stale_s", "raise risk.stale_s")
     state = last["sensor"] or {}
     if state.get("malformed", 0) > state.get("readings", 0):
-        return warned("sensor", f"{text}; most of what it says is not understood", "check sensor.baud and the wire")
+        return warned("sensor", f"{text}; most of its output is not understood", "check sensor.baud and the wire")
     return passed("sensor", f"{text}, {per_second:.1f}/s")
 
 
 def forwarding(config: RunConfig, evidence: Evidence) -> Finding | None:
-    """Does the autopilot pass frames on? None: there is no autopilot to ask."""
+    """Does the autopilot forward frames? None: there is no autopilot."""
     firmware = evidence.firmware
     if config.autopilot.url is None or not is_heard(evidence) or firmware is None or refuses(evidence):
         return None
     values = evidence.parameters
     if values is None:
-        return skipped("forwarding", "a running node does not ask; stop it" if evidence.running else "no answer")
+        return skipped(
+            "forwarding", "a running node does not ask for it; stop the node" if evidence.running else "no answer"
+        )
     closed = closed_ports(firmware, values)
     if not closed:
-        return passed("forwarding", "no MAVLink port of the autopilot has it switched off")
+        return passed("forwarding", "not switched off on any MAVLink port of the autopilot")
     text = "off on " + ", ".join(f"{port.port} ({port.parameter} {port.value})" for port in closed)
     if not through_autopilot(config):
-        return passed("forwarding", f"{text}; frames of the swarm go another way")
+        return passed("forwarding", f"{text}; the swarm's frames do not use it")
     if evidence.last["neighbours"]:
-        return passed("forwarding", f"{text}; neighbours are heard all the same")
+        return passed("forwarding", f"{text}; neighbours are still heard")
     return failed("forwarding", f"{text}, but the swarm's frames go through it", remedies.for_closed_ports(closed))
 
 
 def through_autopilot(config: RunConfig) -> bool:
-    """Whether the autopilot's radio is a way to the neighbours."""
+    """Whether the neighbours are reached through the autopilot's radio."""
     return any(link.kind.through for link in config.links)
 
 
 def parameters(config: RunConfig, evidence: Evidence, path: str) -> Finding | None:
-    """Which file of parameters fits this autopilot? None: cannot be told. `path`: of the configuration."""
+    """Which parameter file matches this autopilot? None: unknown. `path`: the configuration's."""
     firmware = evidence.firmware
     if firmware is None or refuses(evidence) or (file := fitting_file(firmware)) is None:
         return None

@@ -1,4 +1,4 @@
-"""Looking at a node for a few seconds: how often things arrive, and when enough has been seen."""
+"""Observes a node for a few seconds: how often things arrive, and when enough has been seen."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from rass_mav.app.config import RunConfig
 from rass_mav.errors import LinkError, RassError
 from rass_mav.mavlink.firmware import Firmware
 
-#: What `rass-mav status` tells (docs/configuration.md).
+#: The contents of `rass-mav status` (docs/configuration.md).
 Status: TypeAlias = Mapping[str, Any]
 
-#: Seconds to look at least and at most, and between two looks.
+#: Seconds to observe at least and at most, and between two samples.
 LEAST_S = 2.0
 MOST_S = 6.0
 LOOK_S = 0.1
-#: So many arrivals make a rate.
+#: Arrivals needed to compute a rate.
 ENOUGH = 3
-# Two looks at the same arrival, rounded to milliseconds, differ by less than this, seconds.
+# Two samples of the same arrival, rounded to milliseconds, differ by less than this, seconds.
 _SAME_S = 0.005
 
 
 @dataclass
 class Ear:
-    """What a trial heard on the autopilot's port besides what the node takes from it."""
+    """What a trial heard on the autopilot's port, in addition to what the node itself uses."""
 
     autopilots: dict[int, int] = field(default_factory=dict)
     """MAV_AUTOPILOT by system id, of all autopilots whose heartbeat was heard."""
     frames: int = 0
-    """Frames of whatever kind."""
+    """Frames of any kind."""
     parameters: Mapping[str, float] | None = None
-    """Of the node's own autopilot, by name (`params.ports`), those that it has; None: they were not read."""
+    """Parameters of the node's own autopilot, by name (`params.ports`); None: they were not read."""
 
 
 @dataclass
@@ -40,23 +40,23 @@ class Evidence:
     """What was seen of a node."""
 
     running: bool
-    """It is the node that runs; False: a trial with its ports."""
+    """True: the running node; False: a trial with its ports."""
     samples: list[Status]
-    """One look after the other, at least one."""
+    """The samples in order, at least one."""
     troubles: dict[str, str] = field(default_factory=dict)
-    """What could not be opened in a trial, by key of the configuration: why."""
+    """Why something could not be opened in a trial, by key of the configuration."""
     remedies: dict[str, str] = field(default_factory=dict)
-    """What to do about some of them, likewise."""
+    """What to do about some of these, by the same keys."""
     opened: list[int] = field(default_factory=list)
-    """The links that are in the samples, by their number in the configuration."""
+    """The links in the samples, by their index in the configuration."""
     ear: Ear | None = None
-    """None: a running node does not tell."""
+    """None: a running node does not report it."""
     blocked: frozenset[str] = frozenset()
-    """Keys of the configuration whose serial port cannot be opened; another check has told why."""
+    """Keys of the configuration whose serial port cannot be opened; another check reports why."""
 
     @property
     def firmware(self) -> Firmware | None:
-        """Of the node's own autopilot; None: it was never heard."""
+        """Firmware of the node's own autopilot; None: it was never heard."""
         known = self.last["autopilot"]
         if known is None or known["type"] is None:
             return None
@@ -64,27 +64,27 @@ class Evidence:
 
     @property
     def parameters(self) -> Mapping[str, float] | None:
-        """Of the node's own autopilot; None: they were not read."""
+        """Parameters of the node's own autopilot; None: they were not read."""
         return None if self.ear is None else self.ear.parameters
 
     @property
     def last(self) -> Status:
-        """The last look."""
+        """The last sample."""
         return self.samples[-1]
 
     def note(self, key: str, error: RassError) -> None:
-        """Something could not be opened in a trial. `key`: of the configuration."""
+        """Note that something could not be opened in a trial. `key`: its key in the configuration."""
         self.troubles[key] = str(error)
         if isinstance(error, LinkError) and error.remedy:
             self.troubles[key], self.remedies[key] = error.text, error.remedy
 
     def link(self, index: int) -> Mapping[str, Any] | None:
-        """The last look at a link; None: it could not be opened."""
+        """The last sample of a link; None: it could not be opened."""
         links: Sequence[Mapping[str, Any]] = self.last["links"]
         return links[self.opened.index(index)] if index in self.opened else None
 
     def grown(self, index: int, counter: str) -> int:
-        """By how much a counter of an opened link has grown while we looked."""
+        """By how much a counter of an opened link has grown during the check."""
         place = self.opened.index(index)
         first, last = (sample["links"][place][counter] for sample in (self.samples[0], self.last))
         return int(last - first)
@@ -96,22 +96,23 @@ def heartbeats(samples: Sequence[Status]) -> list[float]:
 
 
 def positions(samples: Sequence[Status]) -> list[float]:
-    """Likewise positions with a fix."""
+    """When positions with a fix arrived, likewise."""
     return arrivals(samples, lambda s: s["position"] and s["position"]["age_s"])
 
 
 def unfixed(samples: Sequence[Status]) -> list[float]:
-    """Likewise positions without a fix."""
+    """When positions without a fix arrived, likewise."""
     return arrivals(samples, lambda s: s["autopilot"] and s["autopilot"]["no_fix_age_s"])
 
 
 def readings(samples: Sequence[Status]) -> list[float]:
-    """Likewise readings, of the autopilot or of the node's own sensor."""
+    """When readings arrived, from the autopilot or from the node's own sensor, likewise."""
     return arrivals(samples, lambda s: s["reading"] and s["reading"]["age_s"])
 
 
 def arrivals(samples: Sequence[Status], age: Callable[[Status], float | None]) -> list[float]:
-    """When something arrived while we looked, seconds since the node's start. `age`: of the last one; None: none."""
+    """When something arrived during the check, seconds since the node's start. `age`: that of the last arrival, or
+    None."""
     times: list[float] = []
     begin = samples[0]["uptime_s"] - LOOK_S
     for sample in samples:
@@ -125,12 +126,12 @@ def arrivals(samples: Sequence[Status], age: Callable[[Status], float | None]) -
 
 
 def rate(times: Sequence[float]) -> float | None:
-    """Arrivals a second; None: fewer than two. Those that come closer together than the looks are not told apart."""
+    """Arrivals per second; None: fewer than two. Arrivals closer together than the samples count as one."""
     return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None
 
 
 def seen_enough(config: RunConfig, samples: Sequence[Status]) -> bool:
-    """Whether to look on would tell no more."""
+    """Whether more samples would show nothing new."""
     if not samples or samples[-1]["uptime_s"] - samples[0]["uptime_s"] < LEAST_S:
         return False
     wanted = []

@@ -1,1 +1,1 @@
-"""The autopilot's parameters: files of them, and the vehicle that is compared with a file or set from it."""
+"""The autopilot's parameters: reads parameter files, compares them with a vehicle, and writes them to it."""

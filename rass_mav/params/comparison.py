@@ -1,4 +1,4 @@
-"""A parameter file beside a vehicle: what is the same, what differs, what the firmware does not have."""
+"""Compares a parameter file with a vehicle: what is the same, what differs, what the firmware does not have."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .names import (
 from .session import Session
 
 _REASONS = {
-    VALUE_OUT_OF_RANGE: "the value is out of its range",
+    VALUE_OUT_OF_RANGE: "the value is out of range",
     PERMISSION_DENIED: "setting it is not permitted",
     READ_ONLY: "it is read-only",
 }
@@ -34,15 +34,15 @@ class Row(NamedTuple):
 
     entry: Entry
     live: ParameterValue | None
-    """What the vehicle has; None: it does not have it."""
+    """The vehicle's value; None: it does not have the parameter."""
     state: Literal["same", "differs", "kept", "unfit", "missing", "written", "refused"]
-    """kept: it differs, but is not set unasked; unfit: the vehicle's parameter cannot hold the file's value; written,
-    refused: after `apply`."""
+    """kept: it differs, but is only set on request; unfit: the vehicle's parameter cannot hold the file's value;
+    written, refused: after `apply`."""
     note: str = ""
-    """For people; empty: nothing to say."""
+    """A remark for people; may be empty."""
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """The row for JSON."""
         return {
             "name": self.entry.name,
             "line": self.entry.line,
@@ -61,19 +61,19 @@ class Comparison(NamedTuple):
     rows: tuple[Row, ...]
     """In the order of the file."""
     fitting: str | None
-    """The file of firmware_params/ that fits this vehicle; None: cannot be told."""
+    """The file of firmware_params/ that matches this vehicle; None: unknown."""
     misfit: str
     """Why the file is not for this vehicle; empty: it is."""
 
     def vehicle(self) -> str:
-        """The vehicle for people."""
+        """A description of the vehicle for people."""
         autopilot = self.autopilot
         state = "armed" if autopilot.armed else "disarmed"
         return f"vehicle {autopilot.system_id}: {autopilot.firmware} {state}"
 
     @property
     def version(self) -> str | None:
-        """Of the firmware, major.minor.patch; None: it did not tell."""
+        """Version of the firmware, major.minor.patch; None: not reported."""
         version = self.autopilot.version.version
         return ".".join(map(str, version)) if any(version) else None
 
@@ -81,21 +81,21 @@ class Comparison(NamedTuple):
 async def compare(
     session: Session, system_id: int, file: ParameterFile, new_system_id: int | None = None
 ) -> Comparison:
-    """Ask the vehicle for each parameter of the file, and for what other versions call those that it does not have.
+    """Ask the vehicle for each parameter of the file. For missing ones, also try the names in other versions.
 
     :param system_id: of the autopilot; 0: the first one heard.
-    :param new_system_id: what its system id is to be, whatever the file says, 1..255; None: as it is.
-    :raises VehicleError: it is not heard, or answers nothing, or nobody knows what it calls its system id.
+    :param new_system_id: the system id that it should have, whatever is in the file, 1..255; None: unchanged.
+    :raises VehicleError: it is not heard, does not answer, or its name for the system id is unknown.
     """
     autopilot = await session.find(system_id)
     entries = file.entries
     if new_system_id is not None:
         name = await _system_id_name(session, autopilot)
-        # The last one: the ground station may lose sight of a vehicle whose id changes.
+        # Set it last: the ground station may lose a vehicle whose id changes.
         entries = tuple(entry for entry in entries if entry.name not in SYSTEM_ID_NAMES)
         entries += (Entry(name, new_system_id, None, None, needs_reboot(name)),)
     names = [entry.name for entry in entries]
-    # Of another autopilot's file it may well know nothing.
+    # The vehicle may know nothing from another autopilot's file.
     foreign = made_for(frozenset(names)) not in (None, autopilot.type)
     read = await session.read(autopilot, names, guesses=foreign)
     others = {name: other for name in (*read.silent, *read.refused) if (other := other_name(name))}
@@ -114,7 +114,7 @@ async def _system_id_name(session: Session, autopilot: Autopilot) -> str:
     if len(names) > 1:
         names = tuple((await session.read(autopilot, names, guesses=True)).values)
     if len(names) != 1:
-        raise VehicleError(f"vehicle {autopilot.system_id}: nobody knows what this firmware calls its system id")
+        raise VehicleError(f"vehicle {autopilot.system_id}: this firmware's name for the system id is unknown")
     return names[0]
 
 
@@ -129,7 +129,7 @@ def _row(entry: Entry, read: Exchange, renamed: dict[str, str], autopilot: Autop
     if live is None:
         return Row(entry, None, "missing", _why_missing(entry.name, renamed, autopilot))
     if not fits(entry.value, live.kind):
-        return Row(entry, live, "unfit", f"its type there is {live.kind}, which does not hold {entry.value:.9g}")
+        return Row(entry, live, "unfit", f"its type on the vehicle is {live.kind}, which cannot hold {entry.value:.9g}")
     equal = same(entry.value, live.value, live.kind, bytewise=autopilot.bytewise)
     if equal and entry.name in SYSTEM_ID_NAMES and live.value != autopilot.system_id:
         return Row(entry, live, "same", f"but the vehicle still uses {autopilot.system_id}: reboot it")
@@ -142,7 +142,7 @@ def _why_missing(name: str, renamed: dict[str, str], autopilot: Autopilot) -> st
     if name in renamed:
         return f"this firmware calls it {renamed[name]}"
     if autopilot.type == PX4:
-        return "this firmware does not have it, or shows it after a reboot only"
+        return "this firmware does not have it, or shows it only after a reboot"
     return "this firmware or board does not have it"
 
 
@@ -159,11 +159,11 @@ def _misfit(autopilot: Autopilot, rows: Sequence[Row], renamed: dict[str, str], 
 
 
 async def apply(session: Session, system_id: int, rows: Sequence[Row]) -> list[Row]:
-    """Set what differs, in the order of the file, and read it back.
+    """Set the parameters that differ, in the order of the file, and read them back.
 
-    :param rows: those of a comparison with the same vehicle.
-    :returns: the rows that differed, as they are now: written or refused.
-    :raises VehicleError: the vehicle is not heard, or is armed: then nothing was set. Or it fell silent.
+    :param rows: from a comparison with the same vehicle.
+    :returns: the rows that differed, with their new state: written or refused.
+    :raises VehicleError: the vehicle is not heard or is armed (then nothing was set), or it stopped answering.
     """
     autopilot = await session.find(system_id)
     if autopilot.armed:
@@ -181,7 +181,7 @@ def _written(row: Row, told: Exchange, held: Exchange, autopilot: Autopilot) -> 
         return row._replace(state="refused", note="no answer when it was read back")
     if same(value, live.value, live.kind, bytewise=autopilot.bytewise):
         if name in SYSTEM_ID_NAMES:
-            # Some take it at once, and are known by it now.
+            # Some vehicles use the new system id at once.
             row = row._replace(entry=row.entry._replace(reboot=autopilot.system_id != value))
         return row._replace(state="written", live=live)
     note = _REASONS.get(told.refused.get(name, 0), "the vehicle keeps its value")

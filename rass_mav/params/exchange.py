@@ -1,6 +1,7 @@
-"""Asking an autopilot for parameters, or to set them: who it is, questions, answers, patience. No input and output.
+"""Reads and sets an autopilot's parameters: identification, questions, answers, retries. No input and output.
 
-Each talk is driven from outside: `hear` takes what the autopilot says, `say` gives what is due, both with the time.
+Each talk is driven from outside: `hear` takes the autopilot's frames, `say` returns the questions that are due. Both
+take the time.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ class Patience(NamedTuple):
     """How long to wait."""
 
     heartbeat_s: float = 6.0
-    """For the first heartbeat of the autopilot, seconds."""
+    """How long to wait for the autopilot's first heartbeat, seconds."""
     answer_s: float = 1.0
-    """For an answer, seconds; then it is asked again."""
+    """How long to wait for an answer before asking again, seconds."""
     tries: int = 4
-    """So often in all."""
+    """How often to ask in total."""
     window: int = 4
-    """Questions that are open at a time. ArduPilot queues 20, a slow radio bears few."""
+    """Questions open at a time. ArduPilot queues 20; a slow radio can carry few."""
 
 
 class Question(NamedTuple):
@@ -58,24 +59,24 @@ class Question(NamedTuple):
 
 
 class Autopilot:
-    """Who is asked. Its system id changes when it is set."""
+    """The autopilot that is asked. Its system id changes when a new one is set."""
 
     def __init__(self, system_id: int, type: int, *, armed: bool) -> None:
-        """`system_id`: 1..255; `type`: MAV_AUTOPILOT of its heartbeat."""
+        """`system_id`: 1..255. `type`: MAV_AUTOPILOT from its heartbeat."""
         self.system_id = system_id
         self.type = type
         self.armed = armed
         self.version = AutopilotVersion(0, (0, 0, 0))
-        """All 0: it did not tell."""
+        """All 0: not reported."""
 
     @property
     def firmware(self) -> Firmware:
-        """What it runs."""
+        """The firmware that it runs."""
         return Firmware(self.type, self.version.version)
 
     @property
     def bytewise(self) -> bool:
-        """Whether whole numbers travel as their bytes, and not converted to floats."""
+        """Whether whole numbers are sent as their bytes, not converted to floats."""
         return is_bytewise(self.version.capabilities, self.type)
 
 
@@ -83,16 +84,16 @@ class Talk(ABC):
     """One conversation with the autopilot."""
 
     next_at = -math.inf
-    """When `say` has something to say again, seconds on the timeline of its `now`."""
+    """When to call `say` again, seconds on the timeline of its `now`."""
     done = False
 
     @abstractmethod
     def hear(self, frame: Frame, now: float) -> None:
-        """A frame from the autopilot's port, whoever said it."""
+        """A frame from the autopilot's port, whoever sent it."""
 
     @abstractmethod
     def say(self, now: float) -> list[Question]:
-        """What is due."""
+        """The questions that are due."""
 
 
 class Introduction(Talk):
@@ -108,7 +109,7 @@ class Introduction(Talk):
         self._tries = 0
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Heartbeats and the version."""
+        """Take heartbeats and the version."""
         if frame.component_id != AUTOPILOT_COMPONENT or not frame.system_id:
             return
         known = self.autopilot
@@ -129,7 +130,7 @@ class Introduction(Talk):
             self.done = True
 
     def say(self, now: float) -> list[Question]:
-        """Asks for the version; some firmware does not tell it, which is no reason to give up."""
+        """Ask for the version. Some firmware does not report it; the talk then ends without one."""
         if self.autopilot is None or self.done:
             self.next_at = math.inf
             return []
@@ -144,19 +145,19 @@ class Introduction(Talk):
 
 
 class Exchange(Talk):
-    """A question for each of some parameters; the answer is the value that holds."""
+    """Asks one question for each of several parameters. The answer is the parameter's value."""
 
     def __init__(
         self, autopilot: Autopilot, questions: Mapping[str, Question], patience: Patience, *, new_system_id: int = 0
     ) -> None:
-        """`questions`: by the parameter's name. `new_system_id`: the answer may come from there, and then the autopilot
-        is known by it; 0: not asked to change it."""
+        """`questions`: by parameter name. `new_system_id`: the answer may come from this system id, which the autopilot
+        then uses; 0: the system id is not being changed."""
         self.values: dict[str, ParameterValue] = {}
-        """What was answered."""
+        """The answers."""
         self.refused: dict[str, int] = {}
-        """What was answered by PARAM_ERROR: MAV_PARAM_ERROR."""
+        """Parameters answered with PARAM_ERROR, with the MAV_PARAM_ERROR."""
         self.silent: list[str] = []
-        """What was never answered. ArduPilot before 4.7 and PX4 say nothing about a parameter that they do not have."""
+        """Parameters without an answer. ArduPilot before 4.7 and PX4 do not answer for parameters that they lack."""
         self._autopilot = autopilot
         self._ids = {autopilot.system_id, new_system_id or autopilot.system_id}
         self._patience = patience
@@ -165,7 +166,7 @@ class Exchange(Talk):
         self.done = not questions
 
     def hear(self, frame: Frame, now: float) -> None:
-        """Values and errors; one that is not understood counts as not heard."""
+        """Take values and errors. An answer that does not parse is ignored."""
         if frame.system_id not in self._ids or frame.component_id != AUTOPILOT_COMPONENT:
             return
         try:
@@ -185,7 +186,7 @@ class Exchange(Talk):
         self._look(now)
 
     def say(self, now: float) -> list[Question]:
-        """Questions that are due, for the first time or again."""
+        """The questions that are due, for the first time or again."""
         out = []
         for name, (question, at, tries) in list(self._open.items()):
             if now < at:
@@ -211,12 +212,12 @@ class Exchange(Talk):
 
 
 def reading(autopilot: Autopilot, name: str) -> Question:
-    """What is this parameter?"""
+    """The question for the value of a parameter."""
     return Question(PARAM_REQUEST_READ, param_request_read(name, **_target(autopilot)))
 
 
 def setting(autopilot: Autopilot, value: ParameterValue) -> Question:
-    """Let this parameter be so; its type is the one that the autopilot said."""
+    """The request to set a parameter, with the type that the autopilot reported."""
     payload = param_set(value.name, value.value, value.kind, bytewise=autopilot.bytewise, **_target(autopilot))
     return Question(PARAM_SET, payload)
 

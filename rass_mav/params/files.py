@@ -1,6 +1,6 @@
 """Parameter files: `NAME VALUE` lines (ArduPilot) and QGroundControl's five columns (PX4, `.params`).
 
-QGroundControl's format: vehicle id, component id, name, value and MAV_PARAM_TYPE, with tabs between them
+QGroundControl's format: vehicle id, component id, name, value and MAV_PARAM_TYPE, separated by tabs
 (https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/parameters.html).
 """
 
@@ -32,15 +32,15 @@ class Entry(NamedTuple):
     name: str
     value: float
     line: int | None
-    """Counted from 1; None: it stands in no file."""
+    """Line number from 1; None: it is not from a file."""
     kind: int | None
-    """MAV_PARAM_TYPE; None: the format does not tell."""
+    """MAV_PARAM_TYPE; None: the format does not contain it."""
     reboot: bool
-    """A new value counts after a reboot only: so the comment above it says, or it is known."""
+    """Whether a new value takes effect only after a reboot, as is known or as the comment above it says."""
 
 
 class ParameterFile(NamedTuple):
-    """A file that was read."""
+    """The contents of a parameter file."""
 
     format: Format
     entries: tuple[Entry, ...]
@@ -48,7 +48,7 @@ class ParameterFile(NamedTuple):
 
 
 def read_file(path: str | Path) -> ParameterFile:
-    """Read and check a file. Raises `ConfigError` that names the file, the line and what was expected there."""
+    """Read and check a file. Raises `ConfigError`, which names the file, the line and what was expected there."""
     with os_errors_as(ConfigError, path), Path(path).open("rb") as file:
         data = file.read(MAX_FILE_BYTES + 1)
     if len(data) > MAX_FILE_BYTES:
@@ -82,22 +82,24 @@ def parse_text(text: str) -> ParameterFile:
         entries[name] = Entry(name, value, number, kind, needs_reboot(name) or bool(_REBOOT.search(comment)))
         comment = ""
     if format is None:
-        raise ConfigError("no parameters in it")
+        raise ConfigError("contains no parameters")
     return ParameterFile(format, tuple(entries.values()))
 
 
 def _ardupilot(line: str) -> tuple[str, float, None]:
     fields = line.replace(",", " ").split()
     if len(fields) != 2:
-        # A comment behind the value too: Mission Planner would skip the parameter.
-        raise ConfigError(f"expected NAME VALUE, and comments on lines of their own, got {_shown(line)}")
+        # This includes a comment after the value: Mission Planner would skip the parameter.
+        raise ConfigError(f"expected NAME VALUE, and comments on separate lines, got {_shown(line)}")
     return _checked_name(fields[0]), _number(fields[1]), None
 
 
 def _qgroundcontrol(line: str) -> tuple[str, float, int]:
     fields = [field.strip() for field in line.split("\t")]
     if len(fields) != 5:
-        raise ConfigError(f"expected vehicle id, component id, name, value and type with tabs, got {_shown(line)}")
+        raise ConfigError(
+            f"expected vehicle id, component id, name, value and type separated by tabs, got {_shown(line)}"
+        )
     for what, id in zip(("vehicle", "component"), fields, strict=False):
         if not re.fullmatch(r"\d{1,3}", id, re.ASCII) or not 0 <= int(id) <= 255:
             raise ConfigError(f"expected a {what} id 0..255, got {_shown(id)}")
@@ -106,7 +108,7 @@ def _qgroundcontrol(line: str) -> tuple[str, float, int]:
     if kind not in TYPES:
         raise ConfigError(f"expected a type, 6 for INT32 or 9 for REAL32, got {_shown(fields[4])}")
     if not fits(value, kind):
-        raise ConfigError(f"{name}: {fields[3]} is no value of type {kind}")
+        raise ConfigError(f"{name}: {fields[3]} is not a value of type {kind}")
     return name, value, kind
 
 
@@ -117,10 +119,10 @@ def _checked_name(text: str) -> str:
 
 
 def _number(text: str) -> float:
-    # Python's float would also read "nan", "1_000" and digits of other scripts.
+    # Python's float would also accept "nan", "1_000" and digits of other scripts.
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     if not math.isfinite(single(value)):
-        raise ConfigError(f"expected a number that 32 bits hold, got {_shown(text)}")
+        raise ConfigError(f"expected a number that fits 32 bits, got {_shown(text)}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Which file of firmware_params/ fits a firmware, and what its versions call the same parameter."""
+"""Which file of firmware_params/ matches a firmware, and the names of the same parameter in its versions."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ _RATE = re.compile(r"SR(\d)_([A-Z0-9_]+)")
 _PORT = re.compile(r"MAV(\d)_([A-Z0-9_]+)")
 _OF_PX4 = re.compile(r"MAV_\d_\w+|SER_[A-Z]+\d_BAUD|MAV_SYS_ID")
 _OF_ARDUPILOT = re.compile(r"SERIAL\d_\w+|SR\d_\w+|MAV\d_\w+|BRD_\w+|SYSID_\w+|MAV_SYSID|SCR_ENABLE")
-#: Parameters that hold the vehicle's system id. Once they are set, the vehicle may speak under the new one.
+#: Parameters with the vehicle's system id. When one is set, the vehicle may send under the new id.
 SYSTEM_ID_NAMES = frozenset({"SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID"})
-#: What counts after a reboot only, whether a file says so or not. Whether a system id does shows when it is set.
+#: Parameters that take effect only after a reboot, even if no comment says so. A system id shows it when set.
 _AFTER_REBOOT = re.compile(
     r"SERIAL\d_(PROTOCOL|BAUD|OPTIONS)|BRD_SER\d_RTSCTS|SR\d_\w+|MAV\d_OPTIONS|SCR_ENABLE|SYSID_THISMAV"
     r"|MAV_\d_\w+|SER_\w+_(BAUD|PROTO)|MAV_SYS_ID|RADS_(SOURCE|PORT|BAUD|PIN)"
 )
-#: What PX4's development branch has instead; the values mean something else.
+#: Replacements in PX4's development branch, whose values have other meanings.
 _PX4_REPLACED = {"MAV_1_CONFIG": "SER_TEL2_PROTO", "MAV_0_CONFIG": "SER_TEL1_PROTO"}
 
 
 def other_name(name: str) -> str | None:
-    """What ArduPilot before or since 4.7, or PX4's development branch, has in place of a parameter; None: the same."""
+    """The name of a parameter in ArduPilot before or since 4.7, or in PX4's development branch; None: the same."""
     if found := _RENAMED.get(name) or _RENAMED_BACK.get(name) or _PX4_REPLACED.get(name):
         return found
     # The stream rates of port 2 became those of the third MAVLink port. The options of a port have no such
-    # counterpart: SERIAL2_OPTIONS is still there, with fewer bits.
+    # counterpart: SERIAL2_OPTIONS still exists, with fewer bits.
     if old := _RATE.fullmatch(name):
         return f"MAV{int(old[1]) + 1}_{old[2]}"
     if (new := _PORT.fullmatch(name)) and new[2] != "OPTIONS" and int(new[1]) > 0:
@@ -37,17 +37,17 @@ def other_name(name: str) -> str | None:
 
 
 def replaced_in_px4(name: str) -> bool:
-    """Whether the other name of a parameter wants another value."""
+    """Whether the other name of a parameter needs another value."""
     return name in _PX4_REPLACED
 
 
 def needs_reboot(name: str) -> bool:
-    """Whether a new value counts only when the autopilot starts again."""
+    """Whether a new value takes effect only after a reboot."""
     return _AFTER_REBOOT.fullmatch(name) is not None
 
 
 def system_id_names(firmware: Firmware) -> tuple[str, ...]:
-    """What the parameter with the vehicle's system id is called; several: one of them; none: not known."""
+    """The name of the parameter with the vehicle's system id. Several: it is one of them; none: unknown."""
     if firmware.autopilot == PX4:
         return ("MAV_SYS_ID",)
     if firmware.autopilot != ARDUPILOT:
@@ -56,16 +56,16 @@ def system_id_names(firmware: Firmware) -> tuple[str, ...]:
 
 
 def made_for(names: frozenset[str]) -> int | None:
-    """The MAV_AUTOPILOT that has parameters with such names; None: it cannot be told."""
+    """The MAV_AUTOPILOT that has parameters with such names; None: unknown."""
     px4 = any(map(_OF_PX4.fullmatch, names))
     ardupilot = any(map(_OF_ARDUPILOT.fullmatch, names))
     return None if px4 == ardupilot else PX4 if px4 else ARDUPILOT
 
 
 def fitting_file(firmware: Firmware, names: frozenset[str] = frozenset()) -> str | None:
-    """The file of firmware_params/ for a vehicle; None: there is none, or it cannot be told.
+    """The file of firmware_params/ for a vehicle; None: there is none, or it is unknown.
 
-    :param names: parameters that the vehicle is known to have; they decide where it did not tell its version.
+    :param names: parameters that the vehicle is known to have. They decide if it did not report its version.
     """
     if firmware.autopilot == PX4:
         return "px4.params"

@@ -1,4 +1,4 @@
-"""What an autopilot's parameters tell of its MAVLink ports, and of the readings that it sends."""
+"""What an autopilot's parameters show about its MAVLink ports, and about the readings that it sends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 
 from .names import system_id_names
 
-#: Ports of ArduPilot that are looked at: SERIAL0 is USB, SERIAL1 is TELEM1, SERIAL2 is TELEM2.
+#: Ports of ArduPilot that are checked: SERIAL0 is USB, SERIAL1 is TELEM1, SERIAL2 is TELEM2.
 _SERIALS = range(6)
 #: MAVLink instances of PX4.
 _INSTANCES = range(3)
@@ -19,25 +19,25 @@ _MAVLINK = frozenset({1, 2, 43})
 SCRIPTING = 28
 #: No forwarding: bit of SERIALn_OPTIONS to 4.6, and of MAVn_OPTIONS since 4.7.
 _CLOSED_SERIAL, _CLOSED_MAV = 1 << 10, 1 << 1
-#: What MAV_n_CONFIG calls a port.
+#: Names of the ports in MAV_n_CONFIG.
 _PX4_PORTS = {101: "TELEM1", 102: "TELEM2", 103: "TELEM3", 104: "TELEM4", 1000: "Ethernet"}
 
 
 class ClosedPort(NamedTuple):
-    """A MAVLink port that passes on nothing, in either direction."""
+    """A MAVLink port that forwards nothing, in either direction."""
 
     port: str
-    """For people."""
+    """Name for people."""
     parameter: str
-    """What closes it."""
+    """The parameter that turns forwarding off."""
     value: int
-    """What the parameter is."""
+    """Its present value."""
     opened: int
-    """What it has to be for the port to pass frames on, and all else to stay."""
+    """The value that turns forwarding on and changes nothing else."""
 
 
 def telling_names(firmware: Firmware) -> list[str]:
-    """The parameters that this page is about, as this firmware calls them; empty: it is not known."""
+    """The parameters that this module uses, by their names in this firmware; empty: unknown firmware."""
     own = list(system_id_names(firmware))
     if firmware.autopilot == PX4:
         return own + [f"MAV_{n}_{what}" for n in _INSTANCES for what in ("CONFIG", "FORWARD")]
@@ -50,11 +50,11 @@ def telling_names(firmware: Firmware) -> list[str]:
 
 
 def closed_ports(firmware: Firmware, values: Mapping[str, float]) -> list[ClosedPort]:
-    """The MAVLink ports that pass on nothing. `values`: of `telling_names`, those that the vehicle has."""
+    """The MAVLink ports that forward nothing. `values`: the vehicle's values of `telling_names`."""
     if firmware.autopilot == PX4:
         return list(_closed_instances(values))
     speaking = [n for n in _SERIALS if values.get(f"SERIAL{n}_PROTOCOL") in _MAVLINK]
-    # Since 4.7 options are numbered as the ports that speak MAVLink are, from 1.
+    # Since 4.7 the options are numbered by the ports that use MAVLink, from 1.
     named = (
         [(n, f"MAV{place}_OPTIONS") for place, n in enumerate(speaking, 1)]
         if firmware.renamed
@@ -78,5 +78,5 @@ def _closed_instances(values: Mapping[str, float]) -> Iterator[ClosedPort]:
 
 
 def has_scripting_port(values: Mapping[str, float]) -> bool:
-    """Whether a script finds a serial port to read."""
+    """Whether there is a serial port for a script to read."""
     return any(values.get(f"SERIAL{n}_PROTOCOL") == SCRIPTING for n in _SERIALS)

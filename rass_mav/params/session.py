@@ -1,4 +1,4 @@
-"""Holding conversations with an autopilot over its port, on an event loop."""
+"""Runs conversations with an autopilot over its port, on an event loop."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _HEARTBEAT = payload_of(companion_heartbeat())
 
 
 class Session:
-    """Speaks to the autopilot as the node does: same system id, same component. The node itself must not run."""
+    """Talks to the autopilot with the node's system id and component id. The node itself must not be running."""
 
     def __init__(
         self, port: VehiclePort, clock: Callable[[], float], *, system_id: int, component_id: int, patience: Patience
     ) -> None:
-        """:param clock: seconds on any timeline that does not jump.
-        :param system_id: what to speak as until the autopilot is known.
+        """:param clock: returns seconds on any timeline that does not jump.
+        :param system_id: the own system id to use until the autopilot is known.
         """
         self.port = port
         self._clock = clock
@@ -39,7 +39,7 @@ class Session:
         self._beat_at = -math.inf
 
     async def find(self, system_id: int) -> Autopilot:
-        """The autopilot with this system id; 0: the first one heard. Raises `VehicleError` saying what was heard."""
+        """The autopilot with this system id; 0: the first one heard. Raises `VehicleError` with what was heard."""
         self.port.start(self._wake.set)
         talk = Introduction(system_id, self._patience)
         await self._hold(talk, lambda: talk.autopilot is not None, self._patience.heartbeat_s)
@@ -58,11 +58,11 @@ class Session:
         if self._reader.frames:
             return "MAVLink is heard, but no autopilot's heartbeat"
         if self._reader.malformed or self._reader.garbage_bytes:
-            return "what is heard is no MAVLink (wrong speed, or another device)"
+            return "the input is not MAVLink (wrong speed, or another device)"
         return "nothing heard"
 
     async def read(self, autopilot: Autopilot, names: Iterable[str], *, guesses: bool = False) -> Exchange:
-        """Ask for parameters by name. Raises `VehicleError` if it answers nothing at all, unless these are guesses."""
+        """Ask for parameters by name. Raises `VehicleError` if no question is answered, unless these are guesses."""
         talk = Exchange(autopilot, {name: reading(autopilot, name) for name in names}, self._patience)
         await self._hold(talk, lambda: talk.done, math.inf)
         if not guesses and talk.silent and not talk.values and not talk.refused:
@@ -70,10 +70,10 @@ class Session:
         return talk
 
     async def write(self, autopilot: Autopilot, wanted: Sequence[ParameterValue]) -> tuple[Exchange, Exchange]:
-        """Set parameters, one after the other and in this order, and read each back.
+        """Set parameters one after another, in this order, and read them back.
 
-        :returns: what was answered when they were set, and when they were read back; the latter is what holds.
-        :raises VehicleError: nothing was answered when they were read back.
+        :returns: the answers to setting, and to reading back; the latter are the values in use.
+        :raises VehicleError: no answer when they were read back.
         """
         before = autopilot.system_id
         new = next((int(value.value) for value in wanted if value.name in SYSTEM_ID_NAMES), 0)
@@ -86,7 +86,7 @@ class Session:
         await self._hold(talk, lambda: talk.done, math.inf)
         names = [value.name for value in wanted]
         if new and new != before:
-            # It may answer a while under the old id, and then go over to the new one.
+            # It may answer under the old id for a while, and then change to the new one.
             for system_id in (autopilot.system_id, new if autopilot.system_id == before else before):
                 autopilot.system_id = system_id
                 try:
@@ -118,7 +118,7 @@ class Session:
     def _take_in(self, talk: Talk) -> None:
         arrived = self.port.receive()
         if self.port.generation != self._generation:
-            # An autopilot says nothing on a port on which it has heard nobody: the heartbeat comes first.
+            # An autopilot sends nothing to a port on which it has heard nothing, so send the heartbeat first.
             self._generation = self.port.generation
             self._reader.flush()
             self._beat_at = -math.inf

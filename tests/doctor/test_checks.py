@@ -82,7 +82,7 @@ def test_clock(tmp_path: Path) -> None:
     assert sound(computer.clock(NOW, store, net)).level == "warn"
     (net / "run/systemd/timesync/synchronized").touch()
     assert "time server" in sound(computer.clock(NOW, store, net)).text
-    assert "cannot be" in sound(computer.clock(12.0, store, chip)).text
+    assert "impossible" in sound(computer.clock(12.0, store, chip)).text
     store.touch()
     os.utime(store, (NOW, NOW))
     behind = sound(computer.clock(NOW - 3600.0, store, chip))
@@ -110,7 +110,8 @@ def test_a_serial_port_that_is_there_and_one_that_is_not(device: SerialDevice, t
     assert "raspi-config" in uart.remedy
     (tmp_path / "file").touch()
     assert (
-        sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/file"))).text == "no device (autopilot.url)"
+        sound(ports.serial_port(port(device)._replace(device=f"{tmp_path}/file"))).text
+        == "not a device (autopilot.url)"
     )
 
 
@@ -133,7 +134,7 @@ def test_a_port_of_another_group(device: SerialDevice, tmp_path: Path) -> None:
     with ordinary_user(tmp_path):
         closed = sound(ports.serial_port(port(device), tmp_path))
     assert closed.level == "fail"
-    assert "may not open it" in closed.text
+    assert "cannot open it" in closed.text
     assert "sudo usermod -aG" in closed.remedy
 
 
@@ -216,7 +217,7 @@ def test_a_name_service_that_hangs_does_not_hold_us_up() -> None:
 def test_a_store(tmp_path: Path) -> None:
     path = tmp_path / "n.db"
     fresh = sound(storage.store(path))
-    assert (fresh.level, "not made yet" in fresh.text) == ("pass", True)
+    assert (fresh.level, "not created yet" in fresh.text) == ("pass", True)
     assert sound(storage.store(tmp_path / "nowhere/n.db")).level == "fail"
     store = SqliteStore.open(path, node_id=7, draw_epoch=lambda: 1)
     # A node may be using it.
@@ -232,7 +233,7 @@ def test_a_store(tmp_path: Path) -> None:
     assert (damaged.level, "set it aside" in damaged.remedy) == ("warn", True)
     path.chmod(0o400)
     with ordinary_user(tmp_path):
-        assert "may not be written" in sound(storage.store(path)).text
+        assert "no permission to write" in sound(storage.store(path)).text
 
 
 def test_the_services_configuration_has_its_store_in_the_services_folder(tmp_path: Path) -> None:
@@ -257,7 +258,7 @@ def test_which_service_reads_a_configuration() -> None:
     ("known", "level", "said"),
     [
         ({"ActiveState": "active", "UnitFileState": "enabled", "NRestarts": "0"}, "pass", "starts at boot"),
-        ({"ActiveState": "active", "UnitFileState": "enabled", "NRestarts": "3"}, "warn", "started again 3 times"),
+        ({"ActiveState": "active", "UnitFileState": "enabled", "NRestarts": "3"}, "warn", "restarted 3 times"),
         ({"ActiveState": "active", "UnitFileState": "disabled"}, "warn", "does not start at boot"),
         ({"ActiveState": "failed", "UnitFileState": "enabled"}, "fail", "is failed"),
     ],

@@ -266,7 +266,7 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
         assert (found["links[0] hops"]["level"], "links[0].only" in found["links[0] hops"]["remedy"]) == ("warn", True)
         with Talking(device.far, bytes(range(1, 200))), Talking(counter.far, b"\xff\xfe\r\n"):
             found = examined(Path(node.config), capsys, 1)
-        assert "is no MAVLink" in found["autopilot"]["text"]
+        assert "is not MAVLink" in found["autopilot"]["text"]
         assert found["sensor"]["level"] == "fail"
     finally:
         device.unplug()
@@ -284,7 +284,7 @@ def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture,
             found = examined(Path(node.config), capsys, 1)
     finally:
         device.unplug()
-    assert found["autopilot"]["text"].endswith(": another program has the port")
+    assert found["autopilot"]["text"].endswith(": another program is using the port")
 
 
 class Talking:
@@ -412,7 +412,7 @@ def test_a_running_node_of_another_configuration(tmp_path: Path, tidy: Tidy, cap
     node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
     RunningNode(tmp_path, 2, "n1", node={"role": "base"}, links=[])
     found = examined(Path(node.config), capsys, 1)
-    assert "runs: node 1 (base)" in found["node"]["text"]
+    assert "is running: node 1 (base)" in found["node"]["text"]
     assert found["node"]["level"] == "fail"
 
 

@@ -79,11 +79,11 @@ def nothing(status: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("change", "level", "said"),
     [
-        (nothing, "pass", "runs: node 7 (drone)"),
-        (put("commits.failed", 2), "fail", "disk does not take"),
+        (nothing, "pass", "is running: node 7 (drone)"),
+        (put("commits.failed", 2), "fail", "cannot write to its disk"),
         (put("skipped_steps", 5), "warn", "skips steps"),
         (put("links", []), "fail", "with 0 links, not as configured"),
-        (put("node_id", 8), "fail", "but the configuration is of node 7"),
+        (put("node_id", 8), "fail", "but the configuration is for node 7"),
     ],
 )
 def test_a_running_node(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
@@ -120,7 +120,7 @@ def test_an_autopilot(scene: tuple[RunConfig, Evidence], change: Change, level: 
 
 
 @pytest.mark.parametrize(
-    ("heard", "malformed", "said"), [(9, 0, "no autopilot's heartbeat"), (9, 4, "no MAVLink"), (0, 0, "nothing heard")]
+    ("heard", "malformed", "said"), [(9, 0, "no autopilot's heartbeat"), (9, 4, "not MAVLink"), (0, 0, "nothing heard")]
 )
 def test_what_comes_from_a_silent_autopilots_port(
     scene: tuple[RunConfig, Evidence], heard: int, malformed: int, said: str
@@ -151,7 +151,7 @@ def test_a_position_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> 
     assert once is not None
     assert never is not None
     assert [often.level, once.level, never.level] == ["pass", "warn", "warn"]
-    assert (once.text, never.text) == ("one came while we looked", "none comes")
+    assert (once.text, never.text) == ("only one came during the check", "none comes")
 
 
 def test_an_autopilot_without_positions_asked_for_is_a_warning(scene: tuple[RunConfig, Evidence]) -> None:
@@ -179,7 +179,7 @@ def test_a_reading_that_comes_too_seldom(scene: tuple[RunConfig, Evidence]) -> N
         (put("neighbours", [NEIGHBOUR]), "pass", "4"),
         (put("neighbours", [{**NEIGHBOUR, "base": True}]), "pass", "4 (base)"),
         (put("neighbours", [{**NEIGHBOUR, "same_policy": False}]), "warn", "nodes 4 have another policy"),
-        (put("neighbours", [{**NEIGHBOUR, "hops": None}]), "warn", "nobody knows a way to a base"),
+        (put("neighbours", [{**NEIGHBOUR, "hops": None}]), "warn", "none knows a route to a base"),
     ],
 )
 def test_neighbours(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
@@ -195,11 +195,11 @@ def other(node_id: int, version: int, age_s: float = 1.0) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("others", "level", "said", "remedy"),
     [
-        ([], "pass", "no other than 2", ""),
+        ([], "pass", "only version 2", ""),
         ([other(4, 1)], "warn", "node 4 uses version 1, this one 2", "on node 4 "),
         ([other(4, 3)], "warn", "node 4 uses version 3", "on node 7 "),
         ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 uses version 3", "on node 4, 7 "),
-        ([other(4, 1, 121.0)], "pass", "no other than 2", ""),
+        ([other(4, 1, 121.0)], "pass", "only version 2", ""),
     ],
 )
 def test_who_has_to_be_updated(
@@ -312,7 +312,7 @@ def test_forwarding_that_is_off(
     # One fault, one remedy.
     lonely = neighbours.neighbours(behind, seen)
     assert lonely is not None
-    assert (lonely.level, lonely.text) == ("skip", "not checked: the autopilot passes nothing on")
+    assert (lonely.level, lonely.text) == ("skip", "not checked: the autopilot forwards nothing")
     # Another port than those between the node and the swarm.
     seen.samples[-1]["neighbours"].append(NEIGHBOUR)
     heard = vehicle.forwarding(behind, seen)
@@ -330,13 +330,13 @@ def test_forwarding_that_is_on(
 ) -> None:
     found = vehicle.forwarding(behind, told(scene, change, MAVLINK_PORTS | parameters))
     assert found is not None
-    assert (found.level, found.text) == ("pass", "no MAVLink port of the autopilot has it switched off")
+    assert (found.level, found.text) == ("pass", "not switched off on any MAVLink port of the autopilot")
 
 
 def test_the_parameters_of_a_running_node_are_not_read(scene: tuple[RunConfig, Evidence], behind: RunConfig) -> None:
     found = vehicle.forwarding(behind, evidence(scene, nothing))
     assert found is not None
-    assert (found.level, "stop it" in found.text) == ("skip", True)
+    assert (found.level, "stop the node" in found.text) == ("skip", True)
 
 
 @pytest.mark.parametrize(
@@ -355,11 +355,11 @@ def test_the_parameters_of_a_running_node_are_not_read(scene: tuple[RunConfig, E
         (
             firmware(3, 4, 6, 3),
             {"SCR_ENABLE": 1, "RADS_SOURCE": 1, "SERIAL4_PROTOCOL": 28},
-            "sends nothing before it hears the counter",
+            "sends nothing until it hears the counter",
             "RADS_BAUD",
         ),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 2}, "pulses on a pin", "RADS_PIN"),
-        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 3}, "once there is a position", "wait"),
+        (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 3}, "when there is a position", "wait"),
         (firmware(3, 4, 6, 3), {"SCR_ENABLE": 1, "RADS_SOURCE": 7}, "does not know", "1, 2 or 3"),
     ],
 )
@@ -404,7 +404,7 @@ def test_what_positions_need_depends_on_the_firmware(
 
 def test_a_system_id_that_waits_for_a_reboot(scene: tuple[RunConfig, Evidence]) -> None:
     found = vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 8}))
-    assert (found.level, "SYSID_THISMAV is 8, but not used yet" in found.text) == ("warn", True)
+    assert (found.level, "SYSID_THISMAV is 8, but not in use yet" in found.text) == ("warn", True)
     assert vehicle.autopilot(scene[0], told(scene, nothing, {"SYSID_THISMAV": 3})).level == "pass"
 
 

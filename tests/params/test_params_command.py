@@ -80,7 +80,7 @@ def test_a_file_without_a_vehicle(tmp_path: Path, capsys: Capture) -> None:
         "file": f"{tmp_path}/file.parm", "format": "ardupilot", "parameters": 4,
     }  # fmt: skip
     assert params(tmp_path, "check", "A b\n") == 2
-    assert capsys.readouterr().err == f"{tmp_path}/file.parm: line 1: expected a number that 32 bits hold, got 'b'\n"
+    assert capsys.readouterr().err == f"{tmp_path}/file.parm: line 1: expected a number that fits 32 bits, got 'b'\n"
 
 
 def test_check_says_what_differs_and_changes_nothing(tmp_path: Path, config: tuple[str, int], capsys: Capture) -> None:
@@ -271,7 +271,7 @@ def test_a_firmware_whose_system_id_nobody_knows(tmp_path: Path, config: tuple[s
     with vehicle.on_udp(port):
         assert params(tmp_path, "write", "X 1\n", "--live", path, "--yes", "--sysid", "9") == 1
     assert vehicle.sets == []
-    assert "nobody knows what this firmware calls its system id" in capsys.readouterr().err
+    assert "name for the system id is unknown" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", ["0", "256", "two", "1.0"])
@@ -371,7 +371,7 @@ def test_a_type_that_cannot_hold_the_value_is_told_and_not_set(
     path, port = config
     with ardupilot().on_udp(port) as vehicle:
         assert params(tmp_path, "write", "SERIAL2_PROTOCOL 1.5\n", "--live", path, "--yes") == 1
-    assert "SERIAL2_PROTOCOL unfit: 1, not 1.5: its type there is 2" in capsys.readouterr().out
+    assert "SERIAL2_PROTOCOL unfit: 1, not 1.5: its type on the vehicle is 2" in capsys.readouterr().out
     assert vehicle.sets == []
 
 

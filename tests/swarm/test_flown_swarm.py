@@ -209,10 +209,10 @@ def test_a_node_that_is_killed_comes_back_and_an_autopilot_does_not(quick: str, 
         (["none.yaml"], "none.yaml: no such file or directory"),
         (["QUICK", "--binary", "none/arducopter"], "--binary none/arducopter: no such program"),
         (["QUICK", "--firmware", "px4"], "--firmware px4: no arducopter or px4 on PATH"),
-        (["QUICK", "--mock", "--set", "failures.die_fraction=0.5"], "failures.die_fraction: not for vehicles that fly"),
+        (["QUICK", "--mock", "--set", "failures.die_fraction=0.5"], "failures.die_fraction: not for flying vehicles"),
         (
             ["QUICK", "--mock", "--set", "disk={}", "--set", "radiation.corruption=false"],
-            "disk: not for vehicles that fly",
+            "disk: not for flying vehicles",
         ),
     ],
 )

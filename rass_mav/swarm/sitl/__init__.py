@@ -1,1 +1,1 @@
-"""Vehicles with real flight control firmware (SITL) or mock ones, with a node each, over a simulated radio."""
+"""Vehicles with real flight control firmware (SITL) or mock ones, each with a node, over a simulated radio."""

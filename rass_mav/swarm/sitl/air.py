@@ -1,17 +1,17 @@
-"""The air between vehicles that fly: who hears whom follows from where the vehicles truly are.
+"""The air between flying vehicles: their true positions determine which nodes hear each other.
 
-Beside the two sockets that each node has, it binds for each vehicle, on 127.0.0.1 (PX4's own numbers excepted):
+In addition to the two sockets of each node, it binds these for each vehicle, on 127.0.0.1 (with PX4, PX4's own ports):
 
-    serial0    its USB port; the simulator's truth comes from here
+    serial0    the USB port, where the simulator reports the true position
     serial1    TELEM1, the telemetry radio
     serial2    TELEM2, which is wired to the node
     station    where a ground station talks to serial0
 
-There are two ways of wiring. Beside the autopilot, a node has a radio of its own. Through the autopilots, TELEM1 is on
-the air: all that an autopilot sends there is heard on TELEM1 of the vehicles in range, and by a base.
+There are two wirings. Beside the autopilot, each node has its own radio. Through the autopilots, TELEM1 is on the air:
+everything that an autopilot sends there is heard on TELEM1 of the vehicles in range, and by a base.
 
-Where the firmware does not measure radiation itself, readings are said for the autopilot: NAMED_VALUE_FLOAT to the
-node, once a second, as a script on the autopilot would.
+If the firmware does not provide readings itself, they are injected in the autopilot's name: NAMED_VALUE_FLOAT to the
+node, once a second, as a script on the autopilot would send it.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl.scenario import FlightScenario, to_arena
 
-#: Where PX4's instance k sends, always: what is for companions and ground stations; the truth of its own simulator.
+#: Base of the fixed ports of PX4's instances: for companions and ground stations; for true positions.
 PX4_API_PORT, PX4_TRUTH_PORT = 14540, 19410
-#: Columns of the track file: wall time in seconds; metres from the arena's centre and above the take-off place; the
+#: Columns of the track file: wall time in seconds; metres from the arena's centre and above the take-off position; the
 #: radiation there, without noise.
 TRACK = ("time", "node", "x", "y", "height", "level")
-# Between two looks at where the vehicles are, and between two readings, seconds.
+# Seconds between two updates of the vehicles' positions, and between two readings.
 _LOOK_S = 0.1
 _READING_S = 1.0
-# The simulator's truth and the item being flown are asked for again and again: nothing says that it was understood.
+# The true position and the current mission item are requested repeatedly, because nothing confirms the request.
 _ASK_FIRST_S, _ASK_S = 0.5, 5.0
 _WANTED = {SIM_STATE: 0.1, MISSION_CURRENT: 0.5}
-# Who asks: a ground station that is no node, and not MAVSDK's (245).
+# Ids for these requests: a ground station that is neither a node nor MAVSDK's (245).
 _ASKER = (254, 190)
 
 
 class FlightOrder(AirOrder, kw_only=True):
-    """What the air is made of."""
+    """The order with which the air is started."""
 
     scenario: FlightScenario
     through: bool
@@ -55,13 +55,13 @@ class FlightOrder(AirOrder, kw_only=True):
     px4: bool
     """The vehicles' ports are those of PX4."""
     readings: bool
-    """Whether readings are made here."""
+    """Whether readings are injected here."""
     track: str
-    """A CSV file for the vehicles' true places."""
+    """A CSV file for the vehicles' true positions."""
 
 
 class FlightPorts(Ports):
-    """Where all listen on 127.0.0.1, by node id; 0 where there is no such port."""
+    """All ports on 127.0.0.1, by node id; 0: there is no such port."""
 
     serial0: list[int]
     serial1: list[int]
@@ -70,21 +70,21 @@ class FlightPorts(Ports):
 
 
 class FlightFigures(Figures, kw_only=True):
-    """What was counted. Lists are by node id; metres are over ground."""
+    """Counters. Lists are by node id; metres are over ground."""
 
     telemetry: int = 0
-    """Frames on the air that the nodes have not sent; part of `sent`."""
+    """Frames on the air that do not come from nodes; part of `sent`."""
     truth: list[int]
-    """How often each node's true place was heard."""
+    """How often each node's true position was reported."""
     flew_m: list[float]
     farthest_m: list[float]
-    """How far from the take-off place it was at most."""
+    """Largest distance from the take-off position."""
     highest_m: list[float]
-    """How far above the take-off place it was at most."""
+    """Largest height above the take-off position."""
 
 
 class FlightAir(Air[FlightFigures]):
-    """The vehicles' places and cables, and what they are made to say."""
+    """The vehicles' positions and cables, and the messages sent in their name."""
 
     def __init__(self, order: FlightOrder) -> None:
         """See `Air`."""
@@ -95,15 +95,15 @@ class FlightAir(Air[FlightFigures]):
         super().__init__(order, graph, counted)
         self._through, self._makes_readings = order.through, order.readings
         vehicles = self._vehicles = list(range(scenario.bases, n))
-        """Those whose autopilot lives."""
+        """Vehicles whose autopilot is alive."""
         self.places = [(x, y, 0.0) for x, y in scenario.places]
-        """Where each node truly is: metres east and north of the arena's centre, metres above its take-off place."""
+        """True position of each node: metres east and north of the arena's centre, and above its take-off position."""
         self._voices = {node: FrameWriter(system_id(node), AUTOPILOT_COMPONENT) for node in vehicles}
         self._asker = FrameWriter(*_ASKER)
         new = self.wires.new
         self._station = {node: new(self._hear_station, node) for node in vehicles}
         if order.px4:
-            # One port for all who talk to the vehicle.
+            # One port for everything that talks to the vehicle.
             self._serial0 = {node: new(self._hear_px4, node, PX4_API_PORT + node) for node in vehicles}
             self._serial1, self._serial2 = {}, self._serial0
             for node in vehicles:
@@ -121,7 +121,7 @@ class FlightAir(Air[FlightFigures]):
 
     @property
     def ports(self) -> FlightPorts:
-        """Where everything listens."""
+        """All ports."""
         nodes, of_nodes = range(self._scenario.nodes), super().ports
         serial0, serial1, serial2, station = (
             [wires[node].port if node in wires else 0 for node in nodes]
@@ -130,7 +130,7 @@ class FlightAir(Air[FlightFigures]):
         return FlightPorts(of_nodes.air, of_nodes.vehicle, serial0, serial1, serial2, station)
 
     def look(self, now: float) -> float:
-        """Look where the vehicles are, and say what is due."""
+        """Update the vehicles' positions, and send what is due."""
         if self._moved:
             self._graph.update([(x, y) for x, y, _ in self.places])
             wall = round(time.time(), 3)
@@ -149,7 +149,7 @@ class FlightAir(Air[FlightFigures]):
         return now + _LOOK_S
 
     def down(self, node: int) -> None:
-        """The autopilot of a node is dead. What is left of the vehicle lies under the place where it was."""
+        """The autopilot of a node is dead. The vehicle now lies on the ground below its last position."""
         for wires in (self._serial0, self._serial1, self._serial2):
             if node in wires:
                 wires[node].forget()
@@ -160,7 +160,7 @@ class FlightAir(Air[FlightFigures]):
     # -- the cables ----------------------------------------------------------------------------------------------------
 
     def _hear_serial1(self, node: int, data: bytes) -> None:
-        """TELEM1: on the air, if that is the radio between the nodes. What else an autopilot says is telemetry."""
+        """TELEM1: on the air, if it is the radio between the nodes. Other messages of an autopilot are telemetry."""
         if not self._through:
             return
         for raw, frame in whole_frames(data, self._serial1[node].reader):
@@ -171,7 +171,7 @@ class FlightAir(Air[FlightFigures]):
                 self._put_on_air(node, raw)
 
     def _hear_companion(self, node: int, data: bytes) -> None:
-        """What a node says to its autopilot. A base has none."""
+        """Frames from a node to its autopilot. A base has none."""
         super()._hear_companion(node, data)
         if node in self._serial2:
             self._serial2[node].send(data)
@@ -183,7 +183,7 @@ class FlightAir(Air[FlightFigures]):
         self._serial0[node].send(data)
 
     def _hear_serial0(self, node: int, data: bytes) -> None:
-        """What a vehicle says to its ground station: its own words only, for it may repeat what it hears of others."""
+        """Frames from a vehicle to its ground station: only its own, because it may forward those of others."""
         for raw, frame in whole_frames(data, self._serial0[node].reader):
             if frame.system_id == system_id(node):
                 self._station[node].send(raw)
@@ -210,14 +210,14 @@ class FlightAir(Air[FlightFigures]):
         self._moved.add(node)
         counted = self.counted
         counted.truth[node] += 1
-        # Between two looks it goes straight; while it stands, rounding must not add up.
+        # Between two updates it moves in a straight line. While it stands still, rounding must not add up.
         step = math.hypot(x - before[0], y - before[1])
         if step >= 0.01:
             counted.flew_m[node] += step
         counted.farthest_m[node] = max(counted.farthest_m[node], math.dist((x, y), self._scenario.places[node]))
         counted.highest_m[node] = max(counted.highest_m[node], height)
 
-    # -- what the vehicles are told, and are made to say ---------------------------------------------------------------
+    # -- requests to the vehicles, and readings in their name ----------------------------------------------------------
 
     def _ask(self) -> None:
         for node in self._vehicles:

@@ -1,4 +1,4 @@
-"""Which firmware flies, where it is found, and how a vehicle is started with it."""
+"""The firmware that flies: where it is found, and how a vehicle is started with it."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from rass_mav.swarm.sitl.scenario import FlightScenario
 
 Name = Literal["arducopter", "px4", "mock"]
 
-#: PX4's instances beyond it share a port.
+#: The last PX4 instance with its own port; later ones share a port.
 MAX_PX4 = 9
-#: For a person who has no firmware.
+#: Advice for a person who has no firmware.
 HOW_TO_GET = (
     "no arducopter or px4 on PATH. ArduCopter: build it (./waf configure --board sitl && ./waf copter, the binary is"
-    " build/sitl/bin/arducopter) or take one for Linux from firmware.ardupilot.org. PX4: install the px4 package of its"
-    " releases, or build it (make px4_sitl_sih). Then put it on PATH, or name it with --binary"
+    " build/sitl/bin/arducopter) or download one for Linux from firmware.ardupilot.org. PX4: install the px4 package of"
+    " its releases, or build it (make px4_sitl_sih). Then put it on PATH, or use --binary"
 )
 _SCRIPT = "rass_rad.lua"
 
 
 class Firmware(NamedTuple):
-    """What flies the vehicles."""
+    """The firmware that flies the vehicles."""
 
     name: Name
     command: tuple[str, ...]
-    """The program, and what of its arguments never changes."""
+    """The program, and its fixed arguments."""
     script: Path | None = None
-    """ArduPilot: the Lua script that makes readings up; None: readings come from elsewhere."""
+    """ArduPilot: the Lua script that simulates readings; None: readings come from elsewhere."""
 
 
 def find_firmware(
     binary: str | None = None, kind: Literal["arducopter", "px4"] | None = None, *, mock: bool = False
 ) -> Firmware | None:
-    """The firmware to fly with; None: there is none on PATH (`HOW_TO_GET` says what to do).
+    """The firmware to fly with; None: there is none on PATH (`HOW_TO_GET` explains what to do).
 
-    `binary`: its path or name. `kind`: whose it is; None: it has px4 in its name or not. `mock`: the mock one.
-    Raises `ConfigError`: a binary that is named, and not there.
+    `binary`: its path or name. `kind`: its kind; None: PX4 if its name contains px4. `mock`: use the mock.
+    Raises `ConfigError` if the named binary does not exist.
     """
     if mock:
         return Firmware("mock", (sys.executable, "-m", "rass_mav.swarm.sitl.mock_copter"))
@@ -56,16 +56,16 @@ def find_firmware(
         if found is None:
             continue
         if (kind or ("px4" if "px4" in Path(name).name else "arducopter")) == "px4":
-            # It looks for its modules beside itself, not beside a link to it.
+            # PX4 looks for its modules beside the real file, not beside a link to it.
             return Firmware("px4", (str(Path(found).resolve()),))
         return Firmware("arducopter", (str(Path(found).absolute()),), _shipped_script())
     if binary is not None:
-        raise ConfigError(f"--binary {binary}: no such program, or it may not be executed")
+        raise ConfigError(f"--binary {binary}: no such program, or no permission to run it")
     return None
 
 
 def _shipped_script() -> Path | None:
-    """The script of firmware_params/, where this is a checkout of the repository."""
+    """The script in firmware_params/, if this is a checkout of the repository."""
     path = Path(__file__).parents[3] / "firmware_params" / _SCRIPT
     return path if path.is_file() else None
 
@@ -75,7 +75,7 @@ def prepare(
 ) -> list[str]:
     """Write a vehicle's files, and return the arguments of the Python interpreter that start it.
 
-    `directory`: new, for this vehicle. `scripted`: its script makes readings. Raises `ConfigError`.
+    `directory`: a new one, for this vehicle. `scripted`: its script simulates readings. Raises `ConfigError`.
     """
     directory.mkdir()
     if firmware.name == "px4":
@@ -98,34 +98,34 @@ def prepare(
     ]  # fmt: skip
     for number, of in enumerate((ports.serial0, ports.serial1, ports.serial2)):
         command += [f"--serial{number}", f"udpclient:127.0.0.1:{of[node]}"]
-    # The mock writes no files, and finds its modules where we have found them.
+    # The mock writes no files, and finds its modules in our own working directory.
     return guard.arguments("." if firmware.name == "mock" else str(directory), {}, command)
 
 
 def arducopter_parameters(own_id: int, *, scripted: bool) -> str:
-    """The defaults file of a vehicle: NAME VALUE a line. The firmware passes over names that it does not know."""
+    """The defaults file of a vehicle, with NAME VALUE on each line. The firmware ignores unknown names."""
     values: dict[str, float] = {
-        # To ArduPilot 4.6, and since 4.7.
+        # Up to ArduPilot 4.6, and since 4.7.
         "SYSID_THISMAV": own_id,
         "MAV_SYSID": own_id,
         "FRAME_CLASS": 1,
         "FRAME_TYPE": 0,
         **{f"SERIAL{port}_PROTOCOL": 2 for port in range(3)},
-        # The ground station's port passes nothing on, or MAVSDK would be on the air as well.
+        # The ground station's port does not forward. Otherwise MAVSDK would be on the air as well.
         "SERIAL0_OPTIONS": 1024,
         "MAV1_OPTIONS": 2,
-        # Motors start in guided mode, which needs a position; they stay on until the mission begins. Without a channel
-        # for modes the simulated radio control cannot leave that mode.
+        # Motors start in guided mode, which needs a position, and stay on until the mission begins. Without a mode
+        # channel, the simulated radio control cannot leave that mode.
         "INITIAL_MODE": GUIDED,
         "FLTMODE_CH": 0,
         "DISARM_DELAY": 0,
         "AUTO_OPTIONS": 3,
-        # There is neither a radio control nor anybody who could be hurt.
+        # There is no radio control, and nobody can be hurt.
         "FS_THR_ENABLE": 0,
         "FS_GCS_ENABLE": 0,
         "ARMING_CHECK": 0,
         "ARMING_SKIPCHK": -1,
-        # The simulated compasses' own errors.
+        # The offsets of the simulated compasses.
         **{
             f"COMPASS_OFS{n}_{axis}": off for n in ("", "2", "3") for axis, off in zip("XYZ", (5, 13, -18), strict=True)
         },
@@ -135,9 +135,9 @@ def arducopter_parameters(own_id: int, *, scripted: bool) -> str:
 
 
 def made_up_readings(script: str, scenario: FlightScenario, node: int) -> str:
-    """`rass_rad.lua` with other defaults: the scenario's source, seen from a vehicle's home.
+    """`rass_rad.lua` with other defaults: the scenario's source, relative to a vehicle's home.
 
-    A script's parameters cannot be set before it has run once, and this one chooses its source at its start.
+    A script's parameters cannot be set before its first run, and this script chooses its source when it starts.
     Raises `ConfigError` for a script without these parameters.
     """
     ((x, y, intensity),) = scenario.sources
@@ -169,7 +169,7 @@ def _px4(command: Sequence[str], scenario: FlightScenario, node: int, directory:
         "PX4_HOME_LAT": f"{latitude:.7f}",
         "PX4_HOME_LON": f"{longitude:.7f}",
         "PX4_HOME_ALT": f"{ORIGIN[2]:g}",
-        # No radio control; motors stay on until the mission begins.
+        # There is no radio control; motors stay on until the mission begins.
         "PX4_PARAM_COM_RC_IN_MODE": "4",
         "PX4_PARAM_NAV_DLL_ACT": "0",
         "PX4_PARAM_COM_DISARM_PRFLT": "-1",

@@ -1,6 +1,6 @@
-"""A flown swarm from start to end: the air, vehicles, pilot and nodes as processes, in real time.
+"""A flying swarm from start to end: the air, vehicles, pilot and nodes as processes, in real time.
 
-docs/sitl.md says what is wired to what, and what the summary says.
+docs/sitl.md explains the wiring and the summary.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class FlightNode(NodeProcess):
     """A node on a vehicle, or a base on the ground."""
 
     def __init__(self, node_id: int, directory: Path, socket: Path, *, through: bool) -> None:
-        """See `NodeProcess`. `through`: its frames go through its autopilot."""
+        """See `NodeProcess`. `through`: whether its frames go through its autopilot."""
         super().__init__(node_id, directory, socket)
         self._through = through
 
@@ -40,39 +40,39 @@ class FlightNode(NodeProcess):
         vehicle, beside = super()._wiring(settings, ports)
         if settings.base:
             return None, beside
-        # All autopilots of the swarm are on one radio channel: who is heard is one hop away.
+        # All autopilots of the swarm share one radio channel, so nodes that are heard are one hop away.
         return vehicle, LinkSection(type="autopilot", one_hop=True) if self._through else beside
 
 
 class Vehicle:
-    """One vehicle: its process, and how far its mission is."""
+    """One vehicle: its process, and the progress of its mission."""
 
     def __init__(self, child: Child, items: int, begin: int, goal: int) -> None:
-        """`items`: how many its mission has. `begin`: the one with which it takes off. `goal`: the one at which its
-        mission counts as flown."""
+        """`items`: number of mission items. `begin`: the take-off item. `goal`: the item at which the mission counts as
+        finished."""
         self.child = child
         self.items = items
         self.item = 0
-        """The one being flown."""
+        """The current item."""
         self.flying = False
-        """Whether it has accepted to fly its mission."""
+        """Whether it has accepted the order to fly its mission."""
         self.killed_s: float | None = None
-        """Seconds after take-off when its autopilot was killed; None: it lives."""
+        """Seconds after take-off when its autopilot was killed; None: it is alive."""
         self._begin = begin
         self._goal = goal
 
     @property
     def mission(self) -> str:
-        """What has become of its mission."""
+        """The state of its mission."""
         if self.item >= self._goal:
             return "finished"
         return "unfinished" if self.item > self._begin else "not_flown"
 
 
 class FlownSwarm(ProcessSwarm):
-    """A swarm of processes on vehicles that fly. `run` does it all; see there.
+    """A swarm of processes on flying vehicles. `run` uses it and explains it.
 
-    Pilot and vehicles have nothing to put in order at the end: their parent kills them.
+    Pilot and vehicles need no clean-up at the end: their parent kills them.
     """
 
     _figures_kind = FlightFigures
@@ -88,7 +88,7 @@ class FlownSwarm(ProcessSwarm):
         *,
         through: bool,
     ) -> None:
-        """`directory`: where everything is written. `sockets`: where control sockets are."""
+        """`directory`: the folder for all files. `sockets`: the folder for control sockets."""
         self._firmware = firmware
         self._through = through
         super().__init__(scenario, directory, sockets, children)
@@ -100,7 +100,7 @@ class FlownSwarm(ProcessSwarm):
         return FlightNode(node_id, directory, socket, through=self._through)
 
     def _surround(self, record: str | None) -> None:
-        """Start air and vehicles; returns when all can fly."""
+        """Start air and vehicles. Returns when all can fly."""
         order = FlightOrder(
             scenario=self._scenario, record=record, through=self._through, px4=self._firmware.name == "px4",
             readings=not self._scripted, track=str(self._track),
@@ -111,7 +111,7 @@ class FlownSwarm(ProcessSwarm):
         for drone in self._drones:
             n = drone.node_id
             items = self._scenario.mission(n, home_first=home_first)
-            # The last item is the way home. Who has no places to go stays at the one before it.
+            # The last item is the return. A vehicle without waypoints stays at the item before it.
             goal = len(items) - (1 if self._scenario.waypoints(n) else 2)
             self._vehicles[n] = Vehicle(self._start_vehicle(n, ports), len(items), int(home_first), goal)
             flights.append(Flight(n, system_id(n), ports.station[n], items))
@@ -119,7 +119,7 @@ class FlownSwarm(ProcessSwarm):
         self._await(lambda: [] if self._pilot_ready else ["the vehicles"], CONNECT_S + OBEY_S + START_S)
 
     def _set_off(self) -> None:
-        """Take off; returns when all vehicles fly their missions."""
+        """Take off. Returns when all vehicles are flying their missions."""
         super()._set_off()
         self._await(
             lambda: [vehicle.child.name for vehicle in self._vehicles.values() if not vehicle.flying], OBEY_S + START_S
@@ -151,7 +151,7 @@ class FlownSwarm(ProcessSwarm):
                 vehicle.item = report.item
 
     def _fail(self, now: float) -> float:
-        """Also kill the autopilots whose time has come."""
+        """Also kill the autopilots that are due."""
         due = super()._fail(now)
         for node_id, after_s in self._scenario.failures.kill_autopilots:
             vehicle = self._vehicles[node_id]
@@ -171,7 +171,7 @@ class FlownSwarm(ProcessSwarm):
         return self._directory / "track.csv"
 
     def summary(self, radio: Figures) -> dict[str, Any]:
-        """What `sitl --json` prints, but for the wall times (docs/sitl.md)."""
+        """What `sitl --json` prints, except for the wall times (docs/sitl.md)."""
         assert isinstance(radio, FlightFigures)
         summary = super().summary(radio)
         summary["transport"]["name"] = "sitl"
@@ -217,15 +217,15 @@ def run(
 ) -> dict[str, Any]:
     """Fly a scenario, in real time, and return its summary.
 
-    Takes `steps` * `node.step_s` seconds from take-off, some minutes before with real firmware (until its GPS is
-    believed), and at the end some seconds until all data have arrived. No process outlives the call: Ctrl-C and
-    SIGTERM (in the main thread) end all, and so does SIGKILL on Linux.
+    It takes `steps` * `node.step_s` seconds from take-off, some minutes before that with real firmware (until the
+    autopilot trusts its GPS), and some seconds at the end until all data have arrived. No process outlives the call:
+    Ctrl-C and SIGTERM (in the main thread) end all processes, and so does SIGKILL on Linux.
 
-    `through`: frames between nodes go through the autopilots. `keep`: a directory, new or empty, for everything that is
-    written; None: a temporary one. `record`: a .tlog of all frames put on the air. `progress` is called with the step.
+    `through`: frames between nodes go through the autopilots. `keep`: a new or empty directory for all files; None: a
+    temporary one. `record`: a .tlog of all frames on the air. `progress` is called with the step.
 
-    Raises `ConfigError`: what cannot be flown, or no MAVSDK; `SwarmError`: a process that ended, a vehicle that is not
-    heard or does not obey; `StoreError`: a store that cannot be read.
+    Raises `ConfigError` for a scenario that cannot be flown, or without MAVSDK; `SwarmError` if a process ends, or if a
+    vehicle is not heard or does not obey; `StoreError` for a store that cannot be read.
     """
     need_mavsdk()
     if scenario.nodes > MAX_NODES:
@@ -233,9 +233,11 @@ def run(
     if through and firmware.name == "px4":
         raise ConfigError("--through-autopilots: expected ArduCopter or the mock; PX4's simulator has no serial ports")
     for key in scenario.failures.of_robots:
-        raise ConfigError(f"failures.{key}: not for vehicles that fly; they know failures.kill_every_s only")
+        raise ConfigError(
+            f"failures.{key}: not for flying vehicles, which support only failures.kill_every_s and kill_autopilots"
+        )
     if scenario.disk is not None:
-        raise ConfigError("disk: not for vehicles that fly; their stores are on this machine's disk")
+        raise ConfigError("disk: not for flying vehicles; their stores are on this machine's disk")
 
     def make(directory: Path, sockets: Path, children: Children) -> FlownSwarm:
         return FlownSwarm(scenario, directory, sockets, children, firmware, through=through)

@@ -1,8 +1,8 @@
 """`python -m rass_mav.swarm.sitl.guard PARENT DIRECTORY NAME=VALUE... -- COMMAND...` becomes the command.
 
 It changes into the directory, sets the variables, and dies when its parent does: flight control firmware knows nothing
-of us, and would go on for ever if we were killed. Linux kills it then. What it prints goes to stderr; stdout stays open
-without a word, so its end says that the firmware has ended.
+about us, and would run indefinitely if we were killed. Linux then kills it. Its output goes to stderr. stdout stays
+open and unused, so its end shows that the firmware has ended.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ _SET_PARENT_DEATH_SIGNAL = 1
 
 
 def arguments(directory: str, variables: dict[str, str], command: Sequence[str]) -> list[str]:
-    """Of the Python interpreter, to start a command in this way as a child of this process."""
+    """Arguments of the Python interpreter that start a command in this way, as a child of this process."""
     settings = [f"{name}={value}" for name, value in variables.items()]
     return ["-m", __name__, str(os.getpid()), directory, *settings, "--", *command]
 
 
 def become(parent: int, directory: str, variables: dict[str, str], command: list[str]) -> NoReturn:
-    """Replace this process by a command. `parent`: process id of who has started us.
+    """Replace this process by a command. `parent`: process id of the process that started us.
 
-    Exit code 127 if the command cannot be started, with a line on stderr.
+    If the command cannot be started, it exits with code 127 and a line on stderr.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(signal.SIGKILL), 0, 0, 0)
     if os.getppid() != parent:
-        sys.exit(1)  # it died before we had asked
+        sys.exit(1)  # the parent died before the request
     os.set_inheritable(os.dup(1), True)
     os.dup2(2, 1)
     try:

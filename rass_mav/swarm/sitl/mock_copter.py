@@ -1,20 +1,20 @@
-"""A mock of ArduCopter's SITL binary: started with the same options, it flies missions and passes frames on.
+"""A mock of ArduCopter's SITL binary. It takes the same options, flies missions and forwards frames.
 
     python -m rass_mav.swarm.sitl.mock_copter --model quad --home 45,-73,100,0 --defaults my.parm \
         --serial0 udpclient:127.0.0.1:5000 --serial1 udpclient:127.0.0.1:5001 --serial2 udpclient:127.0.0.1:5002
 
-What it does as ArduCopter was measured to do: nothing goes to a port before something was heard on it but its own
-messages; frames are passed on verbatim, broadcasts to every other port, others where their target was heard; at most 20
-routes; no copy is looked for; bit 10 of SERIALn_OPTIONS keeps a port out of it. Message rates are asked for with
-SET_MESSAGE_INTERVAL, for each port by itself. Missions: take-off, waypoints, speed, return.
+It behaves as measured on ArduCopter: before something is heard on a port, only its own messages go there. It forwards
+frames unchanged, broadcasts to every other port, and others to the port where their target was heard. It has at most 20
+routes and does not detect copies. Bit 10 of SERIALn_OPTIONS turns forwarding off for a port. Message rates are set with
+SET_MESSAGE_INTERVAL, for each port separately. Missions: take-off, waypoints, speed, return.
 
-As there, motors start only in a mode that allows it, and where the mode needs a position, only when one is known; a
-mission needs a position, and takes off when MISSION_START is heard. The defaults file also says MAV_SYSID, INITIAL_MODE
-and FLTMODE_CH: unless that is 0, the mode switch of a simulated radio control stands at STABILIZE, and INITIAL_MODE
-lasts until it is read.
+As on ArduCopter, motors start only in a mode that allows it, and if the mode needs a position, only when one is known.
+A mission needs a position, and takes off on MISSION_START. The defaults file also sets MAV_SYSID, INITIAL_MODE and
+FLTMODE_CH. Unless FLTMODE_CH is 0, the mode switch of a simulated radio control is at STABILIZE, and INITIAL_MODE lasts
+only until the switch is read.
 
-What it does not do: PARAM messages, other modes, streams, wind, inertia, wrong positions. It flies on a straight line
-at the speed it was told, and knows where it is.
+It does not simulate PARAM messages, other modes, streams, wind, inertia or position errors. It flies in a straight line
+at the configured speed, and knows its position.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class SerialPort:
     """One serial port, as a UDP client."""
 
     def __init__(self, number: int, address: tuple[str, int], system_id: int, forwards: bool) -> None:
-        """`forwards`: whether frames are passed on from and to it."""
+        """`forwards`: whether it forwards frames in both directions."""
         self.number = number
         self.sock = udp_socket()
         self.sock.connect(address)
@@ -108,7 +108,7 @@ class SerialPort:
         self.put(self._writer.frame(message_id, payload))
 
     def put(self, raw: bytes) -> None:
-        """Send a frame. Nobody there, or no room: a serial port does not mind."""
+        """Send a frame. Like a serial port, it ignores a missing receiver or a full buffer."""
         try:
             self.sock.send(raw)
         except OSError:
@@ -116,7 +116,7 @@ class SerialPort:
 
 
 class MockCopter:
-    """The vehicle: `hear` and `tick` do all the work; the caller brings the time (seconds since boot)."""
+    """The vehicle. `hear` and `tick` do all the work; the caller provides the time (seconds since boot)."""
 
     def __init__(self, system_id: int, flight: MockFlight, ports: list[SerialPort]) -> None:
         self._id = system_id
@@ -131,19 +131,19 @@ class MockCopter:
         return self._now >= FIX_S
 
     def hear(self, port: SerialPort) -> None:
-        """Take in what has arrived on a port."""
+        """Handle what has arrived on a port."""
         for _ in range(MAX_PER_WAKE):
             try:
                 data = port.sock.recv(MAX_DATAGRAM)
             except BlockingIOError:
                 return
             except OSError:
-                continue  # who is to hear us is not there yet
+                continue  # there is no receiver yet
             for raw, frame in whole_frames(data, port.reader):
                 self._frame(port, raw, frame)
 
     def tick(self, now: float) -> None:
-        """Fly on, and say what is due."""
+        """Continue the flight, and send what is due."""
         for number in self.flight.fly(now - self._now):
             for port in self.ports:
                 port.say(mission_reached(number))
@@ -161,7 +161,7 @@ class MockCopter:
     def _frame(self, port: SerialPort, raw: bytes, frame: Frame) -> None:
         sender = (frame.system_id, frame.component_id)
         if sender == (self._id, AUTOPILOT_COMPONENT):
-            return  # our own, come back
+            return  # our own frame came back
         port.heard = True
         if sender in self._routes or len(self._routes) < MAX_ROUTES:
             self._routes[sender] = port
@@ -252,7 +252,7 @@ class MockCopter:
                 port.say(piece)
 
     def _payload(self, message_id: int) -> bytes | None:
-        """Of a message that is due; None: there is nothing to say yet."""
+        """The payload of a message that is due; None: there is none yet."""
         flight = self.flight
         boot_ms = int(self._now * 1000)
         if message_id == HEARTBEAT:
@@ -263,7 +263,7 @@ class MockCopter:
             return payload_of(mission_current(flight.current, len(flight.items)))
         if message_id == GLOBAL_POSITION_INT:
             if not self._fix:
-                # What autopilots say before they know.
+                # Autopilots send this before they know their position.
                 return global_position_int_payload(0.0, 0.0, 0.0, 0.0, boot_ms)
             return global_position_int_payload(*flight.place, flight.height, boot_ms, velocity=flight.velocity)
         if not self._fix:
@@ -274,7 +274,7 @@ class MockCopter:
 
 
 def run(copter: MockCopter) -> None:
-    """In real time, for ever."""
+    """Run in real time. Never returns."""
     boot = time.monotonic()
     with selectors.DefaultSelector() as selector:
         for port in copter.ports:
@@ -290,7 +290,7 @@ def run(copter: MockCopter) -> None:
 
 
 def read_defaults(path: str | None) -> dict[str, float]:
-    """Parameters from a file with a NAME and a VALUE a line, `#` before comments. Raises `ConfigError`."""
+    """Parameters from a file with a NAME and a VALUE on each line; `#` starts a comment. Raises `ConfigError`."""
     if path is None:
         return {}
     values = {}
@@ -308,12 +308,12 @@ def read_defaults(path: str | None) -> dict[str, float]:
 
 
 def mode_after_boot(values: dict[str, float]) -> int:
-    """The flight mode once the radio control has been read, by the parameters that are set."""
+    """The flight mode after the radio control has been read, according to the parameters."""
     return int(values.get("INITIAL_MODE", STABILIZE)) if values.get("FLTMODE_CH") == 0 else STABILIZE
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The program. ArduCopter's other options, and ports that are no `udpclient:`, are refused."""
+    """Run the program. It refuses ArduCopter's other options, and ports other than `udpclient:`."""
     parser = argparse.ArgumentParser(prog="mock_copter", allow_abbrev=False)
     parser.add_argument("--model", "-M", required=True)
     parser.add_argument("--home", "-O", required=True)
@@ -334,7 +334,7 @@ def main(arguments: Sequence[str]) -> int:
                 continue
             kind, _, address = device.partition(":")
             if kind != "udpclient":
-                raise ConfigError(f"--serial{number}: the mock knows udpclient:host:port only, got {device}")
+                raise ConfigError(f"--serial{number}: the mock supports only udpclient:host:port, got {device}")
             forwards = not int(values.get(f"SERIAL{number}_OPTIONS", 0)) & NO_FORWARD
             ports.append(SerialPort(number, parse_address(address), system_id, forwards))
     except RassError as error:

@@ -15,10 +15,10 @@ CLIMB_M_S = 2.5
 
 
 class MockFlight:
-    """A multicopter without inertia. `fly` moves it on; nothing else takes time."""
+    """A multicopter without inertia. `fly` moves it; nothing else takes time."""
 
     def __init__(self, home: tuple[float, float, float], *, mode: int = STABILIZE) -> None:
-        """`home`: degrees, degrees, metres above sea level; where it stands. `mode`: after power-up."""
+        """`home`: its position, in degrees, degrees, metres above sea level. `mode`: the mode after power-up."""
         self.home = home
         self._started = False
         self._metres_east = METRES_PER_DEGREE * math.cos(math.radians(home[0]))
@@ -29,7 +29,7 @@ class MockFlight:
         self.mode = mode
         self.armed = False
         self.items: list[MissionItem] = []
-        """Item 0 is home, and is not flown."""
+        """Item 0 is home and is not flown."""
         self.current = 0
         self._speed = SPEED_M_S
         self._stayed = 0.0
@@ -65,16 +65,16 @@ class MockFlight:
         return True
 
     def start(self) -> bool:
-        """Take off, if the mission begins with that. False: motors are off, or there is no mission."""
+        """Take off, if the mission starts with that. False: motors are off, or there is no mission."""
         self._started = self.armed and self.set_mode(AUTO)
         return self._started
 
     def fly(self, seconds: float) -> list[int]:
-        """Move on for so long. Returns the numbers of the items that have been reached."""
+        """Fly for some seconds. Returns the numbers of the items that were reached."""
         before = self.x, self.y, self.height
         reached = []
         left = seconds
-        # What a turn leaves of the time belongs to the next item.
+        # The remaining time of a turn belongs to the next item.
         while self.armed and self.mode == AUTO and left > 0 and self.current < len(self.items):
             left = self._fly_item(self.items[self.current], left)
             if left > 0:
@@ -90,7 +90,7 @@ class MockFlight:
         return reached
 
     def _fly_item(self, item: MissionItem, seconds: float) -> float:
-        """What is left of the time when the item has been carried out; 0: it has not."""
+        """The remaining time when the item is complete; 0: it is not complete."""
         if item.command == CMD_TAKEOFF:
             if not self._started:
                 return 0.0
@@ -115,7 +115,7 @@ class MockFlight:
         return seconds
 
     def _go(self, x: float, y: float, height: float, seconds: float) -> float:
-        """Towards a place for at most so long. Returns the time that is left; 0: it is not there yet."""
+        """Fly towards a place, at most for the given time. Returns the remaining time; 0: it is not there yet."""
         across = math.hypot(x - self.x, y - self.y)
         up = abs(height - self.height)
         needed = max(across / self._speed, up / CLIMB_M_S)

@@ -1,12 +1,12 @@
-"""The pilot of a flown swarm: one ground station (MAVSDK) that flies a mission with each vehicle.
+"""The pilot of a flying swarm: one ground station (MAVSDK) that flies a mission with each vehicle.
 
-A process of its own, so that it can be ended at any moment. Started with the name of a `PilotOrder` file (JSON). Says
-what it has done in lines of JSON on stdout (`PilotReport`), and obeys one order on stdin: `start`. It ends when stdin
-does.
+It is a separate process, so that it can be ended at any moment. It is started with the name of a `PilotOrder` file
+(JSON), reports in lines of JSON on stdout (`PilotReport`), and obeys one order on stdin: `start`. It ends when stdin
+ends.
 
-Before `start` it finds the vehicles, uploads the missions, waits until each knows its position, and arms; a vehicle
-that does not trust its position yet refuses that, so it asks again and again. Then it starts them, and reports how far
-they are. It passes on what they say to people.
+Before `start` it finds the vehicles, uploads the missions, waits until each knows its position, and arms. A vehicle
+that does not trust its position yet refuses to arm, so the pilot asks repeatedly. After `start` it starts the missions
+and reports their progress. It forwards the vehicles' texts.
 """
 
 from __future__ import annotations
@@ -27,52 +27,52 @@ from rass_mav.errors import ConfigError, SwarmError, installing
 from rass_mav.mavlink.mission import MissionItem
 from rass_mav.swarm.tether import watch
 
-#: How long a vehicle may take until it is heard, then until it is ready, and later until it flies, seconds. A simulated
-#: GPS takes half a minute to be believed.
+#: How long a vehicle may take until it is heard, then until it is ready, and later until it flies, seconds. An
+#: autopilot takes half a minute to trust a simulated GPS.
 CONNECT_S = 60.0
 OBEY_S = 120.0
 _AGAIN_S = 1.0
-# How many texts of a vehicle an error repeats.
+# How many texts of a vehicle an error includes.
 _LAST_WORDS = 3
 
 
 class Flight(msgspec.Struct):
-    """One vehicle's."""
+    """The flight of one vehicle."""
 
     node_id: int
     system_id: int
     port: int
-    """Of its station on 127.0.0.1."""
+    """Port of its ground station connection on 127.0.0.1."""
     items: list[MissionItem]
 
 
 class PilotOrder(msgspec.Struct):
-    """What the pilot is started with."""
+    """The order with which the pilot is started."""
 
     flights: list[Flight]
 
 
 class PilotReport(msgspec.Struct):
-    """A line of the pilot."""
+    """A report of the pilot, as one line."""
 
     event: str
     """heard, uploaded, located, armed, ready (all of them), flying, item, text, failed"""
     node_id: int = -1
     item: int = 0
-    """item: the one being flown."""
+    """With item: the current one."""
     text: str = ""
-    """failed: why; text: what the vehicle says to people (STATUSTEXT)."""
+    """With failed: the reason. With text: a text of the vehicle (STATUSTEXT)."""
 
 
 def need_mavsdk() -> None:
-    """Raise `ConfigError` if MAVSDK 4 is not there; before anything is started."""
+    """Raise `ConfigError` if MAVSDK 4 is missing. Call it before anything is started."""
     try:
         there = importlib.util.find_spec("mavsdk.asyncio") is not None
     except ModuleNotFoundError:
         there = False
     if not there:
         raise ConfigError(
-            f"sitl needs MAVSDK 4 to fly: {installing('sitl')} (there are packages for 64-bit computers only)"
+            f"sitl needs MAVSDK 4 to fly: {installing('sitl')} (packages exist only for 64-bit computers)"
         )
 
 
@@ -98,7 +98,7 @@ class Pilot:
         items = [_raw(number, item) for number, item in enumerate(self._flight.items)]
         await self._until_done("upload the mission", lambda: self._mission.upload_mission(items), until)
         self._say("uploaded")
-        await self._until_done("say its position", lambda: self._telemetry.set_rate_position(1.0), until)
+        await self._until_done("report its position", lambda: self._telemetry.set_rate_position(1.0), until)
         try:
             await asyncio.wait_for(self._locate(), until - asyncio.get_running_loop().time())
         except asyncio.TimeoutError:
@@ -108,14 +108,14 @@ class Pilot:
         self._say("armed")
 
     async def _locate(self) -> None:
-        """Wait until it says a position: before it knows one, it says 0 degrees north and east."""
+        """Wait until it reports a position. Before it knows one, it reports 0 degrees north and east."""
         async with contextlib.aclosing(self._telemetry.subscribe_position()) as positions:
             async for position in positions:
                 if position.latitude_deg or position.longitude_deg:
                     return
 
     async def listen(self) -> None:
-        """Pass on for ever what it says to people."""
+        """Forward the vehicle's texts. Never returns."""
         async with contextlib.aclosing(self._telemetry.subscribe_status_text()) as texts:
             async for text in texts:
                 if text.text not in self._said:
@@ -123,7 +123,7 @@ class Pilot:
                 self._tell(PilotReport("text", self._flight.node_id, text=text.text))
 
     async def fly(self) -> None:
-        """Start, and report for ever. Raises `SwarmError`."""
+        """Start the mission and report its progress. Never returns. Raises `SwarmError`."""
         until = asyncio.get_running_loop().time() + OBEY_S
         await self._until_done("start the mission", self._mission.start_mission, until)
         self._say("flying")
@@ -135,7 +135,7 @@ class Pilot:
                     self._say("item", item=item)
 
     async def _until_done(self, what: str, call: Callable[[], Awaitable[object]], until: float) -> None:
-        """A vehicle refuses what it is not ready for yet: ask again, until a time of the loop."""
+        """Repeat a request until the vehicle is ready and accepts it, or until a time of the loop."""
         from mavsdk.exceptions import MavsdkError
 
         while True:
@@ -166,7 +166,7 @@ def _raw(number: int, item: MissionItem) -> Any:
 
 
 async def connect(sdk: Any, flights: list[Flight], tell: Callable[[PilotReport], None]) -> list[Pilot]:
-    """Call all vehicles, and wait until each has answered. Raises `SwarmError`."""
+    """Connect to all vehicles, and wait until each has answered. Raises `SwarmError`."""
     for flight in flights:
         await sdk.add_any_connection(f"udpout://127.0.0.1:{flight.port}")
     pilots: dict[int, Pilot] = {}
@@ -187,7 +187,7 @@ async def connect(sdk: Any, flights: list[Flight], tell: Callable[[PilotReport],
 
 
 async def fly(order: PilotOrder, tell: Callable[[PilotReport], None], started: asyncio.Event) -> None:
-    """All of it; ends only with a `SwarmError`."""
+    """Do everything. It ends only with a `SwarmError`."""
     from mavsdk.asyncio.mavsdk import Mavsdk
     from mavsdk.component_type import ComponentType
     from mavsdk.mavsdk import Configuration
@@ -201,14 +201,14 @@ async def fly(order: PilotOrder, tell: Callable[[PilotReport], None], started: a
             await started.wait()
             await asyncio.gather(*(pilot.fly() for pilot in pilots))
         finally:
-            # They hang up while there is still somebody to hang up on.
+            # Unsubscribe while the connection still exists.
             for task in listening:
                 task.cancel()
             await asyncio.wait(listening)
 
 
 def main(arguments: Iterable[str]) -> int:
-    """The process. It is ended from outside, or by a vehicle that does not obey (exit code 1)."""
+    """Run the process. It is ended from outside, or by a vehicle that does not obey (exit code 1)."""
     (path,) = arguments
     order = msgspec.json.decode(Path(path).read_bytes(), type=PilotOrder)
 
@@ -232,7 +232,7 @@ def main(arguments: Iterable[str]) -> int:
 
 
 def _listen(loop: asyncio.AbstractEventLoop, started: asyncio.Event) -> None:
-    """The one order; then wait for the end of stdin, and end at once."""
+    """Wait for the order, then for the end of stdin, and end at once."""
     if sys.stdin.readline().strip() == "start":
         loop.call_soon_threadsafe(started.set)
     watch(sys.stdin.fileno())

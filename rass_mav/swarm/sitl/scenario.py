@@ -1,4 +1,4 @@
-"""Scenarios that are flown: a mock swarm's, with `positions` as take-off places, and missions."""
+"""Scenarios of flying vehicles: those of a mock swarm, with `positions` as take-off positions, and missions."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ Waypoint = Annotated[list[float], Meta(min_length=2, max_length=3)]
 
 
 class FlightSection(Section):
-    """What the vehicles do."""
+    """The flights of the vehicles."""
 
     altitude_m: Positive = 15.0
-    """Height above the take-off place, metres."""
+    """Height above the take-off position, metres."""
     speed_m_s: Positive = 5.0
     missions: tuple[tuple[Waypoint, ...], ...] = ()
     """For each drone, by node id, the places it flies to: [x, y] or [x, y, seconds to stay]. Then it returns. A drone
-    without any stays above its take-off place for the whole run."""
+    without any stays above its take-off position for the whole run."""
 
 
 class FlightFailureSection(FailureSection):
-    """What goes wrong in flight. Of the failures of other swarms, `kill_every_s` is the only one."""
+    """Failures in flight. Of the failures of other swarms, only `kill_every_s` is supported."""
 
     kill_autopilots: tuple[tuple[NodeId, Positive], ...] = ()
-    """[drone, seconds after take-off]: its autopilot dies for good. The node on it lives on."""
+    """[drone, seconds after take-off]: its autopilot dies permanently. Its node continues."""
 
 
 class FlightScenario(Scenario):
@@ -56,22 +56,22 @@ class FlightScenario(Scenario):
     failures: FlightFailureSection = FlightFailureSection()
 
     def mistakes(self) -> Iterator[str]:
-        """What no single key can say."""
+        """Mistakes that concern more than one key."""
         yield from super().mistakes()
         for node, _ in self.failures.kill_autopilots:
             if not self.bases <= node < self.nodes:
                 yield f"failures.kill_autopilots: expected drones, {self.bases}..{self.nodes - 1}, got {node}"
         if self.topology != "positions":
-            yield f"topology: expected positions, the take-off places, got {self.topology}"
+            yield f"topology: expected positions (the take-off positions), got {self.topology}"
         drones = self.nodes - self.bases
         if len(self.flight.missions) > drones:
             yield f"flight.missions: expected at most one for each of {drones} drones"
         if self.radiation.drift or self.radiation.cylinder_m:
-            yield "radiation: expected sources that stay where they are, and no cylinders"
+            yield "radiation: expected sources that do not move, and no cylinders"
 
     @property
     def places(self) -> list[Position]:
-        """Where each node stands at the start, metres east and north of the origin."""
+        """Each node's position at the start, metres east and north of the origin."""
         return list(self.mobility.positions or ())
 
     @property
@@ -80,7 +80,7 @@ class FlightScenario(Scenario):
         return list(self.radiation.sources_of(self.seed) or ())
 
     def level(self, x: float, y: float, height: float) -> float:
-        """Radiation at a place in the air, Eq. 1 with the height (metres) counted in."""
+        """Radiation at a place in the air, Eq. 1 with the height (metres) included."""
         decay = self.radiation.decay
         return sum(
             intensity / (1.0 + decay * ((sx - x) ** 2 + (sy - y) ** 2 + height**2))
@@ -88,20 +88,20 @@ class FlightScenario(Scenario):
         )
 
     def waypoints(self, node_id: int) -> Sequence[Sequence[float]]:
-        """The places that a drone flies to, as in `flight.missions`; none: it stays above its take-off place."""
+        """The places that a drone flies to, as in `flight.missions`; none: it stays above its take-off position."""
         number = node_id - self.bases
         missions = self.flight.missions
         return missions[number] if number < len(missions) else ()
 
     def mission(self, node_id: int, *, home_first: bool) -> list[MissionItem]:
-        """What a drone is told to fly. `home_first`: item 0 is home, as ArduPilot has it."""
+        """The mission of a drone. `home_first`: item 0 is home, as with ArduPilot."""
         flight = self.flight
         start = self.places[node_id]
         stay = self.steps * self.node.step_s
         home = to_earth(*start)
         items = [MissionItem(CMD_WAYPOINT, FRAME_GLOBAL, *home, ORIGIN[2])] if home_first else []
         items.append(MissionItem(CMD_TAKEOFF, FRAME_RELATIVE, *home, flight.altitude_m))
-        # 1: speed over ground; -1 would be: leave the throttle.
+        # 1: speed over ground. -1 would mean: leave the throttle unchanged.
         items.append(MissionItem(CMD_SPEED, FRAME_NO_PLACE, param1=1.0, param2=flight.speed_m_s))
         for x, y, *hold in self.waypoints(node_id) or [(*start, stay)]:
             place = to_earth(x, y)
@@ -111,7 +111,7 @@ class FlightScenario(Scenario):
 
 
 def to_arena(latitude: float, longitude: float) -> Position:
-    """Metres east and north of the arena's centre, of a place on Earth in degrees; the inverse of `to_earth`."""
+    """Convert a place on Earth in degrees to metres east and north of the arena's centre; the inverse of `to_earth`."""
     return (longitude - ORIGIN[1]) * _METRES_EAST, (latitude - ORIGIN[0]) * METRES_PER_DEGREE
 
 
@@ -120,12 +120,12 @@ def load_flight(
 ) -> FlightScenario:
     """A scenario from a file. `options` by key path, then `assignments` (`key.path=value`) override its keys.
 
-    `vehicles`: so many of its drones, the first ones; None: all. Raises `ConfigError` that names the file and the key.
+    `vehicles`: how many of its drones, the first ones; None: all. Raises `ConfigError`, which names the file and key.
     """
     path = find(name)
     scenario = read_scenario(path, FlightScenario, options or {}, assignments)
     if scenario.variants:
-        raise ConfigError(f"{path.name}: variants: not for scenarios that are flown")
+        raise ConfigError(f"{path.name}: variants: not for scenarios of flying vehicles")
     if vehicles is not None:
         scenario = _fewer(scenario, vehicles, path.name)
     return scenario
@@ -134,7 +134,7 @@ def load_flight(
 def _fewer(scenario: FlightScenario, vehicles: int, name: str) -> FlightScenario:
     drones = scenario.nodes - scenario.bases
     if not 1 <= vehicles <= drones:
-        raise ConfigError(f"--vehicles: expected 1..{drones}, which {name} has, got {vehicles}")
+        raise ConfigError(f"--vehicles: expected 1..{drones}, the drones of {name}, got {vehicles}")
     nodes = scenario.bases + vehicles
     failures = scenario.failures
     doomed = tuple((node, at_s) for node, at_s in failures.kill_autopilots if node < nodes)

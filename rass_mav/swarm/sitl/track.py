@@ -1,4 +1,4 @@
-"""What arrived at the bases, held against where the vehicles truly were."""
+"""Compares the data that arrived at the bases with the vehicles' true positions."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from rass_mav.wire.measurement import decode_measurement
 
 
 class Track:
-    """Where each vehicle was, from the file that the air has written."""
+    """The vehicles' positions over time, from the file that the air has written."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the file (columns `air.TRACK`)."""
+        """Read the file (columns `air.TRACK`)."""
         self._times: dict[int, list[float]] = defaultdict(list)
         self._places: dict[int, list[Position]] = defaultdict(list)
         with path.open(encoding="ascii", newline="") as file:
@@ -32,15 +32,15 @@ class Track:
                 self._places[node].append((float(row["x"]), float(row["y"])))
 
     def place(self, node: int, time: float) -> Position | None:
-        """The last place before a time (seconds since 1970), metres; None: it was not heard before."""
+        """The last position before a time (seconds since 1970), metres; None: it had not been heard."""
         index = bisect.bisect_right(self._times[node], time) - 1
         return self._places[node][index] if index >= 0 else None
 
 
 def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
-    """What the measurements in the bases' stores hold.
+    """Figures about the measurements in the bases' stores.
 
-    `error_m`: how far the position in a measurement is from where the vehicle was when it was made, mean and largest.
+    `error_m`: distance between the position in a measurement and the vehicle's true position then, mean and largest.
     """
     seen = set()
     with_position = 0
