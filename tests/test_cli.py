@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import json
 import os
@@ -187,10 +188,12 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch, *words: str) -> tuple[int, st
         patched.setattr(sys, "stdout", terminal)
         patched.setattr(sys, "stderr", terminal)
         code = main(words)
-        terminal.flush()
-        said = os.read(main_end, 1 << 16).decode()
-    os.close(main_end)
-    return code, said.replace("\r\n", "\n")
+    said = b""
+    # The kernel may hand it over in pieces. An error ends what a closed terminal was sent.
+    with os.fdopen(main_end, "rb", buffering=0) as ours, contextlib.suppress(OSError):
+        while piece := ours.read(1 << 16):
+            said += piece
+    return code, said.decode().replace("\r\n", "\n")
 
 
 @pytest.mark.skipif(find_spec("termcolor") is None, reason="termcolor is not installed")
