@@ -20,6 +20,7 @@ from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runner import Outcome, run_all
 from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 from rass_mav.swarm.catalogue import load_scenario
+from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 SMALL = ("nodes=9", "arena_m=6")
@@ -183,11 +184,17 @@ def test_a_command_that_is_interrupted_ends_at_once_and_goes_on_later(tmp_path: 
         sys.executable, "-m", "rass_mav", "experiment", "five-drones", "--out", str(tmp_path), "--policy", "rass",
         "--steps", "400", "--jobs", "2", "--json", "--runs",
     ]  # fmt: skip
-    process = subprocess.Popen([*command, "1000"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while process.poll() is None and not list(tmp_path.glob("runs/*.json")):
-        pass
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=PATIENCE_S)
+    # Not measured: the pool ends its workers with SIGTERM. Coverage then writes its data, and may wait for itself.
+    with subprocess.Popen(
+        [*command, "1000"], env=unmeasured(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            while process.poll() is None and not list(tmp_path.glob("runs/*.json")):
+                pass
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
     kept = [json.loads(path.read_bytes())["seed"] for path in tmp_path.glob("runs/*.json")]
     assert 0 < len(kept) < 1000
     line = f"interrupted: finished runs: {len(kept)}, kept in {tmp_path / 'runs'}; the same command continues"

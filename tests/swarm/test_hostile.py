@@ -14,9 +14,6 @@ from rass_mav.swarm.hostile.kinds import KINDS
 from rass_mav.swarm.world import World
 from tests.extent import extents
 
-#: Storms: other tests reach what these reach, and coverage would only make them slower.
-pytestmark = pytest.mark.no_cover
-
 #: What these do must not matter.
 HARMLESS = (
     "number-squatter", "request-forger", "impostor", "id-inventor", "replayer", "flooder", "bit-flipper",
@@ -47,6 +44,7 @@ def with_policies(kinds: tuple[str, ...], *also_by_hops: str) -> list[tuple[str,
     return [(kind, "survival") for kind in kinds] + [(kind, "rass") for kind in also_by_hops]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("kind", "policy"), with_policies(HARMLESS, "impostor", "id-inventor", "number-squatter"))
 @pytest.mark.parametrize("visit", extents(SHORT, LONG))
 def test_liars_that_cost_nothing(visit: Visit, kind: str, policy: str) -> None:
@@ -61,6 +59,7 @@ def test_liars_that_cost_nothing(visit: Visit, kind: str, policy: str) -> None:
     assert summary["altered"] == 0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("kind", "policy"), with_policies(THIEVES, "sinkhole"))
 def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, policy: str) -> None:
     world = swarm(kind, f"policy.name={policy}", f"data.until_step={ATTACK[1] + 20}")
@@ -81,6 +80,7 @@ def honest() -> str:
     return world.radio.sha256
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_attacker_that_is_not_there_changes_nothing(kind: str, honest: str) -> None:
     visited = swarm(kind, begin=10**6, end=10**6 + 1)

@@ -24,9 +24,6 @@ from rass_mav.swarm.world import World
 from tests.environment import unmeasured
 from tests.extent import extents
 
-#: Storms: other tests reach what these reach, and coverage would only make them slower.
-pytestmark = pytest.mark.no_cover
-
 #: No power goes by itself.
 BY_HAND = "disk.cut_rate=0"
 
@@ -81,6 +78,7 @@ def assert_survived(world: World, power: Power) -> None:
 # -- power cuts --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("cuts", extents(50, 1000))
 def test_no_datum_is_lost_that_was_on_disk_by_many_power_cuts(cuts: int) -> None:
     steps = 9 * cuts // 2
@@ -96,6 +94,7 @@ def test_no_datum_is_lost_that_was_on_disk_by_many_power_cuts(cuts: int) -> None
         assert_survived(world, power)
 
 
+@pytest.mark.no_cover
 def test_without_the_gate_the_same_run_finds_losses() -> None:
     world = UngatedWorld(scenario(steps=450))
     with disks(world) as power:
@@ -104,12 +103,14 @@ def test_without_the_gate_the_same_run_finds_losses() -> None:
         assert lost(world)["unfounded"] > 1
 
 
+@pytest.mark.no_cover
 def test_without_the_gate_the_check_fails() -> None:
     world = UngatedWorld(scenario(steps=900))
     with disks(world), pytest.raises(InvariantError, match="data that a disk had are lost"):
         world.run(900, after=check)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     "assignments",
     [
@@ -197,6 +198,7 @@ def test_while_disks_cannot_be_written_no_custody_passes_and_afterwards_all_arri
         assert power.figures()["restarts"] == 0
 
 
+@pytest.mark.no_cover
 def test_over_slow_disks_frames_wait_for_the_commit() -> None:
     delays = []
     for steps in (0, 3):
@@ -211,6 +213,7 @@ def test_over_slow_disks_frames_wait_for_the_commit() -> None:
     assert delays[1] > delays[0] + 3
 
 
+@pytest.mark.no_cover
 def test_flipped_bits_cost_data_and_stores_and_nothing_else() -> None:
     set_aside = died = 0
     for seed in range(2):

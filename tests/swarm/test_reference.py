@@ -23,9 +23,6 @@ from rass_mav.swarm.scenario import RadiationSection, Scenario
 from rass_mav.swarm.world import World
 from tests.extent import extents
 
-#: Long runs: other tests reach what these reach, and coverage would only make them slower.
-pytestmark = pytest.mark.no_cover
-
 TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk")
 
 
@@ -308,6 +305,7 @@ def test_all_invariants_hold_and_robots_stay_in_the_arena(topology: str) -> None
     assert world.ledger.arrived
 
 
+@pytest.mark.no_cover
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others() -> None:
     def digest(seed: int) -> str:
         world = World(reference("random-walk", seed=seed))
@@ -318,6 +316,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others() -> None:
     assert digest(4) != digest(5)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("policy", "created", "reliability", "delay", "memory"),
     [
