@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Data, PassedOn, Word, WordEntry, Words
+from rass_mav.core.messages import BROADCAST, Committed, Data, PassedOn, Word, WordEntry, Words
 from rass_mav.core.spares.mirrors import ASK_STEPS
 from rass_mav.core.spares.repairs import MAX_SEARCHES
 
@@ -159,3 +161,19 @@ def test_searches_are_bounded() -> None:
         # Neither is what is said in a step without bound.
         entries = sum(len(m.entries) for m in of(Words, node.step(1.0 + t)))
         assert entries <= 3 * 33
+
+
+@pytest.mark.parametrize("word", [Word.AGAIN, Word.WANTED])
+def test_a_late_committed_does_not_end_the_custody_that_its_sender_was_told_of(word: Word) -> None:
+    """A giver answers *taken* to the node that it is handing the datum over to: that node then relies on the giver."""
+    net = Net({1: 0.9, 2: 0.1}, [(1, 2)], mirror_until_receipt=True)
+    net.loses = lambda message: isinstance(message, Committed)
+    net.step(2)
+    giver = net.nodes[1]
+    id = giver.put(b"x", net.now)
+    net.step()
+    (handover,) = (m.handovers[0] for m in net.of(Data) if m.sender == 1)
+    answers = giver.receive(Words(2, 1 if word == Word.AGAIN else BROADCAST, (WordEntry(id, word),)), net.now)
+    assert [entry.word for m in answers if isinstance(m, Words) for entry in m.entries] == [Word.TAKEN]
+    giver.receive(Committed(2, 1, ((handover.number, handover.datum.crc),), ()), net.now)
+    assert id in giver.keeper.holdings.custody

@@ -315,6 +315,12 @@ class Holdings:
             if pending.sending is not None:
                 del self.large[pending.neighbour]
 
+    def vouch(self, holding: Holding, asker: int) -> None:
+        """A node without a good copy is told that custody is here. A hand-over to that node ends: its answer may be on
+        the way since before it lost its copy."""
+        if holding.pending is not None and holding.pending.neighbour == asker:
+            self.cancel(holding)
+
     def answered(self, number: int, neighbour: int) -> Holding | None:
         """The datum that is being handed over to this neighbour under this number; None: none."""
         holding = self.pending.get(number)

@@ -350,6 +350,7 @@ class Mirrors(NoSpares):
         if holding is not None and keeper.load(holding) is not None:
             # Even if the spare is for another custodian: that one may have passed the datum on to the asker.
             self.take_back(holding)
+            keeper.holdings.vouch(holding, asker)
             return True
         # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
         # id answers for the datum, or each would believe that the other has it. Otherwise the receiver has it, unless

@@ -103,6 +103,8 @@ class Repairs:
         keeper = self._keeper
         holding = keeper.holdings.get(id)
         if holding is not None and keeper.load(holding) is not None:
+            if holding.state is State.CUSTODY:
+                keeper.holdings.vouch(holding, asker)
             self._speech.say(asker, id, Word.TAKEN if holding.state is State.CUSTODY else Word.HERE)
 
     def _ask(self, id: DatumId, search: Search) -> None:
