@@ -231,7 +231,7 @@ def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) 
     said = fails(tmp_path, "n2.yaml", 1)
     assert said.startswith(f"udp:127.0.0.1:{port}: address already in use by process {first.process.pid} (")
     assert "rass_mav run n1.yaml" in said
-    assert said.endswith(f"rass-mav status CONFIG; or another program: ss -lunp 'sport = :{port}'")
+    assert said.endswith(f"rass-mav status CONFIG; or another program? ss -lunp 'sport = :{port}'")
 
     elsewhere = [{**links[0], "listen": "127.0.0.1:0"}]
     RunningNode(tmp_path, 3, links=elsewhere, store={"path": "n1.db"})
