@@ -109,7 +109,7 @@ def test_the_workers_of_a_dask_cluster_give_the_same_results(tmp_path: Path) -> 
     distributed = pytest.importorskip("distributed")
     runs = [run(seed) for seed in range(3)]
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="inproc://"
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0", protocol="inproc://"
     ) as cluster:
         outcome = run_all(runs, tmp_path / "dask", dask=cluster.scheduler_address)
     assert outcome.done == 3
