@@ -177,3 +177,16 @@ def test_a_late_committed_does_not_end_the_custody_that_its_sender_was_told_of(w
     assert [entry.word for m in answers if isinstance(m, Words) for entry in m.entries] == [Word.TAKEN]
     giver.receive(Committed(2, 1, ((handover.number, handover.datum.crc),), ()), net.now)
     assert id in giver.keeper.holdings.custody
+
+
+def test_a_backer_without_a_copy_does_not_answer_for_a_node_that_passed_the_datum_on() -> None:
+    """1 gave the datum to 2, which gave it to 3. Since 3 sent its spare to 1, custody is where that came from."""
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True)
+    id = at_rest(net)
+    meet(net, 1, 3)
+    copy = net.stores[1].get(id)
+    assert copy is not None
+    assert net.nodes[1].keeper.keep_spare(3, 1, copy)
+    net.strike(1, id)
+    answers = net.nodes[1].receive(Words(3, 1, (WordEntry(id, Word.AGAIN),)), net.now)
+    assert answers[0] == Words(1, 3, (WordEntry(id, Word.NONE),))

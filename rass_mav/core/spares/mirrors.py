@@ -177,6 +177,8 @@ class Mirrors(NoSpares):
                 holdings.change(holding, State.SPARE)
             if holding.state is State.SPARE:
                 self._pair(holding, giver)
+                # The datum has moved on to the giver from the node that took it from here.
+                self._passed.pop(id, None)
             return True
         full = id in keeper.arrived or len(holdings) - len(holdings.custody) >= MAX_SPARES
         if full or not keeper.store.accepting or not self._make_way(len(datum.payload), counted_on=False):
