@@ -123,7 +123,7 @@ class Child:
     def _tail(self) -> str:
         text = self.log.read_bytes()[-_TAIL_CHARACTERS:].decode(errors="replace")
         said = [line.strip() for line in text.splitlines() if line.strip()]
-        # Whoever says the same many times has said it once.
+        # A line that is repeated many times counts once.
         lines = [line for line, _ in itertools.groupby(said)][-_TAIL_LINES:]
         return ": " + " | ".join(lines) if lines else ""
 

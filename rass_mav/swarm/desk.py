@@ -1,7 +1,7 @@
-"""A base and some drones on a desk, each the very `rass-mav run` that flies.
+"""A base and some drones on a desk. Each is a real `rass-mav run`, as on a drone.
 
-They hear each other over UDP on 127.0.0.1. The vehicles are mock ones, here in this process: they fly a circle past a
-radiation source.
+They hear each other over UDP on 127.0.0.1. This process simulates the vehicles, which fly a circle past a radiation
+source.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from rass_mav.wire.measurement import decode_measurement
 #: Node id of the base; the drones follow.
 BASE = 1
 MAX_DRONES = 16
-#: Length of a step, seconds: short, so that nobody has to wait for the first datum.
+#: Length of a step, seconds: short, so that the first datum arrives soon.
 STEP_S = 0.2
-#: The circle: metres, seconds for once around.
+#: The circle: its radius in metres, and seconds for one round.
 RADIUS_M = 30.0
 ROUND_S = 60.0
-#: On the circle, due east; in microsieverts per hour where it stands. The decay makes it half as much 7 m away.
+#: On the circle, due east; in microsieverts per hour at its place. With this decay it is half as much 7 m away.
 SOURCE = Source(RADIUS_M, 0.0, 200.0)
 DECAY = 0.02
 #: The scale of risk in the drones' configurations, in the same unit.
 RISK = {"low": 0.5, "high": 300}
-#: Until all nodes have to be ready, seconds; some more for each of them.
+#: Time in which all nodes must be ready, seconds, and the time added for each node.
 START_S = 20.0
 _START_EACH_S = 2.0
 _LOCALHOST = "127.0.0.1"
-# Between two words of an autopilot, and two looks at the base, seconds.
+# Seconds between two messages of an autopilot, and between two looks at the base.
 _TICK_S = 0.2
 # Looks at the base take at most this part of the time, however much it holds.
 _LOOK_SHARE = 0.1
@@ -63,10 +63,10 @@ class MockVehicle:
         self._field = RadiationField([SOURCE], decay=DECAY)
 
     def _hear(self, node_id: int, data: bytes) -> None:
-        """What its node says: the wire notes where from, and nothing is asked of this autopilot."""
+        """Ignore frames from the node. The wire records their source; this autopilot answers nothing."""
 
     def fly(self, now: float) -> None:
-        """Say where it is and what it reads, `now` seconds since the start."""
+        """Send its position and its reading, `now` seconds since the start."""
         angle = self._phase + 2 * math.pi * now / ROUND_S
         x, y = RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle)
         for frame in self._autopilot.frames(now, x, y, self._field.level(x, y)):
@@ -74,10 +74,10 @@ class MockVehicle:
 
 
 class Desk:
-    """From start to end; see `desk`."""
+    """The nodes, from start to end; see `desk`."""
 
     def __init__(self, drones: int, directory: Path, sockets: Path, children: Children, wires: Wires) -> None:
-        """`directory`: for what is written. `sockets`: for the control sockets."""
+        """`directory`: for all files. `sockets`: for the control sockets."""
         self.directory = directory
         self.base = RunningNode(BASE, directory, sockets / f"{BASE}.sock", "base")
         ids = range(BASE + 1, BASE + 1 + drones)
@@ -95,7 +95,7 @@ class Desk:
         return [self.base, *self.drones]
 
     def start(self) -> None:
-        """Returns when all nodes run. Raises `SwarmError`."""
+        """Start all nodes, and return when they are ready. Raises `SwarmError`."""
         self.configure()
         for node in self.nodes:
             node.start(self._children)
@@ -108,7 +108,7 @@ class Desk:
             self._turn(deadline)
 
     def watch(self, until: float, arrived: Callable[[dict[str, Any]], None]) -> None:
-        """Until a time of `time.monotonic`. `arrived` is called with each datum that has arrived at the base, see
+        """Run until a time of `time.monotonic`. `arrived` is called with each datum that has arrived at the base, see
         `_described`. Raises `SwarmError` if a node ends, `ControlError` if the base does not answer."""
         while (now := time.monotonic()) < until:
             if now >= self._next_look:
@@ -119,7 +119,7 @@ class Desk:
             self._turn(min(until, self._next_look))
 
     def stop(self) -> dict[str, Any]:
-        """End all nodes, the base last. Returns what became of the data. Raises `SwarmError` for who does not end."""
+        """Stop all nodes, the base last. Returns what became of the data. Raises `SwarmError` if one does not stop."""
         for nodes in (self.drones, [self.base]):
             for node in nodes:
                 node.child.terminate()
@@ -138,7 +138,7 @@ class Desk:
         }
 
     def _turn(self, until: float) -> None:
-        """Fly, and hear what the processes say."""
+        """Let the vehicles fly, and read the output of the processes."""
         now = time.monotonic()
         if now >= self._next_tick:
             self._next_tick = now + _TICK_S
@@ -147,7 +147,7 @@ class Desk:
         self._wires.poll(min(until, self._next_tick) - now)
 
     def _look(self) -> Iterator[dict[str, Any]]:
-        """What has arrived since the last look."""
+        """The data that have arrived since the last look."""
         self._census.look_at_bases(time.time())
         new = [str(id) for id in islice(self._census.delays, self._shown, None)]
         if not new:
@@ -160,7 +160,7 @@ class Desk:
     # -- the configurations --------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
-        """Write them, with UDP ports that are free at this moment. Raises `ConfigError`."""
+        """Write the configurations, with UDP ports that are free at this moment. Raises `ConfigError`."""
         with contextlib.ExitStack() as stack:
             ports = {}
             for node in self.nodes:
@@ -191,7 +191,7 @@ def _yaml(value: Any) -> str:
 
 
 def _described(answer: dict[str, Any]) -> dict[str, Any]:
-    """A datum as plain values: `id`, `origin`, `hops`, `created` (seconds since 1970), and what is in it, as
+    """A datum as plain values: `id`, `origin`, `hops`, `created` (seconds since 1970), and its contents, as
     `measurement` (docs/protocol.md), the `name` of a file, or `content`."""
     payload = load_bytes(answer.pop("payload"))
     datum = {"origin": int(answer["id"].split("-")[0]), **answer}
@@ -204,7 +204,7 @@ def _described(answer: dict[str, Any]) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def desk(drones: int, keep: Path | None) -> Iterator[Desk]:
-    """A base and so many drones that run. No process outlives the block; the temporary directory goes with it too.
+    """A base and a number of drones, running. No process and no temporary directory outlives the block.
 
     `keep`: a directory, new or empty, for configurations, stores and logs; None: a temporary one.
 

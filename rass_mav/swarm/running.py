@@ -24,15 +24,15 @@ class RunningNode:
         self.child: Child
 
     def start(self, children: Children) -> None:
-        """Begin a life. It is under way when `ready`."""
+        """Start the process. The node runs when it is `ready`."""
         self.ready = False
         arguments = ["-m", "rass_mav.swarm.tether", "run", str(self.config), "--json"]
         self.child = children.start(self.name, arguments, self.log, self.heard)
 
     def heard(self) -> None:
-        """There is something on its stdout: the line that says it is ready, or the end. Raises `SwarmError`."""
+        """Read its stdout: the line that reports it ready, or the end. Raises `SwarmError`."""
         self.child.read()
         line = self.child.next_line()
         if line is not None:
-            # If it could not start, it says why on stderr too, and the end of its output follows.
+            # If it could not start, it reports the reason on stderr too, and the end of its output follows.
             self.ready = "error" not in load_line(line)

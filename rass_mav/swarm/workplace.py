@@ -1,4 +1,4 @@
-"""Where processes work: a directory, short paths for sockets, and children that all end with the block."""
+"""What a swarm of processes needs: a directory, short paths for sockets, and children that end with the block."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rass_mav.swarm.children import Children, orderly_end
 
 @contextlib.contextmanager
 def workplace(keep: Path | None) -> Iterator[tuple[Path, Path, Children]]:
-    """The directory for what is written, the one for control sockets, and the children.
+    """The directory for files, the one for control sockets, and the children.
 
     `keep`: a directory, new or empty; None: a temporary one. Raises `ConfigError`: it cannot be used.
     """
@@ -21,7 +21,7 @@ def workplace(keep: Path | None) -> Iterator[tuple[Path, Path, Children]]:
         _prepare(keep)
     with contextlib.ExitStack() as stack:
         stack.enter_context(orderly_end())
-        # Always a short path: a unix socket's may have 107 bytes.
+        # Always a short path: that of a Unix socket may have at most 107 bytes.
         sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rass-")))
         children = stack.enter_context(Children())
         yield (keep or sockets).absolute(), sockets, children
