@@ -8,6 +8,7 @@ import os
 import pickle
 import shutil
 import subprocess
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
+
+from .patience import PATIENCE_S
 
 T = TypeVar("T")
 
@@ -39,8 +42,9 @@ def ip(*commands: str) -> None:
     for command in commands:
         _ip(command)
         if command == "link set air down":
+            deadline = time.monotonic() + PATIENCE_S
             while "NO-CARRIER" not in _ip("link show wlan0"):
-                pass
+                assert time.monotonic() < deadline, "the kernel notices no lost carrier"
 
 
 def _ip(command: str) -> str:
