@@ -70,6 +70,9 @@ class RoutingSettings(Section):
     that is heard at the beginning of a step is a neighbour in it."""
     max_neighbours: Count = 128
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
+    queue_toll: bool = True
+    """Data avoid nodes where data wait: with q data in custody, a hop from a node costs 1 + q / `store.bandwidth_items`
+    times as much. Only under a policy whose costs add up (survival)."""
 
 
 class CustodySettings(Section):
@@ -149,6 +152,8 @@ class NodeSettings:
     max_neighbours: int = 128
     max_hops: int = 250
     """1..254."""
+    queue_toll: bool = False
+    """Where costs add up, the data that wait here raise the cost of a route by this node."""
     seq_period: int = 30
     """Steps after which a base raises its announcement number; it also does so on request."""
     lifetime_s: float | None = None
