@@ -84,8 +84,11 @@ class CustodySettings(Section):
     receipts: bool = True
     """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
     bases."""
+    digest: bool = True
+    """Bases also report what has arrived lately in a few bits a datum, which travels sooner than receipts and ends
+    spares only. Only with `receipts` and with spare copies until a receipt."""
     receipt_steps: Count = 6
-    """A node sends at most one receipt frame in this many steps."""
+    """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: Count = 1
     """Steps after which an unanswered hand-over is sent again."""
     max_tries: Count = 8
@@ -141,8 +144,10 @@ class NodeSettings:
     receipts: bool = True
     """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
     bases."""
+    digest: bool = False
+    """Bases also report what has arrived lately in a few bits a datum; only where spares wait for receipts."""
     receipt_steps: int = 6
-    """A node sends at most one receipt frame in this many steps."""
+    """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: int = 1
     """Steps after which an unanswered hand-over is sent again."""
     max_tries: int = 8
