@@ -256,7 +256,7 @@ class Agent:
         # A short cut for the mock swarm. The guard needs whole frames.
         opened = None if self.guard.forgiving else open_datagram(data)
         if opened is not None:
-            message = self.peers.message(opened, now)
+            message = self.peers.message(opened, now, overhears=self.node.overhears)
             return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
         for frame in self.peers.tunnels(data):
@@ -277,7 +277,7 @@ class Agent:
         """
 
         def hear(frame: Frame, now: float) -> Sequence[Outgoing]:
-            message = self.peers.understood(frame, now)
+            message = self.peers.understood(frame, now, overhears=self.node.overhears)
             if message is None or self.guard.shuts_out(message, now):
                 return ()
             if type(message) is Beacon and message.sender != self.settings.node_id:

@@ -16,7 +16,7 @@ from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode, target_of
+from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
 
 log = logging.getLogger(__name__)
@@ -76,23 +76,26 @@ class Peers:
         """The frames with TUNNEL messages in a datagram of whole frames."""
         return [frame for frame in self.reader.datagram(data) if frame.message_id == TUNNEL]
 
-    def understood(self, frame: Frame, now: float) -> Message | None:
-        """The message in a frame with a TUNNEL message; None: it is not for this node, or does not parse."""
+    def understood(self, frame: Frame, now: float, *, overhears: bool = False) -> Message | None:
+        """The message in a frame with a TUNNEL message; None: it is not for this node, or does not parse.
+
+        `overhears`: data for other nodes are for this node too.
+        """
         try:
             tunnel = decode_tunnel(frame.payload)
         except MalformedError as error:
             self._count(error, now)
             return None
-        return self.message((*tunnel, target_of(tunnel.payload)), now)
+        return self.message((*tunnel, target_of(tunnel.payload)), now, overhears=overhears)
 
-    def message(self, opened: Opened, now: float) -> Message | None:
+    def message(self, opened: Opened, now: float, *, overhears: bool = False) -> Message | None:
         """The same for a frame that is already open."""
         system, component, payload_type, payload, target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
             return None
         self.received += 1
-        if target != self._node_id and target != BROADCAST:
+        if target != self._node_id and target != BROADCAST and not (overhears and is_data(payload)):
             return None
         if (system or component) and not addressed_to(
             system, component, self.writer.system_id, self.writer.component_id

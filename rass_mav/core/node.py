@@ -13,8 +13,8 @@ from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
-from rass_mav.core.datum import MAX_PAYLOAD, Datum, Fate
-from rass_mav.core.messages import Committed, Message
+from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
+from rass_mav.core.messages import BROADCAST, Committed, Message
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
 from rass_mav.core.news.digests import Digests, Fresh, NoDigests
@@ -140,6 +140,16 @@ class Node(Participant):
     def _keep_own(self, datum: Datum) -> None:
         self.keeper.keep(datum)
 
+    @property
+    def overhears(self) -> bool:
+        """Whether this node handles the data that neighbours send to others."""
+        return self.settings.overhear
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory only."""
+        return self.keeper.spares.overheard
+
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
         keeper = self.keeper
@@ -176,6 +186,8 @@ class Node(Participant):
         return answers
 
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
+        if data.target not in (self.id, BROADCAST):
+            return self._on_overheard(data, now)
         keeper = self.keeper
         take = keeper.keep_spare if data.spare else keeper.take_custody
         committed: list[tuple[int, int]] = []
@@ -188,6 +200,13 @@ class Node(Participant):
             elif number:
                 committed.append((number, datum.crc))
         return self._answer(data.sender, committed, [number for number in refused if number])
+
+    def _on_overheard(self, data: messages.Data, now: float) -> list[Message]:
+        """A neighbour sends data to another node. Such a message is never answered: only its target can promise
+        anything."""
+        for _, datum in data.handovers:
+            self.keeper.overhear(data.sender, datum, now)
+        return []
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:
         if not committed and not refused:

@@ -130,6 +130,7 @@ def encode(message: Message, now: float) -> list[bytes]:
 
 
 _BEACON_HEAD = _head(BEACON)
+_DATA_HEAD = bytes((_head(DATA),))
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
@@ -265,6 +266,11 @@ def _encode_words(m: Words, now: float) -> list[bytes]:
 def target_of(payload: bytes) -> int:
     """The node id that a TUNNEL payload names; BROADCAST: it names none, or is not a message of ours."""
     return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
+
+
+def is_data(payload: bytes) -> bool:
+    """Whether a TUNNEL payload begins like a `Data` message of this version."""
+    return payload[:1] == _DATA_HEAD
 
 
 # In a mock swarm all nodes that hear a frame decode it one after the other.

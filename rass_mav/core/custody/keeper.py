@@ -89,6 +89,11 @@ class Keeper:
         self.refused += not kept
         return kept
 
+    def overhear(self, sender: int, datum: Datum, now: float) -> None:
+        """A neighbour hands a datum over to another node."""
+        if not self.is_squatted(datum.id):
+            self.spares.overhear(sender, datum, now)
+
     def is_squatted(self, id: DatumId) -> bool:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
         alarm."""
@@ -219,6 +224,7 @@ class Keeper:
                 elif receipts.told_lost(id):
                     # The node that had custody believed it was the last copy.
                     self.spares.rescue(spares[id])
+        self.spares.heed(changed)
 
     def heed_digest(self, digest: Digest) -> None:
         """What a digest matches has probably arrived. That ends the spares that no custodian counts on, now or as soon
@@ -228,6 +234,7 @@ class Keeper:
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
         for id in matched(digest, holdings.spare):
             holdings.spare[id].matched = True
+        self.spares.heed_digest(digest)
 
     @property
     def takes_notes(self) -> bool:
@@ -240,12 +247,17 @@ class Keeper:
             # A note about a datum that was never created is not relayed. If it were refused, it would be offered
             # indefinitely.
             return True
-        holding = None if fate_of(note.reason) in WOUNDS else self.holdings.get(id)
-        if holding is not None and self.load(holding) is not None:
-            # It is not lost: a good copy is here.
-            self.spares.take_back(holding)
+        if fate_of(note.reason) not in WOUNDS and self._has_good_copy(id):
             return True
         return self.notes.take(id, note)
+
+    def _has_good_copy(self, id: DatumId) -> bool:
+        """Whether a datum that was reported lost is here. Then it is in custody now."""
+        holding = self.holdings.get(id)
+        if holding is None or self.load(holding) is None:
+            return self.spares.recover(id) is not None
+        self.spares.take_back(holding)
+        return True
 
     # -- checking data -------------------------------------------------------------------------------------------------
 
@@ -329,6 +341,13 @@ class Sink(Keeper):
     def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
         """A spare copy has arrived like any other."""
         return self.take_custody(giver, number, datum)
+
+    def overhear(self, sender: int, datum: Datum, now: float) -> None:
+        """A datum has arrived that was meant for another node. Nobody is told except by receipts: who hands it over to
+        that node, or takes it, has custody until an answer of its own comes."""
+        id = datum.id
+        if id not in self.archive and datum.intact and not self.is_squatted(id) and self.may_accept(len(datum.payload)):
+            self.keep(datum.arrived())
 
     def heed(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""
