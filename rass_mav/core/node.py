@@ -204,8 +204,9 @@ class Node(Participant):
     def _on_overheard(self, data: messages.Data, now: float) -> list[Message]:
         """A neighbour sends data to another node. Such a message is never answered: only its target can promise
         anything."""
-        for _, datum in data.handovers:
-            self.keeper.overhear(data.sender, datum, now)
+        if self.settings.overhear:
+            for _, datum in data.handovers:
+                self.keeper.overhear(data.sender, datum, now)
         return []
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:
