@@ -125,6 +125,7 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         self.peers = Peers(settings.node_id, FrameWriter(system_id, mavlink.component_id), mavlink.payload_type)
+        self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
         self._said: list[Outgoing] = []
@@ -194,6 +195,7 @@ class Agent:
     def _renew(self, now: float) -> None:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False)
+        self.peers.overhears = self.node.overhears
         self._observe_again()
 
     def _observe_again(self) -> None:
@@ -256,7 +258,7 @@ class Agent:
         # A short cut for the mock swarm. The guard needs whole frames.
         opened = None if self.guard.forgiving else open_datagram(data)
         if opened is not None:
-            message = self.peers.message(opened, now, overhears=self.node.overhears)
+            message = self.peers.message(opened, now)
             return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
         for frame in self.peers.tunnels(data):
@@ -277,7 +279,7 @@ class Agent:
         """
 
         def hear(frame: Frame, now: float) -> Sequence[Outgoing]:
-            message = self.peers.understood(frame, now, overhears=self.node.overhears)
+            message = self.peers.understood(frame, now)
             if message is None or self.guard.shuts_out(message, now):
                 return ()
             if type(message) is Beacon and message.sender != self.settings.node_id:

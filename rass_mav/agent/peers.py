@@ -51,8 +51,8 @@ class Peers:
     """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "system_ids",
-        "writer",
+        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "overhears", "reader", "received",
+        "system_ids", "writer",
     )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int) -> None:
@@ -61,6 +61,8 @@ class Peers:
         self._payload_type = payload_type
         self.writer = writer
         self.reader = FrameReader()
+        self.overhears = False
+        """Whether data for other nodes are for this node too."""
         self.received = 0
         """TUNNEL frames of our payload type heard from the radio, whatever their target."""
         self.malformed = 0
@@ -76,26 +78,23 @@ class Peers:
         """The frames with TUNNEL messages in a datagram of whole frames."""
         return [frame for frame in self.reader.datagram(data) if frame.message_id == TUNNEL]
 
-    def understood(self, frame: Frame, now: float, *, overhears: bool = False) -> Message | None:
-        """The message in a frame with a TUNNEL message; None: it is not for this node, or does not parse.
-
-        `overhears`: data for other nodes are for this node too.
-        """
+    def understood(self, frame: Frame, now: float) -> Message | None:
+        """The message in a frame with a TUNNEL message; None: it is not for this node, or does not parse."""
         try:
             tunnel = decode_tunnel(frame.payload)
         except MalformedError as error:
             self._count(error, now)
             return None
-        return self.message((*tunnel, target_of(tunnel.payload)), now, overhears=overhears)
+        return self.message((*tunnel, target_of(tunnel.payload)), now)
 
-    def message(self, opened: Opened, now: float, *, overhears: bool = False) -> Message | None:
+    def message(self, opened: Opened, now: float) -> Message | None:
         """The same for a frame that is already open."""
         system, component, payload_type, payload, target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
             return None
         self.received += 1
-        if target != self._node_id and target != BROADCAST and not (overhears and is_data(payload)):
+        if target != self._node_id and target != BROADCAST and not (self.overhears and is_data(payload)):
             return None
         if (system or component) and not addressed_to(
             system, component, self.writer.system_id, self.writer.component_id

@@ -205,8 +205,7 @@ class Node(Participant):
         """A neighbour sends data to another node. Such a message is never answered: only its target can promise
         anything."""
         if self.settings.overhear:
-            for _, datum in data.handovers:
-                self.keeper.overhear(data.sender, datum, now)
+            self.keeper.overhear(data.sender, data.handovers, now)
         return []
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:

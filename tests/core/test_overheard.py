@@ -92,7 +92,8 @@ def test_a_node_does_not_keep_what_was_created_in_its_name() -> None:
     for _ in range(50):
         pass_by(node, forged)
     assert not node.overheard
-    assert node.alarms.counts[Alarm.SQUATTED]
+    # A frame that it would have kept raises the alarm.
+    assert node.alarms.counts[Alarm.SQUATTED] > 40
 
 
 def test_a_datum_that_a_neighbour_has_lost_comes_back() -> None:
@@ -269,5 +270,6 @@ def test_only_data_for_others_are_let_through_and_only_on_request() -> None:
     [passing] = encode(data(GIVER, TAKER, (77, datum())), 0.0)
     [answer] = encode(Committed(TAKER, GIVER, ((77, 1),), ()), 0.0)
     for payload, overhears, heard in ((passing, True, True), (passing, False, False), (answer, True, False)):
-        message = peers.message((0, 0, 33200, payload, target_of(payload)), 0.0, overhears=overhears)
+        peers.overhears = overhears
+        message = peers.message((0, 0, 33200, payload, target_of(payload)), 0.0)
         assert (message is not None) == heard

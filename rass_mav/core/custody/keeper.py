@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import replace
 
 from rass_mav.core.alarms import Alarm, Alarms
@@ -10,7 +10,7 @@ from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
-from rass_mav.core.messages import Digest
+from rass_mav.core.messages import Digest, Handover
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.digests import NoDigests, matched
 from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
@@ -89,10 +89,9 @@ class Keeper:
         self.refused += not kept
         return kept
 
-    def overhear(self, sender: int, datum: Datum, now: float) -> None:
-        """A neighbour hands a datum over to another node."""
-        if not self.is_squatted(datum.id):
-            self.spares.overhear(sender, datum, now)
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        self.spares.overhear(sender, handovers, now)
 
     def is_squatted(self, id: DatumId) -> bool:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
@@ -342,12 +341,15 @@ class Sink(Keeper):
         """A spare copy has arrived like any other."""
         return self.take_custody(giver, number, datum)
 
-    def overhear(self, sender: int, datum: Datum, now: float) -> None:
-        """A datum has arrived that was meant for another node. Nobody is told except by receipts: who hands it over to
-        that node, or takes it, has custody until an answer of its own comes."""
-        id = datum.id
-        if id not in self.archive and datum.intact and not self.is_squatted(id) and self.may_accept(len(datum.payload)):
-            self.keep(datum.arrived())
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """Data have arrived that were meant for another node. Only receipts say so: sender and receiver keep custody
+        until there is an answer to a hand-over of their own."""
+        for _, datum in handovers:
+            id = datum.id
+            if id in self.archive or not datum.intact or self.is_squatted(id):
+                continue
+            if self.may_accept(len(datum.payload)):
+                self.keep(datum.arrived())
 
     def heed(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""

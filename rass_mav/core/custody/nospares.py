@@ -3,9 +3,11 @@ other."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Committed, Digest, Message, PassedOn, Words
+from rass_mav.core.messages import Committed, Digest, Handover, Message, PassedOn, Words
 from rass_mav.core.news.table import Pair
 
 
@@ -53,8 +55,8 @@ class NoSpares:
         """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
         return {}
 
-    def overhear(self, sender: int, datum: Datum, now: float) -> None:
-        """A neighbour hands a datum over to another node."""
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
 
     def recover(self, id: DatumId) -> Holding | None:
         """A datum was reported lost that is not held here: take custody of it, if it was overheard."""

@@ -25,7 +25,7 @@ from rass_mav.core.custody.holdings import Holding, Partner, State
 from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, Committed, Digest, Message, PassedOn, Word, WordEntry, Words
+from rass_mav.core.messages import BEACON_BASE, Committed, Digest, Handover, Message, PassedOn, Word, WordEntry, Words
 from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
 from rass_mav.core.risk import RiskEstimator
@@ -215,9 +215,9 @@ class Mirrors(NoSpares):
         """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
         return self._overheard.data
 
-    def overhear(self, sender: int, datum: Datum, now: float) -> None:
-        """A neighbour hands a datum over to another node."""
-        self._overheard.hear(sender, datum, now)
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        self._overheard.hear(sender, handovers, now)
 
     def recover(self, id: DatumId) -> Holding | None:
         """A datum was reported lost that is not held here: take custody of it, if it was overheard."""

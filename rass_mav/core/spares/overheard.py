@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from collections.abc import Iterable
 
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Digest
+from rass_mav.core.messages import Digest, Handover
 from rass_mav.core.news.digests import matched
 from rass_mav.core.news.table import Pair
 from rass_mav.core.routes.table import RoutingTable
@@ -52,25 +53,31 @@ class Overheard:
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
 
-    def hear(self, sender: int, datum: Datum, now: float) -> None:
-        """A neighbour hands a datum over to another node."""
-        id, data, keeper = datum.id, self.data, self._keeper
-        holdings = keeper.holdings
-        if id in data or id in holdings or sender not in self._neighbours:
+    def hear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        data, holdings = self.data, self._keeper.holdings
+        if sender not in self._neighbours:
             return
-        size = len(datum.payload)
         chance = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
-        if self._rng.random() >= chance or holdings.crowded(self.bytes + size, len(data)):
-            return
-        if self._senders[sender] >= self._of_one or self._origins[id.origin] >= self._of_one:
-            return
-        if id in keeper.arrived or not datum.intact:
-            return
-        data[id] = datum
-        self.bytes += size
-        self._sources[id] = sender, now
-        self._senders[sender] += 1
-        self._origins[id.origin] += 1
+        for _, datum in handovers:
+            id = datum.id
+            if id not in data and id not in holdings and self._rng.random() < chance and self._is_wanted(sender, datum):
+                data[id] = datum
+                self.bytes += len(datum.payload)
+                self._sources[id] = sender, now
+                self._senders[sender] += 1
+                self._origins[id.origin] += 1
+
+    def _is_wanted(self, sender: int, datum: Datum) -> bool:
+        keeper, id = self._keeper, datum.id
+        return (
+            self._senders[sender] < self._of_one
+            and self._origins[id.origin] < self._of_one
+            and id not in keeper.arrived
+            and not keeper.holdings.crowded(self.bytes + len(datum.payload), len(self.data))
+            and not keeper.is_squatted(id)
+            and datum.intact
+        )
 
     def forget(self, id: DatumId) -> None:
         """A copy is not needed any more. Unknown ids are ignored."""
