@@ -90,7 +90,7 @@ def register(subparsers: Subparsers) -> None:
         names, "ablation", _ablation, "what each part of the defaults is worth, where frames take time and where not",
         "rass-mav experiment ablation --out results --runs 2 --air none", policies=None,
     )  # fmt: skip
-    _add_names(ablation, "--air", "ablation:AIRS", "on which airs, all by default", nargs="+")
+    _add_names(ablation, "--air", "ablation:AIRS", "on which airs (default: none wifi-6m wifi-1m)", nargs="+")
     _add_names(ablation, "--topology", "ablation:TOPOLOGIES", "which topologies (default: grid random-walk)", nargs="+")
     _add_names(ablation, "--off", "ablation:SWITCHES", "what to switch off, each in runs of its own", nargs="+")
 
@@ -201,7 +201,7 @@ def _ablation(options: argparse.Namespace) -> int:
     from rass_mav.experiment import ablation
 
     planned = ablation.plan(
-        _extent(options), _chosen("--air", options.air, ablation.AIRS),
+        _extent(options), _chosen("--air", options.air or ablation.USUAL, ablation.AIRS),
         _chosen("--topology", options.topology or ablation.PLACES, ablation.TOPOLOGIES),
         _chosen("--off", options.off, ablation.SWITCHES),
     )  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import ConfigError
-from rass_mav.experiment.airs import AIRS
+from rass_mav.experiment.airs import AIRS, USUAL
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import OTHERS, SHARE, Bars, draw_bars
 from rass_mav.experiment.paper import TOPOLOGIES, TOPOLOGY_TITLES
@@ -22,7 +22,7 @@ from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.swarm.catalogue import DEFAULT
 
-__all__ = ["AIRS", "SWITCHES", "TOPOLOGIES", "plan", "report"]
+__all__ = ["AIRS", "SWITCHES", "TOPOLOGIES", "USUAL", "plan", "report"]
 
 
 @dataclass(frozen=True)

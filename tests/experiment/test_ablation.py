@@ -57,6 +57,13 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "## grid, air none\n" in (tmp_path / "table.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("air", ablation.AIRS)
+def test_each_air_is_that_of_its_preset(air: str) -> None:
+    (run,) = ablation.plan(Extent(1, 9), [air], ["random-walk"], ["policy"])
+    radio = run.scenario.radio
+    assert (run.world, radio.preset, radio.takes_time) == (air, None if air == "none" else air, air != "none")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -64,7 +71,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
             ["--off", "radio"],
             "--off: expected some of nothing, policy, immediate, mirror, receipts, copies, everything",
         ),
-        (["--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m"),
+        (["--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m, sik-250k, sik-64k, lora"),
         (["--set", "topology=line"], "chosen by --topology"),
     ],
 )
