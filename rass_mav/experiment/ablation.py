@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import ConfigError
-from rass_mav.experiment.airs import AIRS, USUAL
+from rass_mav.experiment.airs import AIRS, SLOW_AIRS
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import OTHERS, SHARE, Bars, draw_bars
-from rass_mav.experiment.paper import TOPOLOGIES, TOPOLOGY_TITLES
+from rass_mav.experiment.paper import TOPOLOGY_TITLES
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, PAIRED
 from rass_mav.experiment.statistics import Estimate, counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.swarm.catalogue import DEFAULT
-
-__all__ = ["AIRS", "SWITCHES", "TOPOLOGIES", "USUAL", "plan", "report"]
 
 
 @dataclass(frozen=True)
@@ -49,8 +47,10 @@ SWITCHES = {
     **_PARTS,
     "everything": Switch("all of these", {key: value for part in _PARTS.values() for key, value in part.keys.items()}),
 }
+ALL_AIRS = {**AIRS, **SLOW_AIRS}
 #: What is run unless chosen otherwise.
-PLACES = ("grid", "random-walk")
+USUAL_AIRS = tuple(AIRS)
+USUAL_TOPOLOGIES = ("grid", "random-walk")
 TABLE_COLUMNS = (
     "air", "topology", "off", "runs", "steps", *COLUMNS, *triple("reliability_over_defaults"),
     *triple("delivered_over_defaults"), "losses_in_defaults", "transmissions_in_defaults", "loops",
@@ -63,7 +63,7 @@ def plan(extent: Extent, airs: Sequence[str], topologies: Sequence[str], switche
     for air in airs:
         for topology in topologies:
             for name in switches:
-                keys = {"topology": topology, **AIRS[air], **SWITCHES[name].keys}
+                keys = {"topology": topology, **ALL_AIRS[air], **SWITCHES[name].keys}
                 planned += extent.plan(air, DEFAULT, [PolicySettings().name], variant=name, keys=keys)
                 if planned[-1].scenario.topology != topology:
                     raise ConfigError("--set: the topology is chosen by --topology here")

@@ -57,7 +57,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "## grid, air none\n" in (tmp_path / "table.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("air", ablation.AIRS)
+@pytest.mark.parametrize("air", ablation.ALL_AIRS)
 def test_each_air_is_that_of_its_preset(air: str) -> None:
     (run,) = ablation.plan(Extent(1, 9), [air], ["random-walk"], ["policy"])
     radio = run.scenario.radio
