@@ -91,7 +91,7 @@ def register(subparsers: Subparsers) -> None:
         "rass-mav experiment ablation --out results --runs 2 --air none", policies=None,
     )  # fmt: skip
     _add_names(ablation, "--air", "ablation:ALL_AIRS", "on which airs (default: none wifi-6m wifi-1m)", nargs="+")
-    _add_names(ablation, "--topology", "paper:TOPOLOGIES", "which topologies (default: grid random-walk)", nargs="+")
+    _add_names(ablation, "--topology", "ablation:PLACES", "which topologies (default: grid random-walk)", nargs="+")
     _add_names(ablation, "--off", "ablation:SWITCHES", "what to switch off, each in runs of its own", nargs="+")
 
     hostile = _add(
@@ -198,11 +198,11 @@ def _policies(options: argparse.Namespace) -> int:
 
 
 def _ablation(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import ablation, paper
+    from rass_mav.experiment import ablation
 
     planned = ablation.plan(
         _extent(options), _chosen("--air", options.air or ablation.USUAL_AIRS, ablation.ALL_AIRS),
-        _chosen("--topology", options.topology or ablation.USUAL_TOPOLOGIES, paper.TOPOLOGIES),
+        _chosen("--topology", options.topology or ablation.USUAL_PLACES, ablation.PLACES),
         _chosen("--off", options.off, ablation.SWITCHES),
     )  # fmt: skip
     return _runs(options, planned, ablation.report)

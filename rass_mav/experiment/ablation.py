@@ -1,6 +1,6 @@
 """What each part of the defaults is worth: it is switched off alone, and all together, on several airs.
 
-The swarm is that of the scenario `demo`: the paper's world with this product's own defaults.
+The swarms are the paper's, with this product's own defaults (scenarios `demo` and `islands`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from rass_mav.experiment.airs import AIRS, SLOW_AIRS
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import OTHERS, SHARE, Bars, draw_bars
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
+from rass_mav.experiment.policies import Place
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, PAIRED
 from rass_mav.experiment.statistics import Estimate, counted
@@ -50,7 +51,12 @@ SWITCHES = {
 ALL_AIRS = {**AIRS, **SLOW_AIRS}
 #: What is run unless chosen otherwise.
 USUAL_AIRS = tuple(AIRS)
-USUAL_TOPOLOGIES = ("grid", "random-walk")
+USUAL_PLACES = ("grid", "random-walk")
+#: By the name that `--topology` takes.
+PLACES = {
+    **{name: Place(title, DEFAULT, {"topology": name}) for name, title in TOPOLOGY_TITLES.items()},
+    "islands": Place("islands", "islands"),
+}
 TABLE_COLUMNS = (
     "air", "topology", "off", "runs", "steps", *COLUMNS, *triple("reliability_over_defaults"),
     *triple("delivered_over_defaults"), "losses_in_defaults", "transmissions_in_defaults", "loops",
@@ -63,8 +69,9 @@ def plan(extent: Extent, airs: Sequence[str], topologies: Sequence[str], switche
     for air in airs:
         for topology in topologies:
             for name in switches:
-                keys = {"topology": topology, **ALL_AIRS[air], **SWITCHES[name].keys}
-                planned += extent.plan(air, DEFAULT, [PolicySettings().name], variant=name, keys=keys)
+                place = PLACES[topology]
+                keys = {**place.keys, **ALL_AIRS[air], **SWITCHES[name].keys}
+                planned += extent.plan(air, place.scenario, [PolicySettings().name], variant=name, keys=keys)
                 if planned[-1].scenario.topology != topology:
                     raise ConfigError("--set: the topology is chosen by --topology here")
     return planned
@@ -116,7 +123,7 @@ def _text(compared: Compared) -> str:
         NOTE + PAIRED,
     ]
     for (topology, air), here in compared.items():
-        parts.append(f"## {TOPOLOGY_TITLES[topology]}, air {air}\n")
+        parts.append(f"## {PLACES[topology].title}, air {air}\n")
         lines = [
             [
                 name, SWITCHES[name].title, *c.standard.cells(), cell(c.gain, 4, sign="+"),
@@ -136,6 +143,6 @@ def _draw(out: Path, topology: str, here: dict[str, dict[str, Comparison]], shar
         bars.append(Bars(f"air {air}", color, heights))
     runs = next(iter(next(iter(here.values())).values())).standard.runs
     return draw_bars(
-        out / f"{share}-{topology}.png", f"{share} without ...: {TOPOLOGY_TITLES[topology]}", share, names, bars,
+        out / f"{share}-{topology}.png", f"{share} without ...: {PLACES[topology].title}", share, names, bars,
         bounds=SHARE, note=f"mean of {counted(runs, 'error bars')}",
     )  # fmt: skip

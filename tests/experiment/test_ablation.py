@@ -35,6 +35,8 @@ def test_each_part_is_switched_off_alone_and_all_together() -> None:
 def test_with_nothing_off_it_is_the_product_as_it_comes() -> None:
     (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["grid"], [ablation.NOTHING])
     assert run.scenario == load_scenario("demo")
+    (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["islands"], [ablation.NOTHING])
+    assert run.scenario == load_scenario("islands")
 
 
 def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -288,7 +288,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l jobs -x -
 complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l dask -x -d 'use the workers of this Dask scheduler instead'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l air -xka "none wifi-6m wifi-1m sik-250k sik-64k lora" -d 'on which airs (default: none wifi-6m wifi-1m)'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l topology -xka "grid scale-free lennard-jones random-walk" -d 'which topologies (default: grid random-walk)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l topology -xka "grid scale-free lennard-jones random-walk islands" -d 'which topologies (default: grid random-walk)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l off -xka "nothing policy immediate mirror receipts copies everything" -d 'what to switch off, each in runs of its own'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a hostile -d 'Attackers beside honest nodes: what arrives, what is lost, who notices, recovery.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s h -l help -d 'show this help message and exit'
