@@ -5,6 +5,7 @@ The swarms are the paper's, with this product's own defaults (scenarios `demo` a
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,7 +94,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     ]
     for topology in dict.fromkeys(topology for topology, _ in compared):
         here = {air: found for (where, air), found in compared.items() if where == topology}
-        files += [_draw(out, topology, here, "reliability"), _draw(out, topology, here, "delivered")]
+        files += [_draw(out, topology, here, share) for share in _SHARES]
     return files
 
 
@@ -126,8 +127,9 @@ def _text(compared: Compared) -> str:
         parts.append(f"## {PLACES[topology].title}, air {air}\n")
         lines = [
             [
-                name, SWITCHES[name].title, *c.standard.cells(), cell(c.gain, 4, sign="+"),
-                cell(c.delivered_gain, 4, sign="+"), cell(c.loss_ratio), cell(c.transmission_ratio),
+                name, SWITCHES[name].title, *c.standard.cells(),
+                *("reference" if name == NOTHING else cell(e, 4, sign="+") for e in (c.gain, c.delivered_gain)),
+                cell(c.loss_ratio), cell(c.transmission_ratio),
             ]
             for name, c in here.items()
         ]  # fmt: skip
@@ -135,14 +137,19 @@ def _text(compared: Compared) -> str:
     return "\n".join(parts)
 
 
+#: The shares that figures show, and how they are computed.
+_SHARES = {"reliability": "1 - lost / created", "delivered": "arrived / created"}
+
+
 def _draw(out: Path, topology: str, here: dict[str, dict[str, Comparison]], share: str) -> Path:
     names = list(next(iter(here.values())))
     bars = []
-    for color, (air, found) in zip(OTHERS, here.items(), strict=False):
+    for color, (air, found) in zip(itertools.cycle(OTHERS), here.items(), strict=False):
         heights: list[Estimate] = [getattr(found[name].standard, share) for name in names]
         bars.append(Bars(f"air {air}", color, heights))
     runs = next(iter(next(iter(here.values())).values())).standard.runs
     return draw_bars(
-        out / f"{share}-{topology}.png", f"{share} without ...: {PLACES[topology].title}", share, names, bars,
+        out / f"{share}-{topology}.png", f"{share} with a part of the defaults off: {PLACES[topology].title}",
+        f"{share} ({_SHARES[share]})", names, bars,
         bounds=SHARE, note=f"mean of {counted(runs, 'error bars')}",
     )  # fmt: skip
