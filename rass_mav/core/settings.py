@@ -103,8 +103,8 @@ class CustodySettings(Section):
     """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
     overhear: bool = True
-    """A drone keeps, in free memory, some of the data that it hears neighbours hand over to each other; a base takes
-    them all. Only with mode acknowledged; for drones only with spare copies until a receipt."""
+    """A drone keeps, in free memory, data that it hears neighbours hand over to each other; a base takes them all. Only
+    with mode acknowledged; for drones only with spare copies until a receipt."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""

@@ -22,7 +22,7 @@ GIVER, TAKER = 5, 6
 
 
 def bystander(**settings: Any) -> Node:
-    """A drone that hears node 5 hand data over to node 6, and has much space, so that it keeps nearly all."""
+    """A drone that hears node 5 hand data over to node 6, and has much space, so that it keeps them."""
     node = make_node(1, mirror=True, overhear=True, **{"capacity_items": 1000, **settings})
     for sender in (GIVER, TAKER):
         node.receive(beacon(sender), 0.0)
@@ -36,9 +36,8 @@ def pass_by(node: Node, *items: Datum, sender: int = GIVER, now: float = 0.5) ->
 
 
 def keep(node: Node, item: Datum) -> None:
-    """The same, until chance lets it keep the datum."""
-    for _ in range(50):
-        pass_by(node, item)
+    """The same, with a datum that it keeps."""
+    pass_by(node, item)
     assert item.id in node.overheard
 
 
@@ -70,8 +69,7 @@ def test_without_the_setting_nothing_is_kept() -> None:
 def test_a_drone_without_spares_keeps_nothing() -> None:
     node = make_node(1, overhear=True, capacity_items=1000)
     node.receive(beacon(GIVER), 0.0)
-    for _ in range(50):
-        pass_by(node, datum())
+    pass_by(node, datum())
     assert not node.overheard
 
 
@@ -80,20 +78,17 @@ def test_strangers_damaged_data_and_what_has_arrived_are_not_kept() -> None:
     damaged = item._replace(payload=b"another")
     arrived = datum(sequence=1)
     node.receive(statement(arrived.id), 0.0)
-    for _ in range(50):
-        pass_by(node, item, sender=99)
-        pass_by(node, damaged, arrived)
+    pass_by(node, item, sender=99)
+    pass_by(node, damaged, arrived)
     assert not node.overheard
 
 
 def test_a_node_does_not_keep_what_was_created_in_its_name() -> None:
     node = bystander()
     forged = make_datum(DatumId(node.id, node.store.epoch, 3), 0, 0.0, b"forged")
-    for _ in range(50):
-        pass_by(node, forged)
+    pass_by(node, forged)
     assert not node.overheard
-    # A frame that it would have kept raises the alarm.
-    assert node.alarms.counts[Alarm.SQUATTED] > 40
+    assert node.alarms.counts == {Alarm.SQUATTED: 1}
 
 
 def test_a_datum_that_a_neighbour_has_lost_comes_back() -> None:
@@ -204,7 +199,7 @@ def test_nothing_that_is_held_changes_because_of_what_is_overheard() -> None:
     node.receive(Data(GIVER, node.id, (Handover(13, spare),), True), 1.0)
     before = {id: node.store.get(id) for id in node.store.ids()}
     for id in before:
-        pass_by(node, *[make_datum(id, 0, 0.0, b"forged")] * 20)
+        pass_by(node, make_datum(id, 0, 0.0, b"forged"))
     assert {id: node.store.get(id) for id in node.store.ids()} == before
     assert not node.overheard
 
@@ -226,14 +221,15 @@ def test_one_neighbour_and_one_origin_get_only_a_part() -> None:
 
 def test_the_fuller_the_store_the_less_is_kept() -> None:
     kept = []
-    for held in (0, 70):
+    for held in (60, 90, 100):
         node = bystander(capacity_items=100)
         for sequence in range(held):
             node.receive(data(GIVER, node.id, (1 + sequence, datum(8, sequence))), 0.5)
-        for origin in range(10, 30):
+        for origin in range(10, 15):
             pass_by(node, datum(origin))
         kept.append(len(node.overheard))
-    assert kept[0] > 2 * kept[1]
+    assert kept[0] == 5
+    assert 5 > kept[1] > kept[2] == 0
 
 
 def test_a_base_takes_what_it_overhears_and_answers_nobody() -> None:

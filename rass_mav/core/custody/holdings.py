@@ -34,7 +34,10 @@ class State(enum.Enum):
 
 #: The possible changes of a copy's state, and their causes; None: there is no copy. docs/protocol.md draws it.
 CHANGES: dict[tuple[State | None, State | None], str] = {
-    (None, State.CUSTODY): "created here, handed over to this node, or found at the start",
+    (
+        None,
+        State.CUSTODY,
+    ): "created here, handed over to this node, found at the start, or overheard and lost elsewhere",
     (None, State.SPARE): "a custodian sends a spare copy",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",

@@ -1,7 +1,8 @@
 """Overheard data: copies that no node knows of, and that cost no airtime.
 
-On a radio all nodes in range hear a hand-over. A node keeps some of the data that others hand over to each other, with
-a chance that falls with its free space, and in memory only: after a restart they are gone, and no disk is worn by them.
+On a radio all nodes in range hear a hand-over. A node keeps the data that others hand over to each other, as long as it
+has much free space, and some of them if it has little. They are in memory only: after a restart they are gone, and no
+disk is worn by them.
 They give way to all other copies. Nobody counts on them. An overheard copy ends when its datum has arrived, comes to
 this node in another way, or has been kept for `KEPT_TURNS`. It comes into custody when a custodian asks for the datum,
 or when the datum is reported lost.
@@ -26,6 +27,8 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: Data a node keeps at most, if its capacity allows more.
 MAX_OVERHEARD = 1024
+#: The chance that a datum is kept is so many times the free part of the capacity: certain, as long as a third is free.
+EAGER = 3
 #: One neighbour may fill one place in this many, and so may the data of one origin.
 PART = 4
 #: Turns after which a copy is forgotten: twice as long as a node waits for a receipt before it sends data again.
@@ -58,10 +61,15 @@ class Overheard:
         data, holdings = self.data, self._keeper.holdings
         if sender not in self._neighbours:
             return
-        chance = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
+        free = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
         for _, datum in handovers:
             id = datum.id
-            if id not in data and id not in holdings and self._rng.random() < chance and self._is_wanted(sender, datum):
+            if (
+                id not in data
+                and id not in holdings
+                and self._rng.random() < EAGER * free
+                and self._is_wanted(sender, datum)
+            ):
                 data[id] = datum
                 self.bytes += len(datum.payload)
                 self._sources[id] = sender, now
