@@ -14,7 +14,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
@@ -274,16 +274,27 @@ class VirtualSwarm(ABC):
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random | None = None) -> None:
+    def _strike(
+        self, node_id: int, probability: float, rng: random.Random | None = None, *, page_bytes: int | None = None
+    ) -> None:
         """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit.
 
-        `rng`: the drone's own generator, if it has one for this.
+        `rng`: the drone's own generator, if it has one for this. `page_bytes`: it strikes each page of this size with
+        this probability, and a datum is as many pages as it needs; None: it strikes each datum.
         """
         rng = rng or self._strike_rng
         store = self.stores[node_id]
         assert isinstance(store, MemoryStore)
         for id in list(store.ids()):
-            if rng.random() < probability:
-                datum = store.get(id)
-                assert datum is not None
-                store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
+            struck = probability
+            if page_bytes is not None and (pages := -(-_size(store, id) // page_bytes)) > 1:
+                struck = 1.0 - (1.0 - probability) ** pages
+            if rng.random() < struck:
+                store.flip_bit(id, rng.randrange(8 * _size(store, id)))
+
+
+def _size(store: MemoryStore, id: DatumId) -> int:
+    """Bytes of a datum that is in a store."""
+    datum = store.get(id)
+    assert datum is not None
+    return len(datum.payload)

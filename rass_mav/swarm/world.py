@@ -37,8 +37,9 @@ class World(VirtualSwarm):
         failures: Failures | None = None
         if scenario.failures.of_robots:
             failures = Failures(
-                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes, bases=scenario.bases
-            )
+                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes,
+                bases=scenario.bases, step_s=scenario.node.step_s,
+            )  # fmt: skip
         super().__init__(
             (scenario.agent_settings(node_id) for node_id in range(scenario.nodes)),
             scenario.radio,
@@ -79,23 +80,23 @@ class World(VirtualSwarm):
                 if probability:
                     self._strike(node_id, probability, rng)
         else:
-            corruption = self.surroundings.corruption
+            corruption, radiation = self.surroundings.corruption, self.scenario.radiation
+            page_bytes = radiation.page_bytes if radiation.law == "dose" else None
             for node_id in range(self.scenario.bases, self.scenario.nodes):
                 if corruption[node_id]:
-                    self._strike(node_id, corruption[node_id])
+                    self._strike(node_id, corruption[node_id], page_bytes=page_bytes)
 
     def _sense(self, now: float) -> None:
-        """Each flight controller sends its position, and its sensor's reading: Eq. 1 with noise."""
-        noise = self.scenario.radiation.noise
-        gauss = self._noise_rng.gauss
+        """Each flight controller sends its position, and its sensor's reading."""
+        rng = self._noise_rng
         positions = self.surroundings.positions
-        levels = self.surroundings.levels
+        reading = self.surroundings.reading
         agents = self.agents
         off = self.off
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]
             vehicle_bytes = agents[node_id].vehicle_bytes
-            frames = autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise))
+            frames = autopilot.frames(now, x, y, reading(node_id, rng))
             if node_id in off:
                 continue
             for frame in frames:

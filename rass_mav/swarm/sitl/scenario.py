@@ -68,6 +68,8 @@ class FlightScenario(Scenario):
             yield f"flight.missions: expected at most one for each of {drones} drones"
         if self.radiation.drift or self.radiation.cylinder_m:
             yield "radiation: expected sources that do not move, and no cylinders"
+        if self.radiation.law != "paper":
+            yield f"radiation.law: expected paper with flying vehicles, got {self.radiation.law}"
 
     @property
     def places(self) -> list[Position]:
