@@ -146,6 +146,18 @@ class RadiationSection(Section):
             yield "radiation.cylinder_m: expected 0 unless the sources are given and do not move"
 
 
+class TrafficSection(Section):
+    """Data that only a mock swarm creates, and how much of everything. For virtual time."""
+
+    load: Positive | None = None
+    """What all drones create, as a share of the one-hop capacity around all bases (docs/field.md). Sets
+    `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`; null: sets nothing."""
+    picture_bytes: Annotated[int, Meta(ge=0, le=1 << 20)] = 0
+    """Size of the pictures that each drone takes; 0: none."""
+    picture_interval_steps: Annotated[int, Meta(ge=0)] = 0
+    """Steps between two pictures of a drone; 0: none, unless `load` sets it."""
+
+
 Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
 """[[from, to], ...]: from one step until another, one span after the other."""
 
@@ -278,6 +290,7 @@ class Scenario(Section):
     radio: RadioSection = RadioSection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
+    traffic: TrafficSection = TrafficSection()
     hostile: list[HostileSection] = field(default_factory=list)
     """Attackers beside the nodes."""
     disk: DiskSection | None = None
@@ -304,6 +317,10 @@ class Scenario(Section):
                 yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
         if self.hostile and self.transport != "loopback":
             yield "hostile: expected no attackers unless the transport is loopback"
+        if self.traffic != TrafficSection() and (self.transport != "loopback" or self.disk is not None):
+            yield "traffic: expected its defaults unless the transport is loopback and there is no disk"
+        if self.traffic.load is not None and self.nodes == self.bases:
+            yield "traffic.load: expected null without drones"
         if self.disk is not None and self.transport != "loopback":
             yield "disk: expected null unless the transport is loopback; processes have the machine's disk"
         if self.disk is not None and self.radiation.corruption:

@@ -12,6 +12,7 @@ from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.radio import Radio
+from rass_mav.swarm.traffic import Load
 
 
 class Counted(Protocol):
@@ -59,6 +60,8 @@ class Statistics:
         self._malformed = 0
         self._sent_data = 0
         self.max_hop_count = 0
+        self.load: Load | None = None
+        """What the drones create, where the scenario asks for a load."""
 
     def count(self) -> None:
         """Record the figures of this step."""
@@ -116,6 +119,8 @@ class Statistics:
             "air_sha256": radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
+        if self.load is not None:
+            summary["load"] = self.load._asdict()
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
         if world.power is not None:

@@ -12,6 +12,7 @@ from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.radio import Record
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.traffic import Pictures, loaded
 from rass_mav.swarm.virtual import VirtualSwarm
 
 
@@ -20,7 +21,9 @@ class World(VirtualSwarm):
 
     def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
         """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
+        scenario, load = loaded(scenario)
         self.scenario = scenario
+        self._pictures = Pictures(scenario)
         self.surroundings = Surroundings(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
         self._autopilots = [
@@ -52,6 +55,7 @@ class World(VirtualSwarm):
             off_steps=scenario.failures.reboot_steps,
             record=record,
         )
+        self.statistics.load = load
 
     @property
     def graph(self) -> RangeGraph:
@@ -70,8 +74,15 @@ class World(VirtualSwarm):
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
         self._sense(now)
-        if not self.scenario.radiation.corruption:
-            return
+        if self.scenario.radiation.corruption:
+            self._radiate()
+        for node_id in self._pictures.due(t):
+            if node_id not in self.off:
+                # It leaves in the node's turn.
+                self._pictures.take(self.agents[node_id], now)
+
+    def _radiate(self) -> None:
+        """Corruption strikes what the drones store."""
         if self._threshold is not None:
             levels = self.surroundings.levels
             for node_id in range(self.scenario.bases, self.scenario.nodes):
