@@ -11,7 +11,7 @@ from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
-from rass_mav.swarm.radio import Radio
+from rass_mav.swarm.medium.air import Air
 from rass_mav.swarm.traffic import Load
 
 
@@ -22,11 +22,12 @@ class Counted(Protocol):
     topology: str
     agents: list[Agent]
     ledger: Ledger
-    radio: Radio
     loops: int
     failures: Failures | None
     power: Power | None
     hostile: Band | None
+    air: Air
+    step_s: float
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -85,7 +86,7 @@ class Statistics:
         """What `swarm --json` prints, except the wall times."""
         world = self._world
         settings = world.agents[0].settings
-        ledger, radio = world.ledger, world.radio
+        ledger, radio = world.ledger, world.air.tally
         lost = ledger.losses()
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
@@ -119,6 +120,8 @@ class Statistics:
             "air_sha256": radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
+        if air := world.air.figures(self._steps * world.step_s):
+            summary["air"] = air
         if self.load is not None:
             summary["load"] = self.load._asdict()
         if world.failures is not None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from rass_mav.agent.agent import Agent
 from rass_mav.errors import ConfigError, StoreFullError
+from rass_mav.swarm.medium.capacity import one_hop_bytes_s
 from rass_mav.swarm.scenario import Scenario
 
 
@@ -27,13 +28,10 @@ class Load(NamedTuple):
     """Steps between two pictures of a drone; 0: none."""
 
 
-def one_hop_bytes_s(scenario: Scenario, size: int) -> float:
-    """Bytes of payload a second that one saturated sender hands over to a neighbour, in data of `size` bytes."""
-    return scenario.store.bandwidth_items * size / scenario.node.step_s
-
-
-def loaded(scenario: Scenario) -> tuple[Scenario, Load | None]:
+def loaded(scenario: Scenario, neighbourhood: int) -> tuple[Scenario, Load | None]:
     """The scenario with the intervals that its `traffic.load` asks for, and the load. None: it asks for no load.
+
+    `neighbourhood`: how many nodes usually hear each other, at least 2.
 
     With pictures, the pictures fill up what the measurements leave; without, the measurements are the load. Intervals
     are rounded up to whole steps.
@@ -43,10 +41,14 @@ def loaded(scenario: Scenario) -> tuple[Scenario, Load | None]:
     traffic, data = scenario.traffic, scenario.data
     if traffic.load is None:
         return scenario, None
-    drones = scenario.nodes - scenario.bases
+    drones, step_s = scenario.nodes - scenario.bases, scenario.node.step_s
+
+    def capacity(size: int) -> float:
+        return one_hop_bytes_s(scenario.radio, size, nodes=neighbourhood, step_s=step_s)
+
     # What a datum in each step of each drone takes of the air.
     measurement, picture = (
-        drones * size / scenario.node.step_s / one_hop_bytes_s(scenario, size) / scenario.bases if size else 0.0
+        drones * size / step_s / capacity(size) / scenario.bases if size else 0.0
         for size in (data.bytes, traffic.picture_bytes)
     )
     share = 0.0
@@ -63,7 +65,7 @@ def loaded(scenario: Scenario) -> tuple[Scenario, Load | None]:
         traffic = replace(traffic, picture_interval_steps=max(math.ceil(picture / (traffic.load - share)), 1))
         share += picture / traffic.picture_interval_steps
     created = sum(
-        drones * size / scenario.node.step_s / interval
+        drones * size / step_s / interval
         for size, interval in (
             (data.bytes, data.interval_steps), (traffic.picture_bytes, traffic.picture_interval_steps)
         )
@@ -71,7 +73,7 @@ def loaded(scenario: Scenario) -> tuple[Scenario, Load | None]:
     )  # fmt: skip
     load = Load(
         round(share, 4),
-        round(one_hop_bytes_s(scenario, traffic.picture_bytes or data.bytes)),
+        round(capacity(traffic.picture_bytes or data.bytes)),
         round(created),
         data.interval_steps,
         traffic.picture_interval_steps,

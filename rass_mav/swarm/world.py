@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.failures import Failures
-from rass_mav.swarm.neighbours import RangeGraph
+from rass_mav.swarm.medium.tally import Record
+from rass_mav.swarm.neighbours import Position, RangeGraph
 from rass_mav.swarm.radiation import Threshold
-from rass_mav.swarm.radio import Record
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.swarm.traffic import Pictures, loaded
-from rass_mav.swarm.virtual import VirtualSwarm
+from rass_mav.swarm.virtual import Danger, VirtualSwarm
 
 
 class World(VirtualSwarm):
@@ -21,10 +21,11 @@ class World(VirtualSwarm):
 
     def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
         """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
-        scenario, load = loaded(scenario)
+        self.surroundings = Surroundings(scenario)
+        neighbours = self.surroundings.graph.neighbours
+        scenario, load = loaded(scenario, max(round(sum(map(len, neighbours)) / scenario.nodes) + 1, 2))
         self.scenario = scenario
         self._pictures = Pictures(scenario)
-        self.surroundings = Surroundings(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
         self._autopilots = [
             MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name)
@@ -53,6 +54,8 @@ class World(VirtualSwarm):
             disk=scenario.disk,
             hostile=scenario.hostile,
             off_steps=scenario.failures.reboot_steps,
+            phases=scenario.has_phases,
+            strikes=scenario.radiation.strikes_per_step,
             record=record,
         )
         self.statistics.load = load
@@ -67,6 +70,11 @@ class World(VirtualSwarm):
         """For each node the ids in its range, ascending."""
         return self.surroundings.graph.neighbours
 
+    @property
+    def positions(self) -> Sequence[Position]:
+        """Of each node, metres east and north of the arena's centre."""
+        return self.surroundings.positions
+
     def _surround(self, t: int, now: float) -> None:
         if t:
             self.surroundings.step()
@@ -74,28 +82,25 @@ class World(VirtualSwarm):
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
         self._sense(now)
-        if self.scenario.radiation.corruption:
-            self._radiate()
         for node_id in self._pictures.due(t):
             if node_id not in self.off:
                 # It leaves in the node's turn.
                 self._pictures.take(self.agents[node_id], now)
 
-    def _radiate(self) -> None:
-        """Corruption strikes what the drones store."""
-        if self._threshold is not None:
-            levels = self.surroundings.levels
-            for node_id in range(self.scenario.bases, self.scenario.nodes):
+    def _dangers(self) -> Iterator[Danger]:
+        """The drones where radiation is, by Eq. 2, the authors' rule, or the dose."""
+        radiation = self.scenario.radiation
+        if not radiation.corruption:
+            return
+        page_bytes = radiation.page_bytes if radiation.law == "dose" else None
+        for node_id in range(self.scenario.bases, self.scenario.nodes):
+            if self._threshold is None:
+                danger = Danger(node_id, self.surroundings.corruption[node_id], page_bytes=page_bytes)
+            else:
                 rng = self._robot_rngs[node_id]
-                probability = self._threshold.probability(levels[node_id], rng)
-                if probability:
-                    self._strike(node_id, probability, rng)
-        else:
-            corruption, radiation = self.surroundings.corruption, self.scenario.radiation
-            page_bytes = radiation.page_bytes if radiation.law == "dose" else None
-            for node_id in range(self.scenario.bases, self.scenario.nodes):
-                if corruption[node_id]:
-                    self._strike(node_id, corruption[node_id], page_bytes=page_bytes)
+                danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)
+            if danger.probability:
+                yield danger
 
     def _sense(self, now: float) -> None:
         """Each flight controller sends its position, and its sensor's reading."""

@@ -11,13 +11,19 @@ import pytest
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.swarm.invariants import check
+from rass_mav.swarm.medium.capacity import one_hop_bytes_s
 from rass_mav.swarm.scenario import Scenario
-from rass_mav.swarm.traffic import Load, Pictures, loaded, one_hop_bytes_s
+from rass_mav.swarm.traffic import Load, Pictures, loaded
 from rass_mav.swarm.world import World
 
 
 def scenario(**keys: Any) -> Scenario:
-    return convert({"nodes": 11, "node": {"step_s": 2}, "store": {"bandwidth_items": 10}, **keys}, Scenario, "test")
+    return convert({"nodes": 11, "node": {"step_s": 2}, "radio": {"preset": "sik-250k"}, **keys}, Scenario, "test")
+
+
+def capacity(scenario: Scenario, size: int) -> float:
+    """Of a neighbourhood of six."""
+    return one_hop_bytes_s(scenario.radio, size, nodes=6, step_s=scenario.node.step_s)
 
 
 def created(scenario: Scenario, load: Load) -> float:
@@ -31,39 +37,53 @@ def created(scenario: Scenario, load: Load) -> float:
 
 def test_without_a_load_nothing_changes() -> None:
     plain = scenario()
-    assert loaded(plain) == (plain, None)
+    assert loaded(plain, 6) == (plain, None)
     assert "load" not in World(plain).statistics.summary()
 
 
 @pytest.mark.parametrize("wanted", [0.01, 0.1, 0.5, 1.0])
 def test_measurements_are_as_frequent_as_the_load_allows(wanted: float) -> None:
     asked = scenario(traffic={"load": wanted})
-    made, load = loaded(asked)
+    made, load = loaded(asked, 6)
     assert load is not None
     assert made.data.interval_steps == load.interval_steps >= 1
-    capacity = one_hop_bytes_s(asked, asked.data.bytes)
-    assert created(asked, load) / capacity == pytest.approx(load.share, abs=1e-4)
+    whole = capacity(asked, asked.data.bytes)
+    assert load.capacity_bytes_s == round(whole)
+    assert created(asked, load) / whole == pytest.approx(load.share, abs=1e-4)
     assert load.share <= wanted
     # One step less would be too often.
     faster = load._replace(interval_steps=load.interval_steps - 1)
-    assert load.interval_steps == 1 or created(asked, faster) / capacity > wanted
+    assert load.interval_steps == 1 or created(asked, faster) / whole > wanted
 
 
 def test_pictures_fill_up_what_measurements_leave() -> None:
-    asked = scenario(traffic={"load": 0.5, "picture_bytes": 5000}, data={"interval_steps": 10})
-    made, load = loaded(asked)
+    asked = scenario(traffic={"load": 0.5, "picture_bytes": 5000}, data={"interval_steps": 20})
+    made, load = loaded(asked, 6)
     assert load is not None
-    # 10 drones, 10 items a step: a measurement in 10 steps is a load of 0.1, and pictures take at most 0.4.
-    assert load == Load(0.4333, 25_000, 8343, 10, 3)
-    assert made.traffic.picture_interval_steps == 3
+    measurements = 10 * 20 / 2 / 20 / capacity(asked, 20)
+    pictures = 10 * 5000 / 2 / load.picture_interval_steps / capacity(asked, 5000)
+    assert load.share == pytest.approx(measurements + pictures, abs=1e-4)
+    assert load.share <= 0.5 < measurements + pictures * load.picture_interval_steps / (load.picture_interval_steps - 1)
+    assert made.traffic.picture_interval_steps == load.picture_interval_steps
+    assert load.created_bytes_s == round(created(asked, load))
     assert made.data == asked.data
-    several, _ = loaded(replace(asked, bases=2, nodes=12))
-    assert several.traffic.picture_interval_steps == 2
+    # Two bases have two neighbourhoods.
+    _, several = loaded(replace(asked, bases=2, nodes=12), 6)
+    assert several is not None
+    assert several.picture_interval_steps == pytest.approx(load.picture_interval_steps / 2, abs=2)
+
+
+def test_the_load_of_a_preset_fits_the_air_that_takes_no_time_too() -> None:
+    asked = scenario(traffic={"load": 0.5})
+    instant = scenario(traffic={"load": 0.5}, radio={"preset": "sik-250k", "air": "none"})
+    assert loaded(instant, 6)[1] == loaded(asked, 6)[1]
+    with pytest.raises(ConfigError, match=r"^test: traffic.load: expected null without a radio.preset or a radio.air"):
+        scenario(traffic={"load": 0.5}, radio={})
 
 
 def test_measurements_that_are_too_many_are_an_error() -> None:
-    with pytest.raises(ConfigError, match=r"^data.interval_steps: the measurements alone are a load of 0.1, expected"):
-        World(scenario(traffic={"load": 0.1, "picture_bytes": 5000}, data={"interval_steps": 10}))
+    with pytest.raises(ConfigError, match=r"^data.interval_steps: the measurements alone are a load of \S+, expected"):
+        World(scenario(traffic={"load": 0.1, "picture_bytes": 5000}, data={"interval_steps": 1}))
 
 
 @pytest.mark.parametrize("interval", [1, 2, 10, 25])
@@ -83,6 +103,7 @@ def test_pictures_arrive_beside_measurements() -> None:
         scenario(
             nodes=5, topology="line", data={"interval_steps": 10, "until_step": 20},
             traffic={"picture_bytes": 20_000, "picture_interval_steps": 10}, radiation={"corruption": False},
+            radio={},
         )
     )  # fmt: skip
     world.run(30, after=check)
@@ -98,6 +119,7 @@ def test_a_full_store_refuses_pictures() -> None:
             nodes=2, topology="positions", mobility={"positions": [[0, 0], [100, 0]]}, data={"interval_steps": 0},
             store={"capacity_bytes": 50_000}, traffic={"picture_bytes": 20_000, "picture_interval_steps": 2},
             radiation={"corruption": False},
+            radio={},
         )
     )  # fmt: skip
     world.run(10, after=check)
