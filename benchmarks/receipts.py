@@ -26,6 +26,7 @@ if __name__ == "__main__":
 
 from rass_mav.agent.peers import open_datagram
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.swarm.catalogue import load_scenario
@@ -146,6 +147,9 @@ def measure(scenario: Scenario) -> dict[str, Any]:
         "created": summary["created"],
         "overflow": summary["lost"]["overflow"],
         "robot_steps_per_s": round(robot_steps / cpu_s) if cpu_s else 0,
+        "statements": max(
+            (len(r.statements.of) for a in copies.world.agents if isinstance(r := a.node.receipts, Receipts)), default=0
+        ),
         "forgetful": sum(agent.node.receipts.digest == 0 for agent in copies.world.agents if agent.node.receipts.told),
         "alarms": dict(
             sum((Counter({a.name: 1 for a in ag.node.alarms.counts}) for ag in copies.world.agents), Counter())

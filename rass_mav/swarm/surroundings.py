@@ -76,4 +76,5 @@ def _mobility(scenario: Scenario, rng: random.Random) -> Mobility:
         scenario.topology, nodes=scenario.nodes, bases=scenario.bases, range_m=scenario.radio.range_m,
         arena_m=scenario.arena, rng=rng, pitch_m=about.pitch_m, split_step=about.split_step,
         rejoin_step=about.rejoin_step, gap_m=about.gap_m, positions=about.positions,
+        even_bases=about.bases == "even",
     )  # fmt: skip

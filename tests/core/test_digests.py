@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Iterable
 
@@ -110,7 +111,7 @@ def test_a_wrong_match_does_not_come_again_with_the_next_digest() -> None:
     wrong = [set(matched(digest_of(ids, serial=serial), others)) for serial in range(40)]
     assert sum(map(len, wrong)) > 400
     # Of 20 wrong matches by one, the next has 20 / 256.
-    again = sum(len(one & other) for one, other in zip(wrong, wrong[1:], strict=False))
+    again = sum(len(one & other) for one, other in itertools.pairwise(wrong))
     assert again < 20
 
 
@@ -145,7 +146,7 @@ def test_the_more_arrives_the_sooner_the_next_digest_comes(a_step: float, steps:
         if (digest := one.turn()) is not None:
             said.append((t, len(digest.marks)))
             assert digest.bits == bits_for(len(digest.marks))
-    gaps = [b - a for (a, _), (b, _) in zip(said, said[1:], strict=False)]
+    gaps = [b - a for (a, _), (b, _) in itertools.pairwise(said)]
     assert max(gaps) <= steps
     assert max(count for _, count in said) <= most
     # Nothing waits for long.
