@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
 
-from benchmarks.receipts import WITHIN, Copies
+from benchmarks.receipts import WITHIN, Copies, main
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import Digest
 from rass_mav.swarm.invariants import check
@@ -60,3 +61,14 @@ def test_there_are_no_digests_where_no_spare_waits_for_a_receipt(custody: dict[s
     assert world.ledger.arrived
     said = [node_of(agent).digests.turn(t, ()) for agent in world.agents for t in range(12)]
     assert not any(isinstance(message, Digest) for message in said)
+
+
+def test_the_benchmark_prints_what_was_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["demo", "--set", "nodes=16", "--set", "steps=40"]
+    main(options)
+    assert "receipts: " in capsys.readouterr().out
+    main([*options, "--json", "--set", "custody.digest=false"])
+    [line] = capsys.readouterr().out.splitlines()
+    one = json.loads(line)
+    assert one["receipt_bytes"] <= one["receipt_bytes_bounds"]["drone"] < 22
+    assert one["loops"] == 0
