@@ -33,8 +33,8 @@ WAITING_TURNS = 10
 ENOUGH = 3
 #: Arrivals that wait at a base for a digest, at most.
 MAX_FRESH = 1024
-#: With so many arrivals a digest is well filled, and its marks still have twelve bits. It has more only if more than one
-#: can hold are waiting.
+#: With so many arrivals a digest is well filled, and its marks still have twelve bits. It has more only while more wait
+#: than one can hold.
 WELL_FILLED = 50
 
 
