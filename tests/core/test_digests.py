@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import random
 from collections.abc import Iterable
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -113,7 +113,7 @@ def test_a_wrong_match_does_not_come_again_with_the_next_digest() -> None:
     wrong = [set(matched(digest_of(ids, serial=serial), others)) for serial in range(40)]
     assert sum(map(len, wrong)) > 400
     # Of 20 wrong matches by one, the next has 20 / 256.
-    again = sum(len(one & other) for one, other in itertools.pairwise(wrong))
+    again = sum(len(one & other) for one, other in pairwise(wrong))
     assert again < 20
 
 
@@ -150,7 +150,7 @@ def test_the_more_arrives_the_sooner_the_next_digest_comes(a_step: float, steps:
         if (digest := one.turn()) is not None:
             said.append((t, len(digest.marks)))
             assert digest.bits >= (12 if a_step <= 16 else MIN_BITS)
-    gaps = [b - a for (a, _), (b, _) in itertools.pairwise(said)]
+    gaps = [b - a for (a, _), (b, _) in pairwise(said)]
     assert max(gaps) <= steps
     assert max(count for _, count in said) <= most
     # Nothing waits for long.
