@@ -243,6 +243,8 @@ class Node(Participant):
             self.alarms.ring(Alarm.FORGED, f"digest {digest.serial}")
         elif self.digests.hear(digest):
             self.keeper.heed_digest(digest)
+            if self.own is not None:
+                self.own.heed_digest(digest)
         return []
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:

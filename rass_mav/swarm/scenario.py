@@ -34,6 +34,9 @@ class NodeSection(Section):
 class MobilitySection(Section):
     """Options of the topologies."""
 
+    bases: Literal["apart", "even"] = "apart"
+    """Where several bases are in `grid`, `line`, `islands`, and at the start of `random-walk`. apart: as far from each
+    other as possible, in corners first; even: each in the middle of about as many nodes as the others."""
     pitch_m: Positive | None = None
     """Distance of neighbours in `line`, metres; null: 0.8 of the radio range."""
     split_step: Annotated[int, Meta(ge=0)] = 100

@@ -82,6 +82,8 @@ _WORD = struct.Struct("<HIIB")
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
 #: Largest payload of a chunk.
 CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
+#: Largest digest.
+DIGEST_BYTES = _DIGEST.size + MARK_BYTES
 
 _POLL = 0x8000
 _SPARE = 0x80
