@@ -16,6 +16,7 @@ from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
+from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
 from rass_mav.store.memory import MemoryStore
@@ -51,6 +52,7 @@ class VirtualSwarm(ABC):
         hostile: Sequence[HostileSection] = (),
         off_steps: int = 1,
         record: Record | None = None,
+        participant: type[Participant] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -61,8 +63,10 @@ class VirtualSwarm(ABC):
         :param hostile: attackers beside the nodes.
         :param off_steps: how long a node is off after a power cut.
         :param record: called with every frame put on the air, and its step.
+        :param participant: what every node is; None: what its policy asks for.
         """
         agents = list(agents)
+        self._participant = participant
         self.seed = seed
         self.topology = topology
         # One generator for each purpose: the draws of one part do not disturb the others. Seeding with a text is the
@@ -93,7 +97,9 @@ class VirtualSwarm(ABC):
                 store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
-            self.agents.append(Agent(settings, store, rng, now=0.0, observer=observer, newborn=True))
+            self.agents.append(
+                Agent(settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant)
+            )
         self.step_s = self.agents[0].settings.step_s
         """Length of a step, seconds."""
         self.statistics = Statistics(self, full_items)
@@ -267,7 +273,10 @@ class VirtualSwarm(ABC):
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
-        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
+        agent = Agent(
+            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer,
+            participant=self._participant,
+        )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
         # Frames that waited for a commit were only in memory.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 
+from rass_mav.core.participant import Participant
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.neighbours import RangeGraph
@@ -18,8 +19,11 @@ from rass_mav.swarm.virtual import VirtualSwarm
 class World(VirtualSwarm):
     """A swarm in its surroundings, with its radio and its ledger."""
 
-    def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
-        """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
+    def __init__(
+        self, scenario: Scenario, *, record: Record | None = None, participant: type[Participant] | None = None
+    ) -> None:
+        """`record` is called with every frame put on the air, and its step. `participant`: what every node is; None:
+        what the policy asks for. Raises `ConfigError`."""
         self.scenario = scenario
         self.surroundings = Surroundings(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
@@ -50,6 +54,7 @@ class World(VirtualSwarm):
             hostile=scenario.hostile,
             off_steps=scenario.failures.reboot_steps,
             record=record,
+            participant=participant,
         )
 
     @property
