@@ -43,6 +43,11 @@ def spread(values: list[int]) -> dict[str, float | int | None]:
     return {"mean": mean, "p50": percentile(ordered, 0.5), "p95": percentile(ordered, 0.95)}
 
 
+def rate(bytes_sent: int, nodes: int, seconds: float) -> float:
+    """Bytes that a node puts on the air in a second."""
+    return round(bytes_sent / (nodes * seconds), 4) if seconds else 0.0
+
+
 class Statistics:
     """Counts once a step, after the air is quiet."""
 
@@ -106,6 +111,7 @@ class Statistics:
             "lost": lost,
             "altered": ledger.altered,
             "reliability": round(kept / created, 6) if created else 1.0,
+            "delivered_share": round(len(ledger.arrived) / created, 6) if created else 1.0,
             "delay_steps": spread(ledger.delays()),
             "hops": spread(ledger.hops),
             "memory_used_percent": round(100 * self._stored / room, 4) if room else 0.0,
@@ -113,6 +119,7 @@ class Statistics:
             "transmissions_per_datum": round(sent_data / created, 4) if created else 0.0,
             "frames": {"sent": radio.sent, "received": received, "dropped": radio.dropped, "malformed": malformed},
             "bytes_sent": radio.bytes_sent,
+            "bytes_per_node_s": rate(radio.bytes_sent, len(world.agents), self._steps * settings.step_s),
             "air_sha256": radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
