@@ -11,7 +11,7 @@ from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
-from rass_mav.swarm.radio import Radio
+from rass_mav.swarm.medium.air import Air
 
 
 class Counted(Protocol):
@@ -21,11 +21,12 @@ class Counted(Protocol):
     topology: str
     agents: list[Agent]
     ledger: Ledger
-    radio: Radio
     loops: int
     failures: Failures | None
     power: Power | None
     hostile: Band | None
+    air: Air
+    step_s: float
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -87,7 +88,7 @@ class Statistics:
         """What `swarm --json` prints, except the wall times."""
         world = self._world
         settings = world.agents[0].settings
-        ledger, radio = world.ledger, world.radio
+        ledger, radio = world.ledger, world.air.tally
         lost = ledger.losses()
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
@@ -123,6 +124,8 @@ class Statistics:
             "air_sha256": radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
+        if air := world.air.figures(self._steps * world.step_s):
+            summary["air"] = air
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
         if world.power is not None:

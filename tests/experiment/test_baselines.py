@@ -86,7 +86,7 @@ def test_the_same_seed_gives_the_same_bytes(protocol: str) -> None:
     def sha256(seed: int) -> str:
         swarm = world(protocol, "radio.loss=0.1", "topology=random-walk", seed=seed, steps=20)
         swarm.run(20)
-        return swarm.radio.sha256
+        return swarm.air.tally.sha256
 
     assert sha256(1) == sha256(1) != sha256(2)
 
