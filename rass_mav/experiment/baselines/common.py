@@ -6,7 +6,8 @@ is real: every frame goes over the mock radio in an existing kind of message, at
 - Beacon: as ever, once a turn. The protocol's own estimate takes the place of the potential.
 - Data: a copy for one neighbour. The hand-over's number has the protocol's mark for that copy in its low 16 bits.
 - Committed: the neighbour has it (or refused it). Without an answer the datum is sent again.
-- Words, all `HERE`: the summary vector. A new neighbour is told of all copies, later only of new ones.
+- Words, all `HERE`: the summary vector. A new neighbour is told of all copies, later only of new ones. It also stands
+  for an answer that was lost.
 - Receipt: as among our own nodes, the bases' statements of what has arrived. They end copies ("vaccines").
 """
 
@@ -370,36 +371,38 @@ class Baseline(Participant):
 
     def _on_committed(self, answer: Committed, now: float) -> list[Message]:
         for number, _ in answer.committed:
-            id = self._answered(number, answer.sender)
-            if id is None:
-                continue
-            holding = self.holdings.get(id)
-            assert holding is not None
-            neighbour = self.routing.neighbours.get(answer.sender)
-            if neighbour is not None and is_base(neighbour.beacon):
-                self._drop(holding, Fate.DELIVERED)
-            elif self.given(id, answer.sender, number & 0xFFFF):
-                self._drop(holding, Fate.PASSED_ON)
-            else:
-                self.where.setdefault(id, set()).add(answer.sender)
-                self._stirred[id] = None
+            id = self._offered.get(number)
+            if id is not None and self._pending[id].neighbour == answer.sender:
+                self._settle(id)
         for number in answer.refused:
-            self._answered(number, answer.sender)
+            id = self._offered.get(number)
+            if id is not None and self._pending[id].neighbour == answer.sender:
+                self._cancel(id)
         return []
-
-    def _answered(self, number: int, neighbour: int) -> DatumId | None:
-        """What was pending under this number; None: nothing."""
-        id = self._offered.get(number)
-        if id is None or self._pending[id].neighbour != neighbour:
-            return None
-        self._cancel(id)
-        return id
 
     def _on_words(self, words: Words, now: float) -> list[Message]:
         for id, word in words.entries:
-            if word == Word.HERE:
-                self.where.setdefault(id, set()).add(words.sender)
+            if word != Word.HERE:
+                continue
+            self.where.setdefault(id, set()).add(words.sender)
+            if id in self._pending and self._pending[id].neighbour == words.sender:
+                # Its answer was lost.
+                self._settle(id)
         return []
+
+    def _settle(self, id: DatumId) -> None:
+        """The neighbour that was sent a datum has it."""
+        sending, holding = self._pending[id], self.holdings.get(id)
+        assert holding is not None, "what is pending is here"
+        self._cancel(id)
+        neighbour = self.routing.neighbours.get(sending.neighbour)
+        if neighbour is not None and is_base(neighbour.beacon):
+            self._drop(holding, Fate.DELIVERED)
+        elif self.given(id, sending.neighbour, sending.number & 0xFFFF):
+            self._drop(holding, Fate.PASSED_ON)
+        else:
+            self.where.setdefault(id, set()).add(sending.neighbour)
+            self._stirred[id] = None
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
         changed = self.receipts.learn(receipt)
