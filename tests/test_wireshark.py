@@ -27,6 +27,7 @@ from rass_mav.core.messages import (
     Words,
 )
 from rass_mav.core.news.checksums import make_receipt
+from rass_mav.core.news.marks import pack_marks
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -105,6 +106,11 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
+        elif name == "marks":
+            yield "count", len(value)
+            yield "mark_bytes", len(pack_marks(value, record.bits))
+            for mark in value:
+                yield "mark", mark
         elif name in ("committed", "refused"):
             yield name, len(value)
             for each in value:
