@@ -17,25 +17,28 @@ class Protocol(NamedTuple):
 
     title: str
     keys: dict[str, Any]
-    """How it differs from the scenario."""
+    """How it differs from the scenario, besides the policy."""
+    policy: str = "hop-count"
+    """All others than ours know routes by hops at most."""
     participant: type[Participant] | None = None
     """What every node is; None: the product's own node."""
 
 
-#: Routes by hops, whatever the danger; no spare copies of the product.
-_BY_HOPS = {"policy.name": "hop-count", "custody.mirror": False, "custody.copies": 1}
-#: Copies end by receipts, which leave in every step, so that they end soon.
-_COPIES = {**_BY_HOPS, "custody.receipts": True, "custody.receipt_steps": 1}
-_ONE_COPY = {**_BY_HOPS, "custody.receipts": False}
+#: One copy, as far as the product's own spare copies go.
+_ONE_COPY = {"custody.mirror": False, "custody.copies": 1, "custody.receipts": False}
+#: Receipts end copies, and leave in every step, so that copies end soon.
+_COPIES = {**_ONE_COPY, "custody.receipts": True, "custody.receipt_steps": 1}
 
+#: What the others are compared with.
+OURS = "default"
 #: By the name that `--protocol` takes.
 PROTOCOLS = {
-    "default": Protocol("our defaults", {}),
+    OURS: Protocol("our defaults", {}, "survival"),
     "hop-count": Protocol("hop count, immediate", _ONE_COPY),
-    "epidemic": Protocol("epidemic with receipts", _COPIES, Epidemic),
-    "spray-and-wait": Protocol("binary spray and wait", _COPIES, SprayAndWait),
-    "spray-and-focus": Protocol("spray and focus", _COPIES, SprayAndFocus),
-    "prophet": Protocol("PRoPHET", _COPIES, Prophet),
-    "rapid": Protocol("RAPID-like", _COPIES, Rapid),
-    "backpressure": Protocol("backpressure", _ONE_COPY, Backpressure),
+    "epidemic": Protocol("epidemic with receipts", _COPIES, participant=Epidemic),
+    "spray-and-wait": Protocol("binary spray and wait", _COPIES, participant=SprayAndWait),
+    "spray-and-focus": Protocol("spray and focus", _COPIES, participant=SprayAndFocus),
+    "prophet": Protocol("PRoPHET", _COPIES, participant=Prophet),
+    "rapid": Protocol("RAPID-like", _COPIES, participant=Rapid),
+    "backpressure": Protocol("backpressure", _ONE_COPY, participant=Backpressure),
 }
