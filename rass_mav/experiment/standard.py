@@ -39,6 +39,11 @@ def kept(result: Result) -> Share:
     return Share(created - sum(lost.values()) + lost.get(Fate.VANISHED.value, 0), created)
 
 
+def delivered(result: Result) -> Share:
+    """Created and arrived."""
+    return Share(result.summary["delivered"], result.summary["created"])
+
+
 def share_of_created(result: Result, part: int) -> Share:
     """Part of the data that a run created; 0 if it created none."""
     return Share(part, result.summary["created"] or 1)
@@ -105,7 +110,7 @@ def standard(results: Sequence[Result]) -> Standard:
         runs=len(results),
         steps=results[0].steps,
         reliability=estimate_share([kept(result) for result in results]),
-        delivered=estimate_share([share_of_created(result, result.summary["delivered"]) for result in results]),
+        delivered=estimate_share([delivered(result) for result in results]),
         delay=delay,
         delay_p50=percentile(delays, 0.5),
         delay_p95=percentile(delays, 0.95),
