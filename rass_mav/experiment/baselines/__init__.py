@@ -17,28 +17,28 @@ class Protocol(NamedTuple):
 
     title: str
     keys: dict[str, Any]
-    """How it differs from the scenario, besides the policy."""
-    policy: str = "hop-count"
-    """All others than ours know routes by hops at most."""
+    """How it differs from the scenario."""
     participant: type[Participant] | None = None
     """What every node is; None: the product's own node."""
 
 
-#: One copy, as far as the product's own spare copies go.
-_ONE_COPY = {"custody.mirror": False, "custody.copies": 1, "custody.receipts": False}
+#: Routes by hops, and one copy, as far as the product's own spare copies go.
+_ONE_COPY = {
+    "policy.name": "hop-count", "custody.mirror": False, "custody.copies": 1, "custody.receipts": False,
+}  # fmt: skip
 #: Receipts end copies, and leave in every step, so that copies end soon.
 _COPIES = {**_ONE_COPY, "custody.receipts": True, "custody.receipt_steps": 1}
 
 #: What the others are compared with.
 OURS = "default"
-#: By the name that `--protocol` takes.
+#: By the name that `--baseline` takes.
 PROTOCOLS = {
-    OURS: Protocol("our defaults", {}, "survival"),
+    OURS: Protocol("our defaults", {}),
     "hop-count": Protocol("hop count, immediate", _ONE_COPY),
-    "epidemic": Protocol("epidemic with receipts", _COPIES, participant=Epidemic),
-    "spray-and-wait": Protocol("binary spray and wait", _COPIES, participant=SprayAndWait),
-    "spray-and-focus": Protocol("spray and focus", _COPIES, participant=SprayAndFocus),
-    "prophet": Protocol("PRoPHET", _COPIES, participant=Prophet),
-    "rapid": Protocol("RAPID-like", _COPIES, participant=Rapid),
-    "backpressure": Protocol("backpressure", _ONE_COPY, participant=Backpressure),
+    "epidemic": Protocol("epidemic with receipts", _COPIES, Epidemic),
+    "spray-and-wait": Protocol("binary spray and wait", _COPIES, SprayAndWait),
+    "spray-and-focus": Protocol("spray and focus", _COPIES, SprayAndFocus),
+    "prophet": Protocol("PRoPHET", _COPIES, Prophet),
+    "rapid": Protocol("RAPID-like", _COPIES, Rapid),
+    "backpressure": Protocol("backpressure", _ONE_COPY, Backpressure),
 }

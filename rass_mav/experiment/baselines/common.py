@@ -64,6 +64,7 @@ class Baseline(Participant):
     summarises = True
 
     def _take_up(self, now: float) -> Holdings:
+        assert self.policy.costs is None, "what a beacon announces in place of the potential is no cost"
         settings, store = self.settings, self.store
         self._archive = Archive(store.ids()) if self.base else None
         if settings.receipts:

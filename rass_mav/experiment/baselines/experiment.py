@@ -9,9 +9,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from rass_mav.errors import ConfigError
+from rass_mav.experiment.airs import AIRS
 from rass_mav.experiment.baselines import OURS, PROTOCOLS
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import SHARE, Point, Scatter, Style, draw_scatter
@@ -20,6 +20,7 @@ from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, PAIRED
 from rass_mav.experiment.statistics import counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
+from rass_mav.policy.settings import PolicySettings
 from rass_mav.swarm.ledger import LOST
 
 #: By the name that `--place` takes.
@@ -30,21 +31,6 @@ PLACES = {
         "topology": "random-walk", "failures.die_fraction": 0.6,
     }),
 }  # fmt: skip
-
-
-class Air(NamedTuple):
-    """What carries the frames."""
-
-    title: str
-    keys: dict[str, Any]
-
-
-#: By the name that `--air` takes.
-AIRS = {
-    "none": Air("air that takes no time", {"radio.air": "none"}),
-    "wifi-6m": Air("Wi-Fi at 6 Mbit/s", {"radio.preset": "wifi-6m"}),
-    "wifi-1m": Air("Wi-Fi at 1 Mbit/s", {"radio.preset": "wifi-1m"}),
-}
 #: `Run.world` of each place and air.
 WORLDS = {f"{place}-{air}": (place, air) for place in PLACES for air in AIRS}
 #: Data are created in this part of the steps. In the rest the swarm can deliver what is left.
@@ -52,8 +38,9 @@ CREATING = 0.9
 
 _REASONS = tuple(fate.value for fate in LOST)
 TABLE_COLUMNS = (
-    "place", "air", "protocol", "runs", "steps", *COLUMNS, *triple("under_ours"), "losses_in_ours", *triple("memory"),
-    "loops", *(column for reason in _REASONS for column in triple(f"lost_{reason}")),
+    "place", "air", "protocol", "runs", "steps", *COLUMNS, *triple("reliability_over_ours"),
+    *triple("delivered_over_ours"), "losses_in_ours", *triple("memory"), "loops",
+    *(column for reason in _REASONS for column in triple(f"lost_{reason}")),
 )  # fmt: skip
 _STYLES = dict(
     zip(
@@ -83,13 +70,14 @@ def plan(
             for name in protocols:
                 protocol = PROTOCOLS[name]
                 keys = {
-                    **PLACES[place].keys, **AIRS[air].keys, "data.until_step": math.ceil(CREATING * extent.steps),
+                    **PLACES[place].keys, **AIRS[air], "data.until_step": math.ceil(CREATING * extent.steps),
                     **protocol.keys,
                 }  # fmt: skip
                 ours = extent if own_runs is None or name != OURS else extent._replace(runs=own_runs)
-                runs = ours.plan(f"{place}-{air}", PLACES[place].scenario, [protocol.policy], variant=name, keys=keys)
-                if runs[0].policy != protocol.policy:
-                    raise ConfigError("--set: policy.name is chosen by --protocol here")
+                policy = keys.get("policy.name", PolicySettings().name)
+                runs = ours.plan(f"{place}-{air}", PLACES[place].scenario, [policy], variant=name, keys=keys)
+                if runs[0].policy != policy:
+                    raise ConfigError("--set: policy.name is chosen by --baseline here")
                 planned += [replace(run, protocol=name) for run in runs]
     return planned
 
@@ -117,7 +105,7 @@ def _rows(compared: Compared) -> list[list[object]]:
     return [
         [
             *WORLDS[world], name, c.standard.runs, c.standard.steps, *c.standard.columns(), *figures_of(c.gain, 6),
-            None if c.loss_ratio is None else round(c.loss_ratio, 4), *figures_of(c.memory), c.loops,
+            *figures_of(c.delivered_gain, 6), c.loss_ratio, *figures_of(c.memory), c.loops,
             *(value for reason in _REASONS for value in figures_of(c.lost[reason], 6)),
         ]
         for world, here in compared.items()
@@ -127,12 +115,11 @@ def _rows(compared: Compared) -> list[list[object]]:
 
 def _text(compared: Compared) -> str:
     """A table for each place and air, and first of all where ours is not the best."""
-    columns = ["Protocol", "Runs", *HEADINGS, "Over ours", "Losses, x ours", "Memory, %"]
-    first = next(iter(next(iter(compared.values())).values()))
+    first = next(iter(next(iter(compared.values())).values())).standard
+    columns = ["Protocol", "Runs", *HEADINGS, "Reliability, more", "Delivered, more", "Losses, x", "Memory, %"]
     parts = [
         "# Baselines\n",
-        f"Runs of {first.standard.steps} steps. Over ours: reliability above that of our defaults, in the runs that\n"
-        "both have done.\n",
+        f"Runs of {first.steps} steps. More, x: compared with our defaults, in the runs that both have.\n",
         NOTE + PAIRED,
         *_verdict(compared),
     ]
@@ -158,15 +145,20 @@ def _verdict(compared: Compared) -> list[str]:
 
 
 def _cells(name: str, c: Comparison) -> list[str]:
+    gains = [cell(gain, 4, sign="+") for gain in (c.gain, c.delivered_gain)]
     return [
-        PROTOCOLS[name].title, str(c.standard.runs), *c.standard.cells(),
-        "reference" if name == OURS else cell(c.gain, 4, sign="+"), cell(c.loss_ratio), cell(c.memory),
-    ]  # fmt: skip
+        PROTOCOLS[name].title,
+        str(c.standard.runs),
+        *c.standard.cells(),
+        *gains,
+        cell(c.loss_ratio),
+        cell(c.memory),
+    ]
 
 
 def _title(world: str) -> str:
     place, air = WORLDS[world]
-    return f"{PLACES[place].title}, {AIRS[air].title}"
+    return f"{PLACES[place].title}, air {air}"
 
 
 def _draw(path: Path, place: str, compared: Compared) -> Path:
