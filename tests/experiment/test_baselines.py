@@ -220,6 +220,19 @@ def test_a_receipt_ends_a_copy_and_it_is_not_taken_again() -> None:
     assert not list(node.holdings)
 
 
+def test_a_statement_is_relayed_at_once_but_only_one_in_a_turn() -> None:
+    node = node_of(Epidemic, receipt_steps=1)
+    hear(node, n7=0)
+    assert not of(Receipt, node.step(0.0))
+    first, second = (statement(datum(9, sequence).id, serial=sequence) for sequence in range(2))
+    node.receive(first, 0.0)
+    assert of(Receipt, node.forward(0.0)) == [first]
+    node.receive(second, 0.0)
+    assert not of(Receipt, node.forward(0.0))
+    hear(node, 1.0, n7=0)
+    assert of(Receipt, node.step(1.0)) == [second]
+
+
 def test_two_nodes_that_hand_each_other_the_same_datum_do_not_both_let_go() -> None:
     node = node_of(SprayAndFocus)
     one = datum(9, 0)

@@ -8,7 +8,8 @@ is real: every frame goes over the mock radio in an existing kind of message, at
 - Committed: the neighbour has it (or refused it). Without an answer the datum is sent again.
 - Words, all `HERE`: the summary vector. A new neighbour is told of all copies, later only of new ones. It also stands
   for an answer that was lost.
-- Receipt: as among our own nodes, the bases' statements of what has arrived. They end copies ("vaccines").
+- Receipt: as among our own nodes, the bases' statements of what has arrived. They end copies ("vaccines"). A node sends
+  at most one in its turn, but relays it at once.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ class Baseline(Participant):
     """A node of a protocol that others have published. A subclass says what goes where, and what it costs to forget."""
 
     __slots__ = (
-        "_archive", "_full_at", "_gained", "_live", "_met", "_numbers", "_offered", "_pending", "_stirred",
-        "_strangers", "refused", "where",
+        "_archive", "_full_at", "_gained", "_learned", "_live", "_may_tell", "_met", "_numbers", "_offered",
+        "_pending", "_stirred", "_strangers", "refused", "where",
     )  # fmt: skip
 
     #: Whether neighbours tell each other which copies they have.
@@ -89,6 +90,10 @@ class Baseline(Participant):
         self._live: list[Neighbour] = []
         """The neighbours in contact."""
         self._met: frozenset[int] = frozenset()
+        self._may_tell = False
+        """Whether a statement may still be sent in this turn."""
+        self._learned = False
+        """Whether one came in that `forward` has not looked at."""
         self._strangers = False
         """Whether a neighbour needs the full summary vector."""
         self._full_at = 0
@@ -154,9 +159,7 @@ class Baseline(Participant):
         out: list[Message] = [self.update_fitness(now)._replace(potential=potential)]
         self.potential = potential
         if self.receipts.due(self._steps):
-            receipt = self.receipts.turn(self.routing.neighbours.values())
-            if receipt is not None:
-                out.append(receipt)
+            self._may_tell = not self._tell(out)
         if self.summarises and self._live:
             self._summarise(out)
         if not self.base and self._live:
@@ -167,13 +170,25 @@ class Baseline(Participant):
 
     def forward(self, now: float) -> list[Message]:
         """Send at once what may leave."""
-        if not self._stirred:
+        if not (self._stirred or self._learned):
             return []
         stirred, self._stirred = self._stirred, {}
         out: list[Message] = []
+        if self._learned:
+            self._learned = False
+            if self._may_tell:
+                self._may_tell = not self._tell(out)
         if not self.base and self._live:
             self._send(self.order(stirred, now), now, out)
         return out
+
+    def _tell(self, out: list[Message]) -> bool:
+        """Send a statement of what has arrived. Returns whether there was one."""
+        receipt = self.receipts.turn(self.routing.neighbours.values())
+        if receipt is None:
+            return False
+        out.append(receipt)
+        return True
 
     def _look_round(self, now: float) -> None:
         """Who is in contact, who is new, and who has gone."""
@@ -407,6 +422,7 @@ class Baseline(Participant):
 
     def _on_receipt(self, receipt: messages.Receipt, now: float) -> list[Message]:
         changed = self.receipts.learn(receipt)
+        self._learned = self._learned or bool(changed)
         if changed and not self.base:
             for id in [id for id in self.holdings if (id.origin, id.epoch) in changed and id in self.receipts]:
                 holding = self.holdings.get(id)
