@@ -90,8 +90,8 @@ def register(subparsers: Subparsers) -> None:
         names, "ablation", _ablation, "what each part of the defaults is worth, where frames take time and where not",
         "rass-mav experiment ablation --out results --runs 2 --air none", policies=None,
     )  # fmt: skip
-    _add_names(ablation, "--air", "ablation:AIRS", "on which airs, all by default", nargs="+")
-    _add_names(ablation, "--topology", "ablation:TOPOLOGIES", "which topologies (default: grid random-walk)", nargs="+")
+    _add_names(ablation, "--air", "ablation:ALL_AIRS", "on which airs (default: none wifi-6m wifi-1m)", nargs="+")
+    _add_names(ablation, "--topology", "ablation:PLACES", "which topologies (default: grid random-walk)", nargs="+")
     _add_names(ablation, "--off", "ablation:SWITCHES", "what to switch off, each in runs of its own", nargs="+")
 
     baselines = _add(
@@ -212,8 +212,8 @@ def _ablation(options: argparse.Namespace) -> int:
     from rass_mav.experiment import ablation
 
     planned = ablation.plan(
-        _extent(options), _chosen("--air", options.air, ablation.AIRS),
-        _chosen("--topology", options.topology or ablation.PLACES, ablation.TOPOLOGIES),
+        _extent(options), _chosen("--air", options.air or ablation.USUAL_AIRS, ablation.ALL_AIRS),
+        _chosen("--topology", options.topology or ablation.USUAL_PLACES, ablation.PLACES),
         _chosen("--off", options.off, ablation.SWITCHES),
     )  # fmt: skip
     return _runs(options, planned, ablation.report)

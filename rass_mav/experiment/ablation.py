@@ -1,28 +1,28 @@
 """What each part of the defaults is worth: it is switched off alone, and all together, on several airs.
 
-The swarm is that of the scenario `demo`: the paper's world with this product's own defaults.
+The swarms are the paper's, with this product's own defaults (scenarios `demo` and `islands`).
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import ConfigError
-from rass_mav.experiment.airs import AIRS
+from rass_mav.experiment.airs import AIRS, SLOW_AIRS
 from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import OTHERS, SHARE, Bars, draw_bars
-from rass_mav.experiment.paper import TOPOLOGIES, TOPOLOGY_TITLES
+from rass_mav.experiment.paper import TOPOLOGY_TITLES
+from rass_mav.experiment.policies import Place
 from rass_mav.experiment.runs import Extent, Result, Run
 from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, PAIRED
 from rass_mav.experiment.statistics import Estimate, counted
 from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.swarm.catalogue import DEFAULT
-
-__all__ = ["AIRS", "SWITCHES", "TOPOLOGIES", "plan", "report"]
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,15 @@ SWITCHES = {
     **_PARTS,
     "everything": Switch("all of these", {key: value for part in _PARTS.values() for key, value in part.keys.items()}),
 }
+ALL_AIRS = {**AIRS, **SLOW_AIRS}
 #: What is run unless chosen otherwise.
-PLACES = ("grid", "random-walk")
+USUAL_AIRS = tuple(AIRS)
+USUAL_PLACES = ("grid", "random-walk")
+#: By the name that `--topology` takes.
+PLACES = {
+    **{name: Place(title, DEFAULT, {"topology": name}) for name, title in TOPOLOGY_TITLES.items()},
+    "islands": Place("islands", "islands"),
+}
 TABLE_COLUMNS = (
     "air", "topology", "off", "runs", "steps", *COLUMNS, *triple("reliability_over_defaults"),
     *triple("delivered_over_defaults"), "losses_in_defaults", "transmissions_in_defaults", "loops",
@@ -63,8 +70,9 @@ def plan(extent: Extent, airs: Sequence[str], topologies: Sequence[str], switche
     for air in airs:
         for topology in topologies:
             for name in switches:
-                keys = {"topology": topology, **AIRS[air], **SWITCHES[name].keys}
-                planned += extent.plan(air, DEFAULT, [PolicySettings().name], variant=name, keys=keys)
+                place = PLACES[topology]
+                keys = {**place.keys, **ALL_AIRS[air], **SWITCHES[name].keys}
+                planned += extent.plan(air, place.scenario, [PolicySettings().name], variant=name, keys=keys)
                 if planned[-1].scenario.topology != topology:
                     raise ConfigError("--set: the topology is chosen by --topology here")
     return planned
@@ -86,7 +94,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     ]
     for topology in dict.fromkeys(topology for topology, _ in compared):
         here = {air: found for (where, air), found in compared.items() if where == topology}
-        files += [_draw(out, topology, here, "reliability"), _draw(out, topology, here, "delivered")]
+        files += [_draw(out, topology, here, share) for share in _SHARES]
     return files
 
 
@@ -116,11 +124,12 @@ def _text(compared: Compared) -> str:
         NOTE + PAIRED,
     ]
     for (topology, air), here in compared.items():
-        parts.append(f"## {TOPOLOGY_TITLES[topology]}, air {air}\n")
+        parts.append(f"## {PLACES[topology].title}, air {air}\n")
         lines = [
             [
-                name, SWITCHES[name].title, *c.standard.cells(), cell(c.gain, 4, sign="+"),
-                cell(c.delivered_gain, 4, sign="+"), cell(c.loss_ratio), cell(c.transmission_ratio),
+                name, SWITCHES[name].title, *c.standard.cells(),
+                *("reference" if name == NOTHING else cell(e, 4, sign="+") for e in (c.gain, c.delivered_gain)),
+                cell(c.loss_ratio), cell(c.transmission_ratio),
             ]
             for name, c in here.items()
         ]  # fmt: skip
@@ -128,14 +137,19 @@ def _text(compared: Compared) -> str:
     return "\n".join(parts)
 
 
+#: The shares that figures show, and how they are computed.
+_SHARES = {"reliability": "1 - lost / created", "delivered": "arrived / created"}
+
+
 def _draw(out: Path, topology: str, here: dict[str, dict[str, Comparison]], share: str) -> Path:
     names = list(next(iter(here.values())))
     bars = []
-    for color, (air, found) in zip(OTHERS, here.items(), strict=False):
+    for color, (air, found) in zip(itertools.cycle(OTHERS), here.items(), strict=False):
         heights: list[Estimate] = [getattr(found[name].standard, share) for name in names]
         bars.append(Bars(f"air {air}", color, heights))
     runs = next(iter(next(iter(here.values())).values())).standard.runs
     return draw_bars(
-        out / f"{share}-{topology}.png", f"{share} without ...: {TOPOLOGY_TITLES[topology]}", share, names, bars,
+        out / f"{share}-{topology}.png", f"{share} with a part of the defaults off: {PLACES[topology].title}",
+        f"{share} ({_SHARES[share]})", names, bars,
         bounds=SHARE, note=f"mean of {counted(runs, 'error bars')}",
     )  # fmt: skip

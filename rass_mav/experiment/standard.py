@@ -25,8 +25,8 @@ HEADINGS = (
 #: What people need to know to read them.
 NOTE = (
     "Means over runs with 95 % confidence intervals. Shares of data: after Korn and Graubard, which gives a bound\n"
-    "where nothing is lost too. Others: Student's t, shown as ±. Delay: steps from creation to arrival, within which\n"
-    "50 % and 95 % of the data came, of all that arrived in all runs. Sent: data and copies, per datum created.\n"
+    "where nothing is lost too. Others: Student's t. Delay: steps from creation to arrival, within which 50 % and\n"
+    "95 % of the data came, of all that arrived in all runs. Sent: data and copies, per datum created.\n"
 )
 #: The same of differences between runs.
 PAIRED = "Differences: run by run, of the same seeds; 95 % confidence interval by a paired bootstrap over seeds.\n"

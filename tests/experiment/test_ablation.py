@@ -35,6 +35,8 @@ def test_each_part_is_switched_off_alone_and_all_together() -> None:
 def test_with_nothing_off_it_is_the_product_as_it_comes() -> None:
     (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["grid"], [ablation.NOTHING])
     assert run.scenario == load_scenario("demo")
+    (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["islands"], [ablation.NOTHING])
+    assert run.scenario == load_scenario("islands")
 
 
 def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -57,6 +59,13 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "## grid, air none\n" in (tmp_path / "table.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("air", ablation.ALL_AIRS)
+def test_each_air_is_that_of_its_preset(air: str) -> None:
+    (run,) = ablation.plan(Extent(1, 9), [air], ["random-walk"], ["policy"])
+    radio = run.scenario.radio
+    assert (run.world, radio.preset, radio.takes_time) == (air, None if air == "none" else air, air != "none")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -64,7 +73,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
             ["--off", "radio"],
             "--off: expected some of nothing, policy, immediate, mirror, receipts, copies, everything",
         ),
-        (["--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m"),
+        (["--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m, sik-250k, sik-64k, lora"),
         (["--set", "topology=line"], "chosen by --topology"),
     ],
 )
