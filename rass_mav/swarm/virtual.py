@@ -15,7 +15,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
@@ -45,9 +45,11 @@ class Danger(NamedTuple):
 
     node: int
     probability: float
-    """That a datum is struck in a step, 0..1."""
+    """That a datum, or a page of it, is struck in a step, 0..1."""
     rng: random.Random | None = None
     """The drone's own generator, if it has one for this."""
+    page_bytes: int | None = None
+    """Size of the pages; None: a datum is struck as a whole."""
 
 
 class VirtualSwarm(ABC):
@@ -228,11 +230,11 @@ class VirtualSwarm(ABC):
         """Corruption strikes the data in the drones' stores, and what waits in their radios."""
         part = 1.0 / self._strikes
         struck = {}
-        for node, probability, rng in self._dangers():
+        for node, probability, rng, page_bytes in self._dangers():
             if self._strikes > 1:
                 probability = 1.0 - (1.0 - probability) ** part
             struck[node] = probability
-            self._strike(node, probability, rng or self._strike_rng)
+            self._strike(node, probability, rng or self._strike_rng, page_bytes)
         self.air.strike(struck, now)
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
@@ -351,12 +353,24 @@ class VirtualSwarm(ABC):
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random) -> None:
-        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
+    def _strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
+        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit.
+
+        `page_bytes`: it strikes each page of this size with this probability, and a datum is as many pages as it needs;
+        None: it strikes each datum.
+        """
         store = self.stores[node_id]
         assert isinstance(store, MemoryStore)
         for id in list(store.ids()):
-            if rng.random() < probability:
-                datum = store.get(id)
-                assert datum is not None
-                store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
+            struck = probability
+            if page_bytes is not None and (pages := -(-_size(store, id) // page_bytes)) > 1:
+                struck = 1.0 - (1.0 - probability) ** pages
+            if rng.random() < struck:
+                store.flip_bit(id, rng.randrange(8 * _size(store, id)))
+
+
+def _size(store: MemoryStore, id: DatumId) -> int:
+    """Bytes of a datum that is in a store."""
+    datum = store.get(id)
+    assert datum is not None
+    return len(datum.payload)

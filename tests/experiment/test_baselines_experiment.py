@@ -44,8 +44,10 @@ def test_ours_may_have_more_runs_which_begin_with_the_same_seeds() -> None:
 def test_all_have_the_same_world_air_and_memory_and_ours_is_the_product_as_it_comes(place: str, air: str) -> None:
     planned = {run.variant: run.scenario for run in plan([place], [air], list(PROTOCOLS)) if not run.scenario.seed}
     ours = planned[OURS]
-    demo = load_scenario("demo")
-    assert (ours.policy, ours.custody, ours.routing, ours.risk) == (demo.policy, demo.custody, demo.routing, demo.risk)
+    shipped = load_scenario(experiment.PLACES[place].scenario)
+    assert (ours.policy, ours.custody, ours.routing) == (shipped.policy, shipped.custody, shipped.routing)
+    assert ours.radio.kind == ("none" if air == "none" else "csma")
+    assert (ours.store.capacity_items, ours.store.bandwidth_items) == (50, 10)
     assert ours.data.until_step == 450
     for scenario in planned.values():
         # Only what a protocol does with data may differ, not what it has for that.
@@ -107,7 +109,7 @@ def test_the_table_begins_with_the_places_where_another_protocol_loses_less(tmp_
     ("arguments", "message"),
     [
         (["--baseline", "maxprop"], "--baseline: expected some of default, hop-count, epidemic, spray-and-wait, "),
-        (["--place", "moon"], "--place: expected some of grid, walk, dying"),
+        (["--place", "moon"], "--place: expected some of grid, walk, field, dying"),
         (["--own-runs", "0"], "--own-runs: expected 1 or more, got 0"),
         (["--set", "policy.name=rass"], "chosen by --baseline"),
     ],

@@ -27,6 +27,11 @@ from rass_mav.swarm.ledger import LOST
 PLACES = {
     "grid": Place("grid", "demo"),
     "walk": Place("random walk", "demo", {"topology": "random-walk"}),
+    # Without pictures: the baselines send a datum whole in one frame. With as much memory as elsewhere.
+    "field": Place("field", "field-wifi-6m", {
+        "radio.preset": None, "traffic.load": None, "traffic.picture_bytes": 0, "data.interval_steps": 5,
+        "store.capacity_items": 50, "store.capacity_bytes": None,
+    }),
     "dying": Place("random walk, 60 % of the drones die", "demo", {
         "topology": "random-walk", "failures.die_fraction": 0.6,
     }),
