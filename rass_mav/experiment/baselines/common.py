@@ -54,7 +54,7 @@ class Sending:
 
 
 class Baseline(Participant):
-    """A node of a protocol that others have published. A subclass says what goes where, and what it costs to forget."""
+    """A node of a protocol that others have published. A subclass says what goes where."""
 
     __slots__ = (
         "_archive", "_full_at", "_gained", "_learned", "_live", "_may_tell", "_met", "_numbers", "_offered",
@@ -101,7 +101,7 @@ class Baseline(Participant):
         self.begin_life(now)
         holdings = Holdings(store, settings)
         for id in holdings:
-            self.begin(id, None)
+            self.begin(id, 0)
         return holdings
 
     # -- what a protocol says ------------------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ class Baseline(Participant):
         return 0
 
     def begin(self, id: DatumId, mark: int | None) -> None:
-        """A datum is here now. `mark`: as the giver sent it; None: it was created here."""
+        """A datum is here now. `mark`: as the giver sent it, or 0 after a reboot; None: it was created here."""
 
     def end(self, id: DatumId) -> None:
         """A datum is no longer here."""

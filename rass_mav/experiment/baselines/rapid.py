@@ -49,7 +49,7 @@ class Rapid(Baseline):
         self._rates[id] = (mark or 0) / RATE_PARTS
 
     def end(self, id: DatumId) -> None:
-        del self._rates[id]
+        self._rates.pop(id, None)
 
     def hear(self, neighbour: Neighbour, now: float) -> None:
         id = neighbour.id

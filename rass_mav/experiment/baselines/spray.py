@@ -20,8 +20,8 @@ class SprayAndWait(Baseline):
     to any node without a copy. A node with one token keeps its copy until it meets a base. A full store drops the
     oldest.
 
-    The mark is the number of tokens given. Tokens whose copy is lost are lost too, so there are never more than L,
-    unless the air loses an answer.
+    The mark is the number of tokens given. Tokens whose copy is lost are lost too, and after a reboot one is left. So
+    there are never more than L, unless the air loses an answer.
     """
 
     __slots__ = ("tokens",)
@@ -34,7 +34,7 @@ class SprayAndWait(Baseline):
         self.tokens[id] = COPIES if mark is None else max(mark, 1)
 
     def end(self, id: DatumId) -> None:
-        del self.tokens[id]
+        self.tokens.pop(id, None)
 
     def mark(self, id: DatumId, neighbour: Neighbour) -> int:
         return self.tokens[id] // 2
