@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 
+from rass_mav.core.participant import Participant
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.medium.tally import Record
@@ -19,8 +20,11 @@ from rass_mav.swarm.virtual import Danger, VirtualSwarm
 class World(VirtualSwarm):
     """A swarm in its surroundings, with its radio and its ledger."""
 
-    def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
-        """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
+    def __init__(
+        self, scenario: Scenario, *, record: Record | None = None, participant: type[Participant] | None = None
+    ) -> None:
+        """`record` is called with every frame put on the air, and its step. `participant`: what every node is; None:
+        what the policy asks for. Raises `ConfigError`."""
         self.surroundings = Surroundings(scenario)
         neighbours = self.surroundings.graph.neighbours
         scenario, load = loaded(scenario, max(round(sum(map(len, neighbours)) / scenario.nodes) + 1, 2))
@@ -57,6 +61,7 @@ class World(VirtualSwarm):
             phases=scenario.has_phases,
             strikes=scenario.radiation.strikes_per_step,
             record=record,
+            participant=participant,
         )
         self.statistics.load = load
 
