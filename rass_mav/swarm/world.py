@@ -6,6 +6,7 @@ import random
 from collections.abc import Sequence
 
 from rass_mav.swarm.autopilot import MockAutopilot
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.radiation import Threshold
@@ -51,6 +52,8 @@ class World(VirtualSwarm):
             off_steps=scenario.failures.reboot_steps,
             record=record,
         )
+        if scenario.failures.blast is not None:
+            self.blast = Blast(self.ledger)
 
     @property
     def graph(self) -> RangeGraph:
@@ -68,6 +71,8 @@ class World(VirtualSwarm):
         if self.failures is not None:
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
+            if self.blast is not None and t == self.scenario.failures.blast:
+                self._explode(self.failures, self.blast)
         self._sense(now)
         if not self.scenario.radiation.corruption:
             return
@@ -83,6 +88,15 @@ class World(VirtualSwarm):
             for node_id in range(self.scenario.bases, self.scenario.nodes):
                 if corruption[node_id]:
                     self._strike(node_id, corruption[node_id])
+
+    def _explode(self, failures: Failures, blast: Blast) -> None:
+        """The blast of this step."""
+        holdings = [agent.node.holdings for agent in self.agents]
+        dying = failures.kill(blast.aim(holdings, self.neighbours, self.scenario.bases))
+        blast.begins(len(dying))
+        for failure in dying:
+            self.crash(failure.node, failure.back)
+        blast.is_over()
 
     def _sense(self, now: float) -> None:
         """Each flight controller sends its position, and its sensor's reading: Eq. 1 with noise."""
