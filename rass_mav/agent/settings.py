@@ -141,6 +141,7 @@ class AgentSettings(Section):
             mirror=acknowledged and self.custody.mirror is not False and not (self.base or policy.replicates),
             mirror_until_receipt=self.custody.mirror_until == "receipt" and self.custody.receipts,
             copies_auto=self.custody.copies == "auto",
+            distant=self.custody.distant,
             immediate=self.forward == "immediate",
             receipts=self.custody.receipts,
             receipt_steps=self.custody.receipt_steps,

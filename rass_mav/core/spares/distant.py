@@ -1,0 +1,173 @@
+"""Distant spares: of data that rest, copies are out of reach of whatever strikes all drones around their custodian.
+
+A custodian knows only its neighbours, so its backer is one of them, and both may be struck at once. But the backer has
+neighbours that do not hear the custodian, and these have neighbours that do not hear the backer. So where no base can be
+reached, the backer of a datum that rests has a backer of its own, and that one too: a chain of `FURTHER` spares that
+leads away from the custodian. Each node of the chain sends its spare to a neighbour, and names the node before itself. A
+neighbour that hears that node refuses.
+
+Within the chain each node is to the next one what a custodian is to its backer. So a spare that is lost is replaced, and
+a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies stay
+until the receipt, like those that data leave behind on their route.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import NamedTuple
+
+from rass_mav.core.custody.holdings import Holding, State
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, Data, Distance, Handover, Message
+from rass_mav.core.pace import Pace
+from rass_mav.core.routes.neighbours import Neighbour
+from rass_mav.core.routes.table import RoutingTable
+
+#: How many spares a chain has after that of the first backer.
+FURTHER = 2
+#: Turns for which a datum rests before its backer begins a chain.
+REST_TURNS = 2
+#: Turns after which an unanswered offer is forgotten.
+OFFER_TURNS = 2
+#: For how many turns a node remembers which of its neighbours hear another node: they may move.
+KNOWN_TURNS = 30
+#: How many such pairs it remembers.
+MAX_KNOWN = 256
+#: How many spares without a backer are looked at in a turn.
+LOOK = 64
+
+
+class Offered(NamedTuple):
+    """An offer that has not been answered."""
+
+    holding: Holding
+    near: int
+    to: int
+    until: float
+    """Seconds."""
+
+
+class DistantSpares:
+    """Which neighbours are offered distant spares. `Holdings` records which of them have one."""
+
+    __slots__ = ("_due", "_hears", "_id", "_keeper", "_offers", "_pace", "_routing")
+
+    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace) -> None:
+        self._id = keeper.settings.node_id
+        self._keeper = keeper
+        self._routing = routing
+        self._pace = pace
+        self._due: dict[DatumId, float] = {}
+        """Spares here that should have a backer, and when one may be looked for, seconds."""
+        self._offers: dict[int, Offered] = {}
+        """By number."""
+        self._hears: dict[tuple[int, int], tuple[bool, float]] = {}
+        """(node, neighbour): whether the neighbour refused, as one that hears the node does, and until when that is
+        remembered, seconds."""
+
+    def is_near(self, node: int) -> bool:
+        """Whether this node hears another one, or is that node."""
+        return node == self._id or node in self._routing.neighbours
+
+    def backs(self, holding: Holding, distance: Distance | None, now: float) -> None:
+        """This node has become the backer of a custodian, or with `distance` that of a backer."""
+        settings = self._keeper.settings
+        if settings.distant and holding.size <= settings.inline_bytes - DISTANT_BYTES:
+            holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
+            rest = REST_TURNS - 0.5 if distance is None else 0.0
+            if holding.further and holding.backer is None:
+                self._due[holding.id] = now + rest * self._routing.longest_turn_s
+
+    def lost(self, holding: Holding, now: float) -> None:
+        """The backer of a spare has no copy any more."""
+        if holding.further:
+            self._due[holding.id] = now
+
+    def spread(self, now: float, out: list[Message]) -> None:
+        """Once a turn, after all else: offer distant spares, within the bandwidth."""
+        if self._offers:
+            self._offers = {number: offer for number, offer in self._offers.items() if offer.until > now}
+        if not self._due:
+            return
+        pace, spare = self._pace, self._keeper.holdings.spare
+        until = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
+        under_way = {offer.holding.id for offer in self._offers.values()}
+        batches: dict[tuple[int, Distance], list[Handover]] = {}
+        for id, due in list(islice(self._due.items(), LOOK)):
+            if pace.left <= pace.kept:
+                break
+            del self._due[id]
+            holding = spare.get(id)
+            if holding is None or holding.backer is not None or holding.partner is None or id in self._keeper.arrived:
+                continue
+            # To the end: all have their turn.
+            self._due[id] = due
+            near = holding.partner.id
+            if due > now or id in under_way or not self._rests(holding, near):
+                continue
+            distance = Distance(near, holding.further - 1)
+            to = self._receiver(near, now, batches)
+            datum = None if to is None else self._keeper.load(holding)
+            if to is None or datum is None:
+                continue
+            number = self._keeper.numbers.draw()
+            self._offers[number] = Offered(holding, near, to, until)
+            batches.setdefault((to, distance), []).append(Handover(number, datum))
+            pace.spend()
+        for (to, distance), handovers in batches.items():
+            out.append(Data(self._id, to, tuple(handovers), True, distance))
+
+    def _rests(self, holding: Holding, near: int) -> bool:
+        """Data rest at a custodian without a route to a base; at others they move on soon."""
+        if holding.further < FURTHER:
+            return True
+        custodian = self._routing.neighbours.get(near)
+        return custodian is not None and custodian.beacon.hops == NO_ROUTE
+
+    def _receiver(self, near: int, now: float, batches: dict[tuple[int, Distance], list[Handover]]) -> int | None:
+        """The neighbour to offer a distant spare to: the safest that is known not to hear `near`, or else one that has
+        not been asked, with a single datum."""
+        sent: dict[int, int] = {}
+        for (to, distance), handovers in batches.items():
+            if distance.near == near:
+                sent[to] = sent.get(to, 0) + len(handovers)
+        known: list[Neighbour] = []
+        unknown: list[Neighbour] = []
+        for neighbour in self._routing.neighbours.values():
+            beacon = neighbour.beacon
+            fresh = neighbour.heard >= now - 1.5 * neighbour.turn_s
+            room = beacon.free > sent.get(neighbour.id, 0)
+            if neighbour.id == near or not fresh or not room or beacon.flags & BEACON_BASE:
+                continue
+            hears, until = self._hears.get((near, neighbour.id), (False, 0.0))
+            if until <= now:
+                unknown.append(neighbour)
+            elif not hears:
+                known.append(neighbour)
+        if known:
+            return min(known, key=_by_risk).id
+        if not unknown or sent or any(offer.near == near for offer in self._offers.values()):
+            return None
+        return min(unknown, key=_by_risk).id
+
+    def answered(self, number: int, sender: int, now: float, *, kept: bool) -> Holding | None:
+        """A neighbour took a distant spare, or refused it. Returns the copy here that it backs now. Other numbers are
+        ignored."""
+        offer = self._offers.get(number)
+        if offer is None or offer.to != sender:
+            return None
+        del self._offers[number]
+        self._hears.pop((offer.near, sender), None)
+        if len(self._hears) >= MAX_KNOWN:
+            del self._hears[next(iter(self._hears))]
+        self._hears[offer.near, sender] = (not kept, now + KNOWN_TURNS * self._routing.longest_turn_s)
+        holding = self._keeper.holdings.spare.get(offer.holding.id)
+        if not kept or holding is None or holding.partner is None or holding.partner.id in (sender, None):
+            return None
+        self._due.pop(holding.id, None)
+        return holding
+
+
+def _by_risk(neighbour: Neighbour) -> tuple[int, int]:
+    return neighbour.beacon.risk, neighbour.id
