@@ -16,7 +16,7 @@ from rass_mav.core.datum import Datum, DatumId
 #: As a target: every neighbour. Not a valid node id.
 BROADCAST = 0xFFFF
 #: What a `Distance` takes on the wire.
-DISTANT_BYTES = 3
+DISTANT_BYTES = 5
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
@@ -144,7 +144,9 @@ class Distance(NamedTuple):
     """How a distant spare keeps away from the custodian of its datum."""
 
     near: int
-    """A receiver that hears this node refuses: the sender keeps a spare for it."""
+    """The sender keeps its spare for this node. A receiver that hears it refuses."""
+    custodian: int
+    """The same for this one, which has custody."""
     further: int
     """How many nodes still farther away should have a copy, 0..255."""
 
@@ -350,6 +352,8 @@ class Word(enum.IntEnum):
     silent."""
     HERE = 5
     """Answer to WANTED: a spare is here. The node that answers first is sent AGAIN."""
+    ENCLOSED = 6
+    """From a backer: every neighbour of the sender hears the receiver, so another node would be a better backer."""
 
 
 class WordEntry(NamedTuple):

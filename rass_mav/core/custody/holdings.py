@@ -96,8 +96,8 @@ class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "backer", "crc", "created", "further", "given", "given_to", "id", "offer_at", "offers", "partner", "patience_s", "pending",
-        "resent", "size", "state",
+        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "id", "offer_at", "offers",
+        "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
@@ -127,6 +127,8 @@ class Holding:
         """How long to wait for it, seconds."""
         self.backer: Partner | None = None
         """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
+        self.custodian: int | None = None
+        """Spare: the node with custody, as far as this one knows."""
         self.further = 0
         """Spare: how many nodes farther away should have a copy."""
         self.resent = 0
@@ -306,7 +308,7 @@ class Holdings:
             del old.backed[holding.id]
             self._dismiss(old)
         if backer is not None:
-            assert holding.state is State.SPARE and holding.partner not in (None, backer)
+            assert holding.partner is not backer
             self.partners[backer.id] = backer
             backer.backed[holding.id] = holding
 

@@ -13,16 +13,18 @@ until the receipt, like those that data leave behind on their route.
 
 from __future__ import annotations
 
+import random
 from itertools import islice
 from typing import NamedTuple
 
-from rass_mav.core.custody.holdings import Holding, State
+from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, Data, Distance, Handover, Message
+from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, Data, Distance, Handover, Message, Word
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.spares.speech import Speech
 
 #: How many spares a chain has after that of the first backer.
 FURTHER = 2
@@ -42,7 +44,8 @@ class Offered(NamedTuple):
     """An offer that has not been answered."""
 
     holding: Holding
-    near: int
+    near: tuple[int, int]
+    """Nodes that the receiver must not hear."""
     to: int
     until: float
     """Seconds."""
@@ -51,9 +54,11 @@ class Offered(NamedTuple):
 class DistantSpares:
     """Which neighbours are offered distant spares. `Holdings` records which of them have one."""
 
-    __slots__ = ("_due", "_hears", "_id", "_keeper", "_offers", "_pace", "_routing")
+    __slots__ = ("_due", "_hears", "_id", "_keeper", "_offers", "_pace", "_rng", "_routing", "_speech")
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace) -> None:
+    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, speech: Speech, rng: random.Random) -> None:
+        self._rng = rng
+        self._speech = speech
         self._id = keeper.settings.node_id
         self._keeper = keeper
         self._routing = routing
@@ -62,22 +67,42 @@ class DistantSpares:
         """Spares here that should have a backer, and when one may be looked for, seconds."""
         self._offers: dict[int, Offered] = {}
         """By number."""
-        self._hears: dict[tuple[int, int], tuple[bool, float]] = {}
-        """(node, neighbour): whether the neighbour refused, as one that hears the node does, and until when that is
-        remembered, seconds."""
+        self._hears: dict[tuple[tuple[int, int], int], tuple[bool, float]] = {}
+        """(two nodes, neighbour): whether the neighbour refused, as one that hears any of them does, and until when
+        that is remembered, seconds."""
 
-    def is_near(self, node: int) -> bool:
-        """Whether this node hears another one, or is that node."""
-        return node == self._id or node in self._routing.neighbours
+    def is_near(self, distance: Distance) -> bool:
+        """Whether this node hears one that a distant spare should keep away from, or is that node."""
+        nodes = (distance.near, distance.custodian)
+        return self._id in nodes or any(node in self._routing.neighbours for node in nodes)
 
     def backs(self, holding: Holding, distance: Distance | None, now: float) -> None:
         """This node has become the backer of a custodian, or with `distance` that of a backer."""
         settings = self._keeper.settings
         if settings.distant and holding.size <= settings.inline_bytes - DISTANT_BYTES:
+            assert holding.partner is not None
+            holding.custodian = holding.partner.id if distance is None else distance.custodian
             holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
             rest = REST_TURNS - 0.5 if distance is None else 0.0
             if holding.further and holding.backer is None:
                 self._due[holding.id] = now + rest * self._routing.longest_turn_s
+
+    def taken(self, id: DatumId, sender: int, now: float) -> None:
+        """A node has custody: if it is the one that this spare is for, this is the first of the chain."""
+        holding = self._keeper.holdings.spare.get(id)
+        if holding is not None and holding.partner is not None and holding.partner.id == sender:
+            self.backs(holding, None, now)
+
+    def avoid(self, holding: Holding, backer: int, now: float) -> bool:
+        """The backer of a spare is enclosed: send it no more for some time, if there may be another one."""
+        self._remember(self._away_from(holding), backer, now, hears=True)
+        return not self._is_enclosed(self._away_from(holding), now)
+
+    def _away_from(self, holding: Holding) -> tuple[int, int]:
+        """Which nodes the backer of a spare must not hear."""
+        assert holding.partner is not None
+        assert holding.custodian is not None
+        return holding.partner.id, holding.custodian
 
     def lost(self, holding: Holding, now: float) -> None:
         """The backer of a spare has no copy any more."""
@@ -103,11 +128,15 @@ class DistantSpares:
                 continue
             # To the end: all have their turn.
             self._due[id] = due
-            near = holding.partner.id
-            if due > now or id in under_way or not self._rests(holding, near):
+            near = self._away_from(holding)
+            if due > now or id in under_way or not self._rests(holding, near[0]):
                 continue
-            distance = Distance(near, holding.further - 1)
+            distance = Distance(*near, holding.further - 1)
             to = self._receiver(near, now, batches)
+            if to is None and self._is_enclosed(near, now):
+                self._due[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
+                self._speech.say(near[0], id, Word.ENCLOSED)
+                continue
             datum = None if to is None else self._keeper.load(holding)
             if to is None or datum is None:
                 continue
@@ -125,12 +154,14 @@ class DistantSpares:
         custodian = self._routing.neighbours.get(near)
         return custodian is not None and custodian.beacon.hops == NO_ROUTE
 
-    def _receiver(self, near: int, now: float, batches: dict[tuple[int, Distance], list[Handover]]) -> int | None:
-        """The neighbour to offer a distant spare to: the safest that is known not to hear `near`, or else one that has
-        not been asked, with a single datum."""
+    def _receiver(
+        self, near: tuple[int, int], now: float, batches: dict[tuple[int, Distance], list[Handover]]
+    ) -> int | None:
+        """The neighbour to offer a distant spare to: one that is known not to hear `near`, or else one that has not
+        been asked, with a single datum."""
         sent: dict[int, int] = {}
         for (to, distance), handovers in batches.items():
-            if distance.near == near:
+            if distance[:2] == near:
                 sent[to] = sent.get(to, 0) + len(handovers)
         known: list[Neighbour] = []
         unknown: list[Neighbour] = []
@@ -138,7 +169,7 @@ class DistantSpares:
             beacon = neighbour.beacon
             fresh = neighbour.heard >= now - 1.5 * neighbour.turn_s
             room = beacon.free > sent.get(neighbour.id, 0)
-            if neighbour.id == near or not fresh or not room or beacon.flags & BEACON_BASE:
+            if neighbour.id in near or not fresh or not room or beacon.flags & BEACON_BASE:
                 continue
             hears, until = self._hears.get((near, neighbour.id), (False, 0.0))
             if until <= now:
@@ -146,10 +177,22 @@ class DistantSpares:
             elif not hears:
                 known.append(neighbour)
         if known:
-            return min(known, key=_by_risk).id
+            # Not always the safest one: its store would fill up.
+            return min(self._rng.choice(known), self._rng.choice(known), key=_by_risk).id
         if not unknown or sent or any(offer.near == near for offer in self._offers.values()):
             return None
         return min(unknown, key=_by_risk).id
+
+    def _remember(self, near: tuple[int, int], neighbour: int, now: float, *, hears: bool) -> None:
+        self._hears.pop((near, neighbour), None)
+        if len(self._hears) >= MAX_KNOWN:
+            del self._hears[next(iter(self._hears))]
+        self._hears[near, neighbour] = (hears, now + KNOWN_TURNS * self._routing.longest_turn_s)
+
+    def _is_enclosed(self, near: tuple[int, int], now: float) -> bool:
+        """Whether all neighbours have refused distant spares because they hear one of `near`."""
+        others = [id for id in self._routing.neighbours if id not in near]
+        return all(hears and until > now for id in others for hears, until in [self._hears.get((near, id), (False, 0))])
 
     def answered(self, number: int, sender: int, now: float, *, kept: bool) -> Holding | None:
         """A neighbour took a distant spare, or refused it. Returns the copy here that it backs now. Other numbers are
@@ -158,12 +201,9 @@ class DistantSpares:
         if offer is None or offer.to != sender:
             return None
         del self._offers[number]
-        self._hears.pop((offer.near, sender), None)
-        if len(self._hears) >= MAX_KNOWN:
-            del self._hears[next(iter(self._hears))]
-        self._hears[offer.near, sender] = (not kept, now + KNOWN_TURNS * self._routing.longest_turn_s)
+        self._remember(offer.near, sender, now, hears=not kept)
         holding = self._keeper.holdings.spare.get(offer.holding.id)
-        if not kept or holding is None or holding.partner is None or holding.partner.id in (sender, None):
+        if not kept or holding is None or holding.partner is None or holding.partner.id == sender:
             return None
         self._due.pop(holding.id, None)
         return holding

@@ -69,7 +69,7 @@ class Mirrors(NoSpares):
         """Corrupt data that another node was asked to take back."""
         self._offers = SpareOffers(keeper, routing, pace, risk, rng)
         """Which neighbours are offered spares."""
-        self._distant = DistantSpares(keeper, routing, pace)
+        self._distant = DistantSpares(keeper, routing, pace, self._speech, rng)
         """The distant spares that this node sends on."""
         self._unconfirmed = Unconfirmed(keeper, routing, pace)
         """The copies that wait for receipts."""
@@ -112,7 +112,9 @@ class Mirrors(NoSpares):
             self._keeper.notes.forget(holding.id)
             self.took(holding)
             if backer is not None:
+                # It should know that it is the first of the chain now.
                 self._pair(holding, backer.id)
+                self._speech.say(backer.id, holding.id, Word.TAKEN)
 
     def rescue(self, holding: Holding) -> None:
         """A datum was reported lost to a base, but a copy is here."""
@@ -130,12 +132,16 @@ class Mirrors(NoSpares):
         stays = id not in keeper.arrived and (not to_base or self._until_receipt)
         stays = stays and len(holdings) - len(holdings.custody) < MAX_SPARES
         if stays:
-            self._leave(holding, to)
+            # The datum goes back to the node that the backer keeps away from: nothing changes for the backer.
+            chained = None if holding.custodian != to else holding.partner
+            self._leave(holding, to if chained is None else chained.id)
             if to_base:
                 holdings.change(holding, State.PASSED_ON)
             else:
                 holdings.change(holding, State.SPARE)
                 self._pair(holding, to)
+                if chained is not None and chained.id != to:
+                    holdings.back(holding, self._partner(chained.id))
             self._unconfirmed.handed_on(holding, to, self._now)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
@@ -173,7 +179,7 @@ class Mirrors(NoSpares):
     def keep(self, giver: int, datum: Datum, distance: Distance | None) -> bool:
         """A custodian sends a spare copy, or another node a distant one. Returns whether there is a good copy here
         now."""
-        if distance is not None and self._distant.is_near(distance.near):
+        if distance is not None and self._distant.is_near(distance):
             return False
         keeper = self._keeper
         holdings = keeper.holdings
@@ -361,12 +367,15 @@ class Mirrors(NoSpares):
             elif word == Word.TAKEN:
                 if self._repairs.end(id):
                     self._keeper.notes.forget(id)
+                self._distant.taken(id, sender, self._now)
             elif word == Word.NONE:
                 self._on_none(id, sender)
             elif word == Word.WANTED:
                 self._repairs.on_wanted(id, sender)
             elif word == Word.HERE:
                 self._repairs.on_here(id, sender)
+            elif word == Word.ENCLOSED:
+                self._on_enclosed(id, sender)
 
     def _on_again(self, id: DatumId, custodian: int) -> None:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
@@ -411,6 +420,16 @@ class Mirrors(NoSpares):
             self._unbacked(holding)
         else:
             self._repairs.on_none(id, sender)
+
+    def _on_enclosed(self, id: DatumId, backer: int) -> None:
+        """A backer knows no node that could have a distant spare."""
+        holding = self._keeper.holdings.get(id)
+        if holding is None or backer != _id(_backer_of(holding)):
+            return
+        custody = holding.state is State.CUSTODY
+        if self._offers.avoid(backer, self._now) if custody else self._distant.avoid(holding, backer, self._now):
+            self._unbacked(holding)
+            self._speech.passed_on(backer, id)
 
     def _unbacked(self, holding: Holding) -> None:
         """A copy here has no backer any more."""
