@@ -27,7 +27,7 @@ from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.spares.speech import Speech
 
 #: How many spares a chain has after that of the first backer.
-FURTHER = 2
+FURTHER = 3
 #: Turns for which a datum rests before its backer begins a chain.
 REST_TURNS = 2
 #: Turns after which an unanswered offer is forgotten.
@@ -113,7 +113,8 @@ class DistantSpares:
         """Once a turn, after all else: offer distant spares, within the bandwidth."""
         if self._offers:
             self._offers = {number: offer for number, offer in self._offers.items() if offer.until > now}
-        if not self._due:
+        if not self._due or self._routing.route is not None:
+            # With a base in reach data do not rest for long.
             return
         pace, spare = self._pace, self._keeper.holdings.spare
         until = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
@@ -124,7 +125,7 @@ class DistantSpares:
                 break
             del self._due[id]
             holding = spare.get(id)
-            if holding is None or holding.backer is not None or holding.partner is None or id in self._keeper.arrived:
+            if holding is None or not self._needs(holding):
                 continue
             # To the end: all have their turn.
             self._due[id] = due
@@ -146,6 +147,9 @@ class DistantSpares:
             pace.spend()
         for (to, distance), handovers in batches.items():
             out.append(Data(self._id, to, tuple(handovers), True, distance))
+
+    def _needs(self, holding: Holding) -> bool:
+        return holding.further > 0 and holding.backer is None and holding.id not in self._keeper.arrived
 
     def _rests(self, holding: Holding, near: int) -> bool:
         """Data rest at a custodian without a route to a base; at others they move on soon."""
@@ -178,7 +182,7 @@ class DistantSpares:
                 known.append(neighbour)
         if known:
             # Not always the safest one: its store would fill up.
-            return min(self._rng.choice(known), self._rng.choice(known), key=_by_risk).id
+            return self._rng.choice(known).id
         if not unknown or sent or any(offer.near == near for offer in self._offers.values()):
             return None
         return min(unknown, key=_by_risk).id
