@@ -78,10 +78,10 @@ class DistantSpares:
 
     def backs(self, holding: Holding, distance: Distance | None, now: float) -> None:
         """This node has become the backer of a custodian, or with `distance` that of a backer."""
+        assert holding.partner is not None
+        holding.custodian = holding.partner.id if distance is None else distance.custodian
         settings = self._keeper.settings
         if settings.distant and holding.size <= settings.inline_bytes - DISTANT_BYTES:
-            assert holding.partner is not None
-            holding.custodian = holding.partner.id if distance is None else distance.custodian
             holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
             rest = REST_TURNS - 0.5 if distance is None else 0.0
             if holding.further and holding.backer is None:

@@ -218,6 +218,11 @@ class Mirrors(NoSpares):
         if custodian is not None and missing:
             self._speech.say(custodian.id, holding.id, Word.NONE)
 
+    def _retire(self, holding: Holding) -> None:
+        """Nobody counts on a spare any more."""
+        self._release(holding)
+        self._keeper.holdings.change(holding, State.PASSED_ON)
+
     def _release(self, holding: Holding) -> None:
         """The node that keeps a spare for a spare here is told that nobody counts on it any more."""
         if holding.backer is not None:
@@ -311,7 +316,10 @@ class Mirrors(NoSpares):
                 continue
             # Gone, or its store was wiped: it has none of our data any more, or none that can be counted on.
             for holding in list(partner.spares.values()):
-                if keeper.load(holding) is not None:
+                if holding.custodian != id and routing.route is not None:
+                    # It was not the custodian, and what is in custody moves on: this copy waits for the receipt.
+                    self._retire(holding)
+                elif keeper.load(holding) is not None:
                     self.take_back(holding)
             for holding in list(partner.backed.values()):
                 self._unbacked(holding)
@@ -345,8 +353,7 @@ class Mirrors(NoSpares):
             if holding is None or holding.partner is None or holding.partner.id != message.sender:
                 continue
             if keeper.settings.mirror_until_receipt:
-                self._release(holding)
-                keeper.holdings.change(holding, State.PASSED_ON)
+                self._retire(holding)
             else:
                 keeper.drop(holding, Fate.PASSED_ON)
 
