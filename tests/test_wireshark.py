@@ -111,6 +111,8 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
                 yield from (
                     zip(("number", "crc"), each, strict=True) if name == "committed" else [("refused_number", each)]
                 )
+        elif name == "distance" and value is None:
+            continue  # not on the wire
         elif hasattr(value, "_fields"):
             yield from said(value, now)
         elif name == "payload":

@@ -307,7 +307,7 @@ def _decode_data(p: bytes, now: float) -> Data:
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
     distance = None
-    if count >= _SPARE and len(p) >= at + _DISTANCE.size:
+    if count >= _SPARE and len(p) > at:
         distance = Distance._make(_DISTANCE.unpack_from(p, at))
     return Data(sender, target, tuple(handovers), count >= _SPARE, distance)
 

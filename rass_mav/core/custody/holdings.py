@@ -35,12 +35,11 @@ class State(enum.Enum):
 #: The possible changes of a copy's state, and their causes; None: there is no copy. docs/protocol.md draws it.
 CHANGES: dict[tuple[State | None, State | None], str] = {
     (None, State.CUSTODY): "created here, handed over to this node, or found at the start",
-    (None, State.SPARE): "a custodian sends a spare copy",
-    (None, State.PASSED_ON): "a backer sends a distant spare copy",
+    (None, State.SPARE): "a custodian sends a spare copy, or a backer a distant one",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
     (State.SPARE, State.PASSED_ON): "the partner reports that it has passed the datum on",
-    (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
+    (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here, or a backer a distant one",
     (
         State.SPARE,
         State.CUSTODY,
@@ -128,7 +127,8 @@ class Holding:
         self.backer: Partner | None = None
         """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
         self.custodian: int | None = None
-        """Spare: the node with custody, as far as this one knows."""
+        """Spare: the node with custody, as far as this one knows. In custody: the node that had it when this was a
+        spare, if the partner is a backer that keeps away from that node."""
         self.further = 0
         """Spare: how many nodes farther away should have a copy."""
         self.resent = 0

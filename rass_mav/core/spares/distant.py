@@ -1,14 +1,14 @@
 """Distant spares: of data that rest, copies are out of reach of whatever strikes all drones around their custodian.
 
 A custodian knows only its neighbours, so its backer is one of them, and both may be struck at once. But the backer has
-neighbours that do not hear the custodian, and these have neighbours that do not hear the backer. So where no base can be
-reached, the backer of a datum that rests has a backer of its own, and that one too: a chain of `FURTHER` spares that
-leads away from the custodian. Each node of the chain sends its spare to a neighbour, and names the node before itself. A
-neighbour that hears that node refuses.
+neighbours that do not hear the custodian, and these have neighbours that do not hear the backer. So where no base can
+be reached, the backer of a datum that rests has a backer of its own, and that one too: a chain of `FURTHER` spares that
+leads away from the custodian. Each node of the chain sends its spare to a neighbour, and names the node before itself
+and the custodian. A neighbour that hears one of them refuses.
 
-Within the chain each node is to the next one what a custodian is to its backer. So a spare that is lost is replaced, and
-a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies stay
-until the receipt, like those that data leave behind on their route.
+Within the chain each node is to the next one what a custodian is to its backer. So a spare that is lost is replaced,
+and a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies
+stay until the receipt, like those that data leave behind on their route.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.spares.speech import Speech
 
-#: How many spares a chain has after that of the first backer.
+#: How many spares a chain has after that of the first backer. One loses five times as much as two, two thrice as much as
+#: three (docs/policies.md).
 FURTHER = 3
 #: Turns for which a datum rests before its backer begins a chain.
 REST_TURNS = 2

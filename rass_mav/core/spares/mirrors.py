@@ -111,7 +111,9 @@ class Mirrors(NoSpares):
             self._keeper.stirred = True
             self._keeper.notes.forget(holding.id)
             self.took(holding)
-            if backer is not None:
+            if backer is None:
+                holding.custodian = None
+            else:
                 # It should know that it is the first of the chain now.
                 self._pair(holding, backer.id)
                 self._speech.say(backer.id, holding.id, Word.TAKEN)
@@ -173,6 +175,7 @@ class Mirrors(NoSpares):
         if holding.partner is None or holding.partner.id != backer:
             self._leave(holding, backer)
             self._pair(holding, backer)
+            holding.custodian = None
 
     # -- changes of spares ---------------------------------------------------------------------------------------------
 
