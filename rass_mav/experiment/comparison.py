@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rass_mav.experiment.curves import final_reliability, mean_delay, memory_used, summary_estimate
 from rass_mav.experiment.runs import Result
@@ -22,7 +23,15 @@ def transmissions(result: Result) -> float:
 
 def ceiling(result: Result) -> float | None:
     """The share of all data that the oracle expects to keep, 0..1; None if no data are due."""
-    found = result.extra["ceiling"]
+    return _kept(result.extra["ceiling"])
+
+
+def bound(result: Result) -> float | None:
+    """The same for an oracle with all contacts."""
+    return _kept(result.extra["contacts"])
+
+
+def _kept(found: dict[str, Any]) -> float | None:
     return found["kept"] / found["data"] if found["data"] else None
 
 
@@ -41,6 +50,8 @@ class Comparison:
     """What the oracle would keep."""
     ceiling_share: float | None
     """Reliability relative to the ceiling. With spare copies or immediate forwarding it may be above 1."""
+    bound: Estimate | None
+    """What an oracle with all contacts would keep."""
     delay: Estimate | None
     """Steps from creation to arrival, of data that arrived."""
     transmissions: Estimate
@@ -72,6 +83,7 @@ def compare(results: Sequence[Result], reference: Sequence[Result]) -> Compariso
         loss_ratio=_ratio([(losses(a), losses(b)) for a, b in pairs]),
         ceiling=estimate([found for _, found in ceilings]),
         ceiling_share=_ratio(ceilings),
+        bound=summary_estimate(results, bound),
         delay=summary_estimate(results, mean_delay),
         transmissions=_mean(results, transmissions),
         transmission_ratio=_ratio([(transmissions(a), transmissions(b)) for a, b in pairs]),

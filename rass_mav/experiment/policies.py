@@ -102,7 +102,7 @@ _REASONS = tuple(fate.value for fate in LOST)
 TABLE_COLUMNS = (
     "world", "topology", "policy", "variant", "runs", "steps", "reliability_mean", "reliability_ci95",
     "over_reference_mean", "over_reference_ci95", "losses_in_references", "ceiling_mean", "ceiling_ci95",
-    "share_of_ceiling", "delay_mean", "delay_ci95", "transmissions_mean", "transmissions_ci95",
+    "share_of_ceiling", "bound_mean", "bound_ci95", "delay_mean", "delay_ci95", "transmissions_mean", "transmissions_ci95",
     "transmissions_in_references", "memory_mean", "memory_ci95", "copies_mean", "copies_ci95", "loops",
     *(f"lost_{reason}_{part}" for reason in _REASONS for part in ("mean", "ci95")),
 )  # fmt: skip
@@ -140,7 +140,7 @@ def plan(
                         continue
                     keys = {**place.keys, **variant.keys, **failures}
                     planned += extent.plan(
-                        world, place.scenario, [policy], variant=name, keys=keys, measures=("ceiling",)
+                        world, place.scenario, [policy], variant=name, keys=keys, measures=("ceiling", "contacts")
                     )
                     scenario = planned[-1].scenario
                     if (scenario.topology, scenario.policy.name) != (topology, policy):
@@ -192,7 +192,8 @@ def _rows(groups: Groups, compared: Compared) -> list[list[object]]:
     return [
         [
             *where, *what, c.runs, groups[where][what][0].steps, *figures_of(c.reliability), *figures_of(c.gain),
-            _rounded(c.loss_ratio), *figures_of(c.ceiling), _rounded(c.ceiling_share), *figures_of(_delay(what[0], c)),
+            _rounded(c.loss_ratio), *figures_of(c.ceiling), _rounded(c.ceiling_share), *figures_of(c.bound),
+            *figures_of(_delay(what[0], c)),
             *figures_of(c.transmissions), _rounded(c.transmission_ratio), *figures_of(c.memory), *figures_of(c.copies),
             c.loops, *(value for reason in _REASONS for value in figures_of(c.lost[reason])),
         ]
@@ -220,7 +221,8 @@ def _text(groups: Groups, compared: Compared) -> str:
         f"The reference is {reference}, in the same runs.\n"
         "Delay: steps from creation to arrival, of data that arrived. Sent: data and copies, per datum created.\n"
         "Ceiling: what an oracle keeps that knows everything beforehand, with one copy and one hop a step. It is no\n"
-        "bound for the other variants.\n",
+        "bound for the other variants. An oracle with all contacts is one: it copies each datum to all nodes that it\n"
+        "can reach over any number of hops, in each step.\n",
     ]
     for (world, topology), here in compared.items():
         what = next(iter(here))
@@ -228,6 +230,9 @@ def _text(groups: Groups, compared: Compared) -> str:
         highest = here[what].ceiling
         if highest is not None:
             parts.append(f"Ceiling: {highest.text(3)}\n")
+        most = here[what].bound
+        if most is not None:
+            parts.append(f"With all contacts: {most.text(5)}\n")
         parts.append(markdown(columns, [_cells(*what, c) for what, c in here.items()]))
     return "\n".join(parts)
 
