@@ -23,7 +23,10 @@ import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from rass_mav.swarm.world import World
 
 SMALL, LARGE = 100, 1000
 #: One copy, one hop a step, no receipts: the paper's node. `benchmarks.policies` compares the other variants with it.
@@ -93,7 +96,8 @@ def _mean_hops(options: dict[str, Any]) -> float:
 
 
 def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
-    """A process with one swarm. It receives a number of steps, runs them, and returns processor seconds and frames."""
+    """A process with one swarm. It receives a number of steps, runs them, and returns processor seconds, and how many
+    frames have reached nodes, collided ones too."""
     from rass_mav.commands.common import start_logging
     from rass_mav.swarm.catalogue import load_scenario
     from rass_mav.swarm.world import World
@@ -107,7 +111,7 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
     for _ in range(warm_up):
         world.step()
     while True:
-        heard = sum(agent.peers.received for agent in world.agents)
+        heard = _reached(world)
         begin = time.process_time()
         steps = pipe.recv()
         if not steps:
@@ -115,7 +119,15 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
         for _ in range(steps):
             world.step()
         spent = time.process_time() - begin
-        pipe.send((spent, sum(agent.peers.received for agent in world.agents) - heard))
+        pipe.send((spent, _reached(world) - heard))
+
+
+def _reached(world: World) -> int:
+    from rass_mav.swarm.medium.base import Medium
+
+    tally = world.air.tally
+    collided = tally.collided if isinstance(tally, Medium) else 0
+    return sum(agent.peers.received for agent in world.agents) + collided
 
 
 def measure(rounds: int, robot_steps: int, warm_up: int, names: Sequence[str] = ()) -> dict[str, dict[str, float]]:

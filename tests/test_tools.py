@@ -21,6 +21,7 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
+from rass_mav.wire.codec import FORMATS
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from tools import emulated_pi
 from tools.explain_frame import UnreadableError, explain_frames, explain_payload, from_hex, main
@@ -51,7 +52,7 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
     message = decode(GOLDEN[name], 0.0)
     assert message is not None
     assert text[0].startswith(name.split("-")[0].capitalize())
-    assert f"type {GOLDEN[name][0] & 15}, version 2" in text[0]
+    assert f"type {FORMATS[type(message)].number}, version 2" in text[0]
     on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) != ("chunk", "target")]
     shown = [line.split()[0] for line in text[1:] if line.startswith("  ") and line[2] != " "]
     assert shown == ["age" if f == "created" else f for f in on_the_wire]

@@ -27,6 +27,7 @@ from rass_mav.core.messages import (
     Words,
 )
 from rass_mav.core.news.checksums import make_receipt
+from rass_mav.core.news.marks import pack_marks
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -97,7 +98,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
     """All fields of a message as the dissector names them. `created` is an age on the wire."""
     kind = type(record).__name__
     for name, value in zip(record._fields, record, strict=True):
-        if (kind, name) == ("Chunk", "target"):
+        if (kind, name) == ("Chunk", "target") or value is None:
             continue  # not on the wire
         if name == "created":
             yield "age", round((now - value) * 1000)
@@ -105,14 +106,17 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
+        elif name == "marks":
+            yield "count", len(value)
+            yield "mark_bytes", len(pack_marks(value, record.bits))
+            for mark in value:
+                yield "mark", mark
         elif name in ("committed", "refused"):
             yield name, len(value)
             for each in value:
                 yield from (
                     zip(("number", "crc"), each, strict=True) if name == "committed" else [("refused_number", each)]
                 )
-        elif name == "distance" and value is None:
-            continue  # not on the wire
         elif hasattr(value, "_fields"):
             yield from said(value, now)
         elif name == "payload":

@@ -33,6 +33,7 @@ from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 from rass_mav.mavlink.tunnel import decode_tunnel
 from rass_mav.wire import decode
+from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS
 from rass_mav.wire.measurement import decode_measurement
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
@@ -187,7 +188,8 @@ def explain_payload(payload: bytes) -> Iterator[str]:
     except MalformedError as error:
         raise UnreadableError(f"no rass_mav message: {error}") from None
     assert message is not None
-    yield f"{_title(message)} (type {payload[0] & 15}, version {payload[0] >> 4}), {len(payload)} bytes"
+    number = FORMATS_OF_OURS[type(message)].number
+    yield f"{_title(message)} (type {number}, version {payload[0] >> 4}), {len(payload)} bytes"
     yield from _fields(message, 1)
 
 
@@ -293,6 +295,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "chunk_size": lambda _, value: "bytes",
     "run": lambda entry, value: f"up to {entry.first + value - 1}",
     "lost": lambda _, value: "told lost" if value else "arrived",
+    "bits": lambda _, value: f"it matches one in {1 << value} of the data that have not arrived",
     "given": lambda _, value: "the sequences below have been given, and no other",
     "bitmap": _bitmap,
 }

@@ -17,7 +17,7 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 -- Fields --------------------------------------------------------------------------------------------------------------
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
-    "Query", "Passed on", "Words", "Given" }
+    "Query", "Passed on", "Words", "Given", "more", "Digest" }
 local VERSION = 2
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
@@ -52,6 +52,7 @@ local g = f -- those of the frame; f is for our own messages
 f = {}
 field("version", ProtoField.uint8, "rass.version", "Version", base.DEC, nil, 0xf0)
 field("type", ProtoField.uint8, "rass.type", "Type", base.DEC, TYPES, 0x0f)
+field("more", ProtoField.uint8, "rass.type_more", "Type", base.DEC, TYPES)
 field("sender", ProtoField.uint16, "rass.sender", "Sender")
 field("target", ProtoField.uint16, "rass.target", "Target", base.DEC, TARGETS)
 field("life", ProtoField.uint32, "rass.life", "Life", base.HEX)
@@ -108,6 +109,9 @@ field("entry_size", ProtoField.uint8, "rass.entry_size", "Bytes of bitmap", base
 field("lost", ProtoField.bool, "rass.lost", "Told lost", 8, nil, 0x80)
 field("entry_bitmap", ProtoField.bytes, "rass.entry_bitmap", "Bitmap: first + run + i too")
 field("given", ProtoField.uint32, "rass.given", "Sequences below this one have been given")
+field("bits", ProtoField.uint8, "rass.bits", "Matches one in 2 ^ this of the data that have not arrived")
+field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Bytes of packed marks")
+field("mark", ProtoField.uint32, "rass.mark", "Mark")
 field("word", ProtoField.uint8, "rass.word", "Word", base.DEC, WORDS)
 field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
 field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp")
@@ -497,6 +501,37 @@ READ[14] = function(r)
     return string.format("%d has given %d", origin, given)
 end
 
+-- The bits of a range, the low ones of each byte first.
+local function bit_reader(range)
+    local at = 0
+    return function()
+        local byte = math.floor(at / 8)
+        if byte >= range:len() then error(CUT, 0) end
+        local bit = math.floor(range(byte, 1):uint() / 2 ^ (at % 8)) % 2
+        at = at + 1
+        return bit
+    end
+end
+
+READ[16] = function(r)
+    local from = r:number("base", 2)
+    r:number("base_life", 4)
+    r:number("serial", 4)
+    r:number("crc", 4)
+    local count = r:number("count", 1)
+    local bits = r:number("bits", 1)
+    local size = r:number("mark_bytes", 1)
+    if count == 0 or bits < 8 or bits > 16 or size > 89 then error(CUT, 0) end
+    local packed = r:need(size)
+    local bit, mark = bit_reader(packed), 0
+    for _ = 1, count do
+        while bit() == 1 do mark = mark + 2 ^ bits end
+        for i = 0, bits - 1 do mark = mark + bit() * 2 ^ i end
+        r.tree:add(f.mark, packed, mark)
+    end
+    return string.format("base %d, %d data of late", from, count)
+end
+
 function rass.dissector(tvb, pinfo, root)
     local tree = root:add(rass, tvb())
     if tvb:len() == 0 then
@@ -507,6 +542,15 @@ function rass.dissector(tvb, pinfo, root)
     local version, number = head:bitfield(0, 4), head:bitfield(4, 4)
     tree:add(f.version, head)
     tree:add(f.type, head)
+    local ahead = 1
+    if version == VERSION and number == 15 then
+        if tvb:len() == 1 then
+            tree:add_proto_expert_info(malformed)
+            return 1
+        end
+        number, ahead = tvb(1, 1):uint(), 2
+        tree:add(f.more, tvb(1, 1))
+    end
     local read = READ[number]
     if version ~= VERSION or not read then
         tree:add_proto_expert_info(foreign)
@@ -514,7 +558,7 @@ function rass.dissector(tvb, pinfo, root)
         pinfo.cols.info:append(string.format("[version %d, type %d] ", version, number))
         return tvb:len()
     end
-    local reader = setmetatable({ tvb = tvb, at = 1, tree = tree }, Reader)
+    local reader = setmetatable({ tvb = tvb, at = ahead, tree = tree }, Reader)
     local whole, result = pcall(read, reader)
     if not whole then
         if result ~= CUT then error(result, 0) end -- our own bug: Wireshark shows it

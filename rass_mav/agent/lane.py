@@ -108,6 +108,13 @@ class Lane:
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
+    def meet(self, neighbours: int) -> None:
+        """So many nodes are heard on this link now."""
+        if self.pacer is not None:
+            # The ground may have changed the length of a step.
+            self.pacer.step_s = self.agent.settings.step_s
+            self.pacer.neighbours = neighbours
+
     def push(self, outgoing: Outgoing, now: float, *, first: bool = False) -> None:
         """Queue a frame; `first`: before all others of the same urgency. Only for a lane with a budget."""
         assert self.pacer is not None
@@ -132,6 +139,13 @@ class Lane:
                 "dropped": dict(zip(_KINDS, pacer.dropped, strict=True)),
             }
         return told
+
+
+def set_pace(agent: Agent, lanes: Sequence[Lane], now: float) -> None:
+    """Let a node send as many beacons and data as its links can carry with the present neighbours."""
+    node, step_s = agent.node, agent.settings.step_s
+    turn_s, items = common_pace(lanes, step_s, node.settings.bandwidth_items)
+    node.keep_pace(turn_s, items, now, slowest_turn(lanes, step_s))
 
 
 def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> tuple[float, int]:

@@ -128,6 +128,8 @@ class AgentSettings(Section):
         assert policy is not None
         bounded = not self.base or policy.replicates
         acknowledged = self.custody.mode == "acknowledged"
+        mirrored = acknowledged and self.custody.mirror is not False and not policy.replicates
+        until_receipt = self.custody.mirror_until == "receipt" and self.custody.receipts
         return NodeSettings(
             node_id=self.node_id,
             base=self.base,
@@ -138,18 +140,20 @@ class AgentSettings(Section):
             drop_oldest=drop_oldest,
             bandwidth_items=self.store.bandwidth_items,
             acknowledged=acknowledged,
-            mirror=acknowledged and self.custody.mirror is not False and not (self.base or policy.replicates),
-            mirror_until_receipt=self.custody.mirror_until == "receipt" and self.custody.receipts,
+            mirror=mirrored and not self.base,
+            mirror_until_receipt=until_receipt,
             copies_auto=self.custody.copies == "auto",
             distant=self.custody.distant,
             immediate=self.forward == "immediate",
             receipts=self.custody.receipts,
+            digest=self.custody.digest and mirrored and until_receipt,
             receipt_steps=self.custody.receipt_steps,
             retry_steps=self.custody.retry_steps,
             max_tries=self.custody.max_tries,
             neighbour_steps=self.routing.neighbour_steps,
             max_neighbours=self.routing.max_neighbours,
             max_hops=self.routing.max_hops,
+            queue_toll=self.routing.queue_toll,
             seq_period=policy.seq_period if self.routing.seq_period is None else self.routing.seq_period,
             lifetime_s=self.data.lifetime_s,
             scrub_items=self.store.scrub_items,

@@ -18,7 +18,7 @@ from functools import partial
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import MAX_WAITING
 from rass_mav.agent.duplicates import Duplicates
-from rass_mav.agent.lane import Lane, common_pace, slowest_turn
+from rass_mav.agent.lane import Lane, set_pace
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import StoreError, StoreFullError
@@ -215,18 +215,12 @@ class Driver:
 
     def _set_pace(self) -> None:
         """Send as many beacons and data as the links can carry with the present neighbours."""
-        node = self.agent.node
-        lanes = [channel.lane for channel in self.channels]
-        # The ground may have changed the length of a step.
-        step_s = self.agent.settings.step_s
+        neighbours = self.agent.node.routing.neighbours
         for channel in self.channels:
-            if (pacer := channel.lane.pacer) is not None:
-                pacer.step_s = step_s
-                pacer.neighbours = sum(map(channel.link.reaches, node.routing.neighbours))
+            channel.lane.meet(sum(map(channel.link.reaches, neighbours)))
         if self._through is not None and (pacer := self._through.lane.pacer) is not None:
             self.agent.pace_vehicle(pacer.vehicle_rate)
-        turn_s, items = common_pace(lanes, step_s, node.settings.bandwidth_items)
-        node.keep_pace(turn_s, items, self.now(), slowest_turn(lanes, step_s))
+        set_pace(self.agent, [channel.lane for channel in self.channels], self.now())
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
         for outgoing in self.writer.gate.say(frames):

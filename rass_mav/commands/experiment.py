@@ -121,7 +121,10 @@ def _add(
     """Add an experiment that consists of runs of the mock swarm. `policies`: the name of its policies in its module."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
-    parser.add_argument("--runs", type=int, default=30, metavar="N", help="seeds 0 .. N - 1 (default: 30)")
+    parser.add_argument("--runs", type=int, default=30, metavar="N", help="runs of each kind (default: 30)")
+    parser.add_argument(
+        "--first-seed", type=int, default=0, metavar="SEED", help="of the first run; the next has the next (default: 0)"
+    )
     parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 per run (default: 500)")
     _add_names(parser, "--policy", f"{name.replace('-', '_')}:{policies}", "which to compare", nargs="+")
     parser.add_argument(
@@ -218,7 +221,9 @@ def _extent(options: argparse.Namespace) -> Extent:
     numbers = {name: getattr(options, name) for name in ("runs", "steps", "jobs")}
     if wrong := [f"--{name}: expected 1 or more, got {number}" for name, number in numbers.items() if number < 1]:
         raise ConfigError(*wrong)
-    return Extent(options.runs, options.steps, options.assignments)
+    if options.first_seed < 0:
+        raise ConfigError(f"--first-seed: expected 0 or more, got {options.first_seed}")
+    return Extent(options.runs, options.steps, options.assignments, options.first_seed)
 
 
 def _runs(

@@ -280,6 +280,23 @@ class Given(NamedTuple):
     """CRC-32 of the rest (`given_crc`)."""
 
 
+@_kind(Target.EVERYBODY, Urgency.DATA, _on_all_changes)
+class Digest(NamedTuple):
+    """What has arrived at one base lately, in few bytes. Every node that hears it relays it unchanged. It matches some
+    data that have not arrived."""
+
+    base: int
+    base_life: int
+    serial: int
+    """Raised by the base with each statement and each digest, 32 bits."""
+    crc: int
+    """CRC-32 of the rest (`digest_crc`)."""
+    bits: int
+    """8..16: it matches a datum that has not arrived with a probability of at most 1 / 2^bits."""
+    marks: tuple[int, ...]
+    """One for each datum, ascending (`rass_mav.core.news.marks`); 1 to 255."""
+
+
 class LossNoteEntry(NamedTuple):
     """A datum that is beyond repair."""
 
@@ -382,5 +399,5 @@ class Words(NamedTuple):
 
 Message: TypeAlias = (
     Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Words
-    | Given
+    | Given | Digest
 )  # fmt: skip

@@ -17,6 +17,7 @@ from rass_mav.core.datum import MAX_PAYLOAD, Datum, Fate
 from rass_mav.core.messages import Committed, Message
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
+from rass_mav.core.news.digests import Digests, Fresh, NoDigests
 from rass_mav.core.news.notes import LossNotes, NoLossNotes, Note
 from rass_mav.core.news.own import OwnNumbers
 from rass_mav.core.news.receipts import NoReceipts, Receipts
@@ -31,11 +32,13 @@ from rass_mav.core.spares.mirrors import Mirrors
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("archive", "keeper", "own", "percolation", "transfers")
+    __slots__ = ("archive", "digests", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
+        self.digests = NoDigests()
+        """What bases report of late, in few bytes."""
         self.receipts = self._make_receipts()
         self.keeper = keeper = self._make_keeper()
         told = keeper.notes.told and self.archive is None
@@ -57,15 +60,20 @@ class Node(Participant):
         # Neighbours' turns should not coincide, so ids are scattered (by Knuth's multiplicative hashing).
         phase = self.id * 2654435761 % (1 << 32) >> 16
         period = self.settings.receipt_steps
+        source, serials = (self.id, self.store.life), Serials(self.store)
+        if self.settings.digest:
+            fresh = None if self.archive is None else Fresh(source, serials, period)
+            # Half a period after the receipts.
+            self.digests = Digests(fresh, period=period, phase=phase + period // 2)
         if self.archive is None:
             return Receipts(period=period, phase=phase)
-        source, serials = (self.id, self.store.life), Serials(self.store)
         return Receipts(source, archive=self.archive, serials=serials, period=period, phase=phase)
 
     def _make_keeper(self) -> Keeper:
         settings, store, numbers = self.settings, self.store, HandoverNumbers(self._first_number)
         if self.archive is not None:
-            return Sink(settings, store, numbers, self.receipts, self.archive, self.observer, self.alarms)
+            news = self.receipts, self.digests, self.archive
+            return Sink(settings, store, numbers, *news, self.observer, self.alarms)
         told = settings.receipts and settings.acknowledged
         notes = LossNotes(store) if told else NoLossNotes(store)
         return Keeper(settings, store, numbers, self.receipts, notes, self.observer, self.alarms)
@@ -83,6 +91,8 @@ class Node(Participant):
             out.append(receipt)
         if has_turn and (denial := self.receipts.denial()) is not None:
             out.append(denial)
+        if (digest := self.digests.turn(self._steps, self.routing.neighbours.values())) is not None:
+            out.append(digest)
         if self.own is not None and self.routing.route is not None:
             self.own.turn(self.holdings)
         keeper.spares.step(now)
@@ -232,6 +242,13 @@ class Node(Participant):
         if store.given <= 0xFFFFFFFF and self.receipts.deny(make_given(self.id, store.epoch, store.given), own=True):
             self.alarms.ring(Alarm.DENIED, f"base {receipt.base}")
 
+    def _on_digest(self, digest: messages.Digest, now: float) -> list[Message]:
+        if self.digests.is_forged(digest):
+            self.alarms.ring(Alarm.FORGED, f"digest {digest.serial}")
+        elif self.digests.hear(digest):
+            self.keeper.heed_digest(digest)
+        return []
+
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:
         if self.archive is not None and self.archive.end((given.origin, given.epoch)) > given.given:
             self.alarms.ring(Alarm.DENIED, f"node {given.origin}, which has assigned {given.given}")
@@ -281,4 +298,5 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.PassedOn: Node._on_passed_on,
     messages.Words: Node._on_words,
     messages.Given: Node._on_given,
+    messages.Digest: Node._on_digest,
 }

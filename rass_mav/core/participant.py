@@ -15,6 +15,7 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.announcements import Announcements
+from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
@@ -166,7 +167,10 @@ class Participant(ABC):
         if self._announcements is not None and (number := self._announcements.turn(routing.requested)) is not None:
             routing.announce(number)
         if self.policy.costs is not None:
-            routing.toll = self.policy.potential(routing.distance, self.risk.risk(now), 1)
+            hop = self.policy.potential(routing.distance, self.risk.risk(now), 1)
+            # A datum that comes here is exposed for one more turn for each turn's worth of data before it.
+            queue = hop * len(self.holdings.custody) // self.pace.items if self.settings.queue_toll else 0
+            routing.toll = Toll(hop, queue)
         routing.update(now)
 
     def update_fitness(self, now: float) -> Beacon:

@@ -221,4 +221,5 @@ HANDLERS: dict[type, Callable[[Replica, Any, float], list[Message]]] = {
     messages.PassedOn: Replica._ignore,
     messages.Words: Replica._ignore,
     messages.Given: Replica._ignore,
+    messages.Digest: Replica._ignore,
 }

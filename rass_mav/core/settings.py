@@ -70,6 +70,9 @@ class RoutingSettings(Section):
     that is heard at the beginning of a step is a neighbour in it."""
     max_neighbours: Count = 128
     max_hops: Annotated[int, Meta(ge=1, le=254)] = 250
+    queue_toll: bool = True
+    """Data avoid nodes where data wait: with q data in custody, a hop from a node costs 1 + q / `store.bandwidth_items`
+    times as much. Only under a policy whose costs add up (survival)."""
 
 
 class CustodySettings(Section):
@@ -81,8 +84,11 @@ class CustodySettings(Section):
     receipts: bool = True
     """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
     bases."""
+    digest: bool = True
+    """Bases also report what has arrived lately in a few bits a datum, which travels sooner than receipts and ends
+    spares only. Only with `receipts` and with spare copies until a receipt."""
     receipt_steps: Count = 6
-    """A node sends at most one receipt frame in this many steps."""
+    """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: Count = 1
     """Steps after which an unanswered hand-over is sent again."""
     max_tries: Count = 8
@@ -143,8 +149,10 @@ class NodeSettings:
     receipts: bool = True
     """Bases report what has arrived; other nodes relay that, and drop their spares of it. Losses are reported to the
     bases."""
+    digest: bool = False
+    """Bases also report what has arrived lately in a few bits a datum; only where spares wait for receipts."""
     receipt_steps: int = 6
-    """A node sends at most one receipt frame in this many steps."""
+    """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: int = 1
     """Steps after which an unanswered hand-over is sent again."""
     max_tries: int = 8
@@ -154,6 +162,8 @@ class NodeSettings:
     max_neighbours: int = 128
     max_hops: int = 250
     """1..254."""
+    queue_toll: bool = False
+    """Where costs add up, the data that wait here raise the cost of a route by this node."""
     seq_period: int = 30
     """Steps after which a base raises its announcement number; it also does so on request."""
     lifetime_s: float | None = None

@@ -10,12 +10,11 @@ from rass_mav.experiment.figures import Panel, Style
 from rass_mav.experiment.measures import OUT_OF_REACH
 from rass_mav.experiment.runs import Result
 from rass_mav.experiment.statistics import estimate
-from rass_mav.experiment.tables import figures_of
+from rass_mav.experiment.tables import figures_of, triple
 
 #: Columns of delay-by-distance.csv after those that identify a row's runs.
 COLUMNS = (
-    "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", "delay_of_runs_mean",
-    "delay_of_runs_ci95",
+    "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", *triple("delay_of_runs"),
 )  # fmt: skip
 
 

@@ -66,8 +66,8 @@ class Curve:
     """NaN leaves a gap."""
     color: str
     marker: str = ""
-    half: Sequence[float] | None = None
-    """Half widths of confidence intervals: a band around the line; NaN: none there."""
+    band: Sequence[tuple[float, float]] | None = None
+    """Confidence intervals, from where to where; NaN: none there."""
     singles: Sequence[Sequence[float]] = ()
     """The runs of which the line is the mean, where they are too few for a band: thin lines."""
     line: str = "-"
@@ -258,8 +258,8 @@ def _sides(value: Estimate | None, bounds: tuple[float, float]) -> tuple[float, 
     """How far an error bar goes down and up; no farther than values can be."""
     if value is None or value.drawn is None:
         return 0.0, 0.0
-    low, high = bounds
-    return max(0.0, min(value.drawn, value.mean - low)), max(0.0, min(value.drawn, high - value.mean))
+    low, high = max(value.drawn[0], bounds[0]), min(value.drawn[1], bounds[1])
+    return max(0.0, value.mean - low), max(0.0, high - value.mean)
 
 
 def _figure(size: tuple[float, float]) -> Figure:
@@ -284,11 +284,11 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
             markeredgecolor="white", markeredgewidth=0.6,
             markevery=(order * spacing // max(1, len(ours)), spacing),
         )  # fmt: skip
-        if curve.half is not None:
+        if curve.band is not None:
             least, most = panel.bounds
             # In this order of arguments NaN stays NaN.
-            low = [max(y - h, least) for y, h in zip(curve.y, curve.half, strict=True)]
-            high = [min(y + h, most) for y, h in zip(curve.y, curve.half, strict=True)]
+            low = [max(low, least) for low, _ in curve.band]
+            high = [min(high, most) for _, high in curve.band]
             axes.fill_between(curve.x, low, high, color=curve.color, alpha=0.18, linewidth=0)
         for single in curve.singles:
             axes.plot(curve.x, single, color=curve.color, linewidth=0.7, alpha=0.55, zorder=1.5)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from rass_mav.experiment.curves import by_policy, final_reliability, mean_curve, over_time, reliability
+from rass_mav.experiment.curves import by_policy, mean_curve, over_time, reliability
 from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
-from rass_mav.experiment.statistics import counted, estimate
-from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, PAIRED, kept, standard
+from rass_mav.experiment.statistics import Estimate, Share, counted, estimate_difference, estimate_share
+from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
 from rass_mav.policy.settings import kinds
 
 SCENARIO = "five-drones"
@@ -17,8 +18,8 @@ POLICIES = ("rass", "hop-count", "rass-literal")
 ALL_POLICIES = tuple(kinds())
 #: The drones' letters in the paper's figure, by node id.
 LETTERS = {1: "A", 2: "B", 3: "C", 4: "D"}
-TABLE_COLUMNS = ("policy", "origin", "runs", "steps", "reliability_mean", "reliability_ci95")
-SERIES_COLUMNS = ("policy", "origin", "step", "reliability_mean", "reliability_ci95")
+TABLE_COLUMNS = ("policy", "runs", "steps", *COLUMNS, *(c for a in LETTERS.values() for c in triple(f"from_{a}")))
+SERIES_COLUMNS = ("policy", "origin", "step", *triple("reliability"))
 
 
 def plan(extent: Extent, policies: Sequence[str]) -> list[Run]:
@@ -26,11 +27,11 @@ def plan(extent: Extent, policies: Sequence[str]) -> list[Run]:
     return extent.plan(SCENARIO, SCENARIO, policies, measures=("origins",))
 
 
-def of_origin(result: Result, node: int) -> list[float]:
-    """Reliability over time of the data that one drone created; 1 while it has created none."""
+def of_origin(result: Result, node: int) -> list[Share]:
+    """Reliability over time of the data that one drone created."""
     origins = result.extra["origins"]
     pairs = zip(origins["created"][str(node)], origins["lost"][str(node)], strict=True)
-    return [1 - lost / created if created else 1.0 for created, lost in pairs]
+    return [Share(created - lost, created) for created, lost in pairs]
 
 
 def report(results: Sequence[Result], out: Path) -> list[Path]:
@@ -40,22 +41,21 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     series: list[list[object]] = []
     lines = []
     for policy, group in policies.items():
-        cells = []
-        for name, rows, final in _origins(group):
-            found = estimate(final)
-            cells.append(cell(found, 3))
-            table.append([policy, name, len(group), group[0].steps, *figures_of(found)])
-            for step, values in zip(group[0].series.step, zip(*rows, strict=True), strict=True):
-                series.append([policy, name, step, *figures_of(estimate(values))])
-        lines.append([policy_style(policy).label, *cells])
-    names = [f"from {letter}" for letter in LETTERS.values()]
+        found = standard(group)
+        origins = []
+        for name, rows in _origins(group):
+            for step, shares in zip(group[0].series.step, zip(*rows, strict=True), strict=True):
+                series.append([policy, name, step, *figures_of(estimate_share(shares))])
+            if name in LETTERS.values():
+                origins.append(estimate_share([row[-1] for row in rows]))
+        table.append([policy, found.runs, found.steps, *found.columns(), *(v for e in origins for v in figures_of(e))])
+        lines.append([policy_style(policy).label, *found.cells(), *(cell(e, 3) for e in origins)])
     runs, steps = len(next(iter(policies.values()))), results[0].steps
+    names = [f"Reliability from {letter}" for letter in LETTERS.values()]
     text = (
-        "# Five drones: reliability\n\n"
-        f"Mean of {runs} runs of {steps} steps ± half of the 95 % confidence interval (Student's t).\n"
-        "The source is beside A; C's data go past it, or round it by D and B.\n\n"
-        + markdown(["Algorithm", "all data", *names], lines)
-        + _gaps(policies)
+        "# Five drones\n\n"
+        f"{counted(runs)} of {steps} steps. The source is beside A; C's data go past it, or round it by D and B.\n\n"
+        f"{NOTE}\n" + markdown(["Algorithm", *HEADINGS, *names], lines) + _gaps(policies)
     )
     note = f"mean of {counted(runs, 'band')}"
     whole = [over_time(group, reliability) for group in policies.values()]
@@ -84,14 +84,10 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     ]  # fmt: skip
 
 
-def _origins(group: Sequence[Result]) -> list[tuple[str, list[list[float]], list[float]]]:
-    """For all data and each drone's: name, reliability over time of each run, reliability at the end of each run."""
+def _origins(group: Sequence[Result]) -> list[tuple[str, list[list[Share]]]]:
+    """For all data and each drone's: name, reliability over time of each run."""
     whole = [reliability(result.series) for result in group]
-    found = [("all", whole, [final_reliability(result) for result in group])]
-    for node, letter in LETTERS.items():
-        rows = [of_origin(result, node) for result in group]
-        found.append((letter, rows, [row[-1] for row in rows]))
-    return found
+    return [("all", whole), *((name, [of_origin(result, node) for result in group]) for node, name in LETTERS.items())]
 
 
 def _curve(group: Sequence[Result], node: int) -> Curve:
@@ -101,21 +97,20 @@ def _curve(group: Sequence[Result], node: int) -> Curve:
 
 
 def _gaps(policies: dict[str, list[Result]]) -> str:
-    """How far RASS is above the others, whole and for C's data."""
+    """How far RASS is above the others in the same runs, whole and for C's data."""
     if "rass" not in policies:
         return ""
     lines = []
     for other in policies:
         if other != "rass":
-            whole = _gap(policies["rass"], policies[other], final_reliability)
+            whole = _gap(policies["rass"], policies[other], kept)
             far = _gap(policies["rass"], policies[other], lambda result: of_origin(result, 3)[-1])
-            lines.append([policy_style(other).label, whole, far])
+            lines.append([policy_style(other).label, cell(whole, 3), cell(far, 3)])
     if not lines:
         return ""
-    return "\nRASS is above by\n\n" + markdown(["", "all data", "from C"], lines)
+    return f"\nRASS is above by\n\n{markdown(['', 'all data', 'from C'], lines)}\n{PAIRED}"
 
 
-def _gap(rass: Sequence[Result], other: Sequence[Result], value: Callable[[Result], float]) -> str:
-    a = estimate([value(result) for result in rass])
-    b = estimate([value(result) for result in other])
-    return "n/a" if a is None or b is None else f"{a.mean - b.mean:.3f}"
+def _gap(rass: Sequence[Result], other: Sequence[Result], value: Callable[[Result], Share]) -> Estimate | None:
+    others = {result.seed: value(result).value for result in other}
+    return estimate_difference([value(result).value - others[result.seed] for result in rass if result.seed in others])

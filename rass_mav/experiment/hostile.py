@@ -5,14 +5,15 @@ A grid of 25 nodes; one attacker beside the node in its middle, from step `ATTAC
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rass_mav.experiment.figures import SHARE, Bars, draw_bars, policy_style
 from rass_mav.experiment.measures import ATTACK, HEALING
 from rass_mav.experiment.runs import Extent, Result, Run
-from rass_mav.experiment.statistics import Estimate, counted, estimate
-from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, share_of_created, standard, summary_estimate
+from rass_mav.experiment.statistics import Estimate, counted, estimate_share
+from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings, kinds
 from rass_mav.swarm.hostile.kinds import KINDS
 
@@ -26,9 +27,8 @@ POLICIES = tuple(name for name in kinds() if not PolicySettings(name=name).make(
 #: The node that the attacker is beside.
 NEAR = 12
 TABLE_COLUMNS = (
-    "attacker", "policy", "variant", "runs", "steps", "arrived_mean", "arrived_ci95", "lost_mean", "lost_ci95",
-    "unfounded_mean", "unfounded_ci95", "late_mean", "late_ci95", "healed_mean", "healed_ci95", "noticed_mean",
-    "noticed_ci95", "transmissions_mean", "transmissions_ci95",
+    "attacker", "policy", "variant", "runs", "steps", *COLUMNS, *triple("unfounded"), *triple("late"),
+    *triple("healed"), *triple("noticed"),
 )  # fmt: skip
 
 
@@ -55,27 +55,25 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     arrived: dict[tuple[str, str, str], Estimate] = {}
     for what, found in groups.items():
         attacker, policy, variant = what
-        figures = _figures(found)
-        arrived[what] = figures[0]
-        rows.append([*what, len(found), found[0].steps, *(value for f in figures for value in figures_of(f))])
-        cells = [cell(figure, digits) for figure, digits in zip(figures, (3, 3, 3, 3, 3, 1, 1), strict=True)]
+        all_runs, own = standard(found), _figures(found)
+        arrived[what] = all_runs.delivered
+        figures = (value for figure in own for value in figures_of(figure))
+        rows.append([*what, all_runs.runs, all_runs.steps, *all_runs.columns(), *figures])
+        cells = [cell(figure, digits) for figure, digits in zip(own, (3, 3, 3, 1), strict=True)]
         alarms = ", ".join(_alarms(found)) or "-"
-        lines.setdefault(variant, []).append([attacker, policy_style(policy).label, *cells, alarms])
+        lines.setdefault(variant, []).append([attacker, policy_style(policy).label, *all_runs.cells(), *cells, alarms])
     first = next(iter(groups.values()))
     text = [
         "# Attackers\n",
-        f"Mean of {len(first)} runs of {first[0].steps} steps ± half of the 95 % confidence interval (Student's t).\n"
-        f"25 nodes, one attacker in the middle from step {ATTACK[0]} until {ATTACK[1]}, no keys.\n"
-        "All but the last three columns are shares of the data created. Unfounded: deleted because of a message that\n"
-        "no base can confirm. Late: created before the attacker left, and not arrived when it did. Healed: late data\n"
-        f"that arrived within {HEALING} steps after. Noticed: nodes that raised an alarm.\n",
+        f"{counted(len(first))} of {first[0].steps} steps. 25 nodes, one attacker in the middle from step {ATTACK[0]}\n"
+        f"until {ATTACK[1]}, no keys. Unfounded, late and healed are shares of the data created. Unfounded: deleted\n"
+        "because of a message that no base can confirm. Late: created before the attacker left, and not arrived\n"
+        f"when it did. Healed: late data that arrived within {HEALING} steps after. Noticed by: nodes with an alarm.\n",
+        NOTE,
     ]
     for variant, found_lines in lines.items():
         text.append(f"## {_TITLES[variant]}\n")
-        columns = [
-            "Attacker", "Policy", "Arrived", "Lost", "Unfounded", "Late", "Healed", "Noticed by", "Sent per datum",
-            "Alarms",
-        ]  # fmt: skip
+        columns = ["Attacker", "Policy", *HEADINGS, "Unfounded", "Late", "Healed", "Noticed by", "Alarms"]
         text.append(markdown(columns, found_lines))
     return [
         write_runs(out / "runs.csv", results),
@@ -88,22 +86,18 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
 _TITLES = {"mirrors": "With spare copies", "one-copy": "One copy"}
 
 
-def _figures(found: Sequence[Result]) -> list[Estimate]:
-    """Arrived, lost, unfounded, late, healed; how many nodes noticed; sent per datum."""
-    columns = []
-    for result in found:
-        summary, attack = result.summary, result.extra["attack"]
-        created = summary["created"] or 1
-        lost = summary["lost"]
-        columns.append(
-            (
-                summary["delivered"] / created, sum(lost.values()) / created, lost.get("unfounded", 0) / created,
-                attack["late"] / created, attack["healed"] / created, attack["noticed"],
-                summary["transmissions_per_datum"],
-            )
-        )  # fmt: skip
-    estimates = [estimate(column) for column in zip(*columns, strict=True)]
-    return [e for e in estimates if e is not None]
+def _figures(found: Sequence[Result]) -> list[Estimate | None]:
+    """Unfounded, late, healed; how many nodes noticed."""
+
+    def share(part: Callable[[Result], int]) -> Estimate:
+        return estimate_share([share_of_created(result, part(result)) for result in found])
+
+    return [
+        share(lambda result: result.summary["lost"].get("unfounded", 0)),
+        share(lambda result: result.extra["attack"]["late"]),
+        share(lambda result: result.extra["attack"]["healed"]),
+        summary_estimate(found, lambda result: result.extra["attack"]["noticed"]),
+    ]
 
 
 def _alarms(found: Sequence[Result]) -> list[str]:

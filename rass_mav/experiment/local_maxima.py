@@ -13,8 +13,9 @@ from rass_mav.experiment.curves import by_policy
 from rass_mav.experiment.figures import Bars, draw_bars, policy_style
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
 from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, standard
 from rass_mav.experiment.statistics import Estimate, counted, estimate
-from rass_mav.experiment.tables import figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.tables import figures_of, markdown, triple, write_csv, write_runs, write_text
 
 #: The policies that follow a fitness.
 POLICIES = ("rass", "hop-count", "rass-literal")
@@ -28,8 +29,7 @@ SHARES = (
     ("corrupted_in_lasting", "in those without noise", "corrupted_in_lasting", "corrupted"),
 )
 TABLE_COLUMNS = (
-    "topology", "policy", "runs", "steps",
-    *(f"{column}_{part}" for column, *_ in SHARES for part in ("mean", "ci95")),
+    "topology", "policy", "runs", "steps", *COLUMNS, *(part for column, *_ in SHARES for part in triple(column)),
 )  # fmt: skip
 
 
@@ -58,15 +58,21 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
         for policy, group in policies.items():
             shares = [share(group, part, whole) for _, _, part, whole in SHARES]
             figures = (figure for found in shares for figure in figures_of(found))
-            rows.append([topology, policy, len(group), group[0].steps, *figures])
-            cells.append([TOPOLOGY_TITLES.get(topology, topology), policy_style(policy).label, *map(_percent, shares)])
+            found = standard(group)
+            rows.append([topology, policy, found.runs, found.steps, *found.columns(), *figures])
+            cells.append(
+                [
+                    TOPOLOGY_TITLES.get(topology, topology), policy_style(policy).label, *map(_percent, shares),
+                    *found.cells(),
+                ]
+            )  # fmt: skip
     runs = max(len(group) for policies in groups.values() for group in policies.values())
     text = (
         "# Local maxima, world paper\n\n"
-        f"Mean of {runs} runs of {results[0].steps} steps ± half of the 95 % confidence interval (Student's t), in\n"
-        "percent. A basin: a node that knows a route to the base and has neighbours, none of them the base and none\n"
-        "fitter by Eq. 4. Without noise: a basin by the true risk, which the next reading does not end.\n\n"
-        + markdown(["Topology", "Algorithm", *(heading for _, heading, *_ in SHARES)], cells)
+        f"{counted(runs)} of {results[0].steps} steps; basins in percent. A basin: a node that knows a route to the\n"
+        "base and has neighbours, none of them the base and none fitter by Eq. 4. Without noise: a basin by the true\n"
+        f"risk, which the next reading does not end.\n\n{NOTE}\n"
+        + markdown(["Topology", "Algorithm", *(heading for _, heading, *_ in SHARES), *HEADINGS], cells)
     )
     note = f"mean of {counted(runs, 'error bars')}; hatched: in nodes that are basins without noise"
     return [

@@ -6,26 +6,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.experiment.curves import (
-    by_policy,
-    final_reliability,
-    mean_curve,
-    mean_delay,
-    over_time,
-    reliability,
-    summary_estimate,
-)
+from rass_mav.experiment.curves import by_policy, mean_curve, over_time, reliability
 from rass_mav.experiment.figures import SHARE, Panel, draw, policy_style
 from rass_mav.experiment.runs import Extent, Result, Run
-from rass_mav.experiment.statistics import counted
-from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, kept, standard
+from rass_mav.experiment.statistics import Share, counted
+from rass_mav.experiment.tables import markdown, write_csv, write_runs, write_text
 from rass_mav.policy.settings import kinds
 
 POLICIES = ("rass", "hop-count", "rass-literal")
 ALL_POLICIES = tuple(kinds())
-TABLE_COLUMNS = (
-    "drift_m", "policy", "runs", "steps", "reliability_mean", "reliability_ci95", "delay_mean", "delay_ci95",
-)  # fmt: skip
+TABLE_COLUMNS = ("drift_m", "policy", "runs", "steps", *COLUMNS)
 _Y_LABEL = "reliability (1 - lost / created)"
 
 
@@ -44,23 +35,21 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     groups = {variant: by_policy(r for r in results if r.variant == variant) for variant in drifts}
     rows: list[list[object]] = []
     cells: list[list[str]] = []
-    lines: dict[str, list[tuple[float, list[float]]]] = {}
+    lines: dict[str, list[tuple[float, list[Share]]]] = {}
     for variant, policies in groups.items():
         for policy, group in policies.items():
-            kept = summary_estimate(group, final_reliability)
-            delay = summary_estimate(group, mean_delay)
+            found = standard(group)
             drift = drifts[variant]
-            rows.append([drift, policy, len(group), group[0].steps, *figures_of(kept), *figures_of(delay)])
-            cells.append([f"{drift:g}", policy_style(policy).label, cell(kept, 3), cell(delay)])
-            lines.setdefault(policy, []).append((drift, [final_reliability(result) for result in group]))
+            rows.append([drift, policy, found.runs, found.steps, *found.columns()])
+            cells.append([f"{drift:g}", policy_style(policy).label, *found.cells()])
+            lines.setdefault(policy, []).append((drift, [kept(result) for result in group]))
     some = results[0]
     runs = len(next(iter(next(iter(groups.values())).values())))
     note = f"mean of {counted(runs, 'band')}"
     text = (
         f"# Moving sources: {some.topology}, world paper\n\n"
-        f"Mean of {runs} runs of {some.steps} steps ± half of the 95 % confidence interval (Student's t). Each source\n"
-        "does a random walk of so many metres a step. Delay: steps, of data that arrived.\n\n"
-        + markdown(["Drift, m a step", "Algorithm", "Reliability", "Delay"], cells)
+        f"{counted(runs)} of {some.steps} steps. Each source does a random walk of so many metres a step.\n\n{NOTE}\n"
+        + markdown(["Drift, m a step", "Algorithm", *HEADINGS], cells)
     )
     against_drift = []
     for policy, points in lines.items():

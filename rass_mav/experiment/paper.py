@@ -8,21 +8,13 @@ from pathlib import Path
 
 from rass_mav.errors import ConfigError
 from rass_mav.experiment import distances
-from rass_mav.experiment.curves import (
-    by_policy,
-    final_reliability,
-    mean_delay,
-    memory_used,
-    over_time,
-    reliability,
-    summary_estimate,
-    total_stored,
-)
+from rass_mav.experiment.curves import by_policy, memory_used, over_time, reliability, total_stored
 from rass_mav.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.experiment.published import TABLE_1, Published
 from rass_mav.experiment.runs import Extent, Result, Run
+from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, standard, summary_estimate
 from rass_mav.experiment.statistics import counted
-from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
 from rass_mav.swarm.catalogue import shipped
 
 WORLDS = ("paper", "reference")
@@ -39,8 +31,8 @@ TOPOLOGY_TITLES = {
     "random-walk": "random walk",
 }
 TABLE_COLUMNS = (
-    "world", "topology", "policy", "runs", "steps", "delay_paper", "delay_mean", "delay_ci95", "memory_paper",
-    "memory_mean", "memory_ci95", "reliability_authors", "reliability_mean", "reliability_ci95",
+    "world", "topology", "policy", "runs", "steps", "delay_paper", "memory_paper", "reliability_authors",
+    *triple("memory"), *COLUMNS,
 )  # fmt: skip
 DISTANCE_COLUMNS = ("world", "topology", "policy", *distances.COLUMNS)
 #: Figures cut distributions off at a delay that at most this share of the data exceeds.
@@ -103,23 +95,21 @@ def _table_1(
     for (world, topology), policies in groups.items():
         for policy, results in policies.items():
             delay_paper, memory_paper = TABLE_1.get((topology, policy), (None, None))
-            # The paper has no delay for stigmergy, which knows no base.
-            delay = None if policy == "stigmergy" else summary_estimate(results, mean_delay)
+            found = standard(results)
             memory = summary_estimate(results, memory_used)
-            kept = summary_estimate(results, final_reliability)
             curve = published.curves.get((topology, policy))
             authors = None if curve is None else curve.reliability[-1]
             rows.append(
                 [
-                    world, topology, policy, len(results), results[0].steps,
-                    delay_paper, *figures_of(delay), memory_paper, *figures_of(memory), authors, *figures_of(kept),
+                    world, topology, policy, found.runs, found.steps, delay_paper, memory_paper, authors,
+                    *figures_of(memory), *found.columns(),
                 ]
             )  # fmt: skip
             text.setdefault(world, []).append(
                 [
                     TOPOLOGY_TITLES.get(topology, topology), policy_style(policy).label,
-                    cell(delay_paper), cell(delay), cell(memory_paper), cell(memory),
-                    cell(authors, 3), cell(kept, 3),
+                    cell(delay_paper), cell(found.delay), cell(memory_paper), cell(memory),
+                    cell(authors, 3), *found.cells(),
                 ]
             )  # fmt: skip
     return write_csv(out / "table1.csv", TABLE_COLUMNS, rows), write_text(out / "table1.md", _table_text(text, groups))
@@ -128,14 +118,14 @@ def _table_1(
 def _table_text(rows: dict[str, list[list[str]]], groups: dict[tuple[str, str], dict[str, list[Result]]]) -> str:
     columns = [
         "Topology", "Algorithm", "Delay, paper", "Delay, ours", "Memory, paper", "Memory, ours",
-        "Reliability, authors", "Reliability, ours",
+        "Reliability, authors", *HEADINGS,
     ]  # fmt: skip
     parts = [
         "# Table I of the paper, beside ours\n",
-        "Ours: mean over runs ± half of the 95 % confidence interval (Student's t). Delay: steps from creation to\n"
-        'arrival, of data that arrived (the paper prints it as "transfer speed (hops)"). Memory: items in a drone,\n'
-        "mean over drones and steps, in percent of 50 items. Reliability: 1 - lost / created at the\n"
-        "end; the paper has it in figures only, the numbers are those of the authors' logs.\n",
+        'The paper prints the mean delay as "transfer speed (hops)". Memory: items in a drone, mean over drones and\n'
+        "steps, in percent of 50 items. Reliability: 1 - lost / created at the end; the paper has it in figures only,\n"
+        "the numbers are those of the authors' logs.\n",
+        NOTE,
     ]
     for world, lines in rows.items():
         some = next(results for (w, _), p in groups.items() if w == world for results in p.values())

@@ -18,8 +18,9 @@ from rass_mav.experiment.comparison import Comparison, compare
 from rass_mav.experiment.figures import LEVEL, SHARE, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
 from rass_mav.experiment.paper import TOPOLOGY_TITLES
 from rass_mav.experiment.runs import Extent, Result, Run
-from rass_mav.experiment.statistics import Estimate, Interval, counted
-from rass_mav.experiment.tables import cell, figures_of, markdown, write_csv, write_runs, write_text
+from rass_mav.experiment.standard import COLUMNS, HEADINGS, NOTE, PAIRED
+from rass_mav.experiment.statistics import Interval, counted
+from rass_mav.experiment.tables import cell, figures_of, markdown, triple, write_csv, write_runs, write_text
 from rass_mav.policy.settings import PolicySettings, kinds
 from rass_mav.swarm.ledger import LOST
 
@@ -100,11 +101,10 @@ WORLD, FAILING = "paper", "paper-failures"
 
 _REASONS = tuple(fate.value for fate in LOST)
 TABLE_COLUMNS = (
-    "world", "topology", "policy", "variant", "runs", "steps", "reliability_mean", "reliability_ci95",
-    "over_reference_mean", "over_reference_ci95", "losses_in_references", "ceiling_mean", "ceiling_ci95",
-    "share_of_ceiling", "bound_mean", "bound_ci95", "delay_mean", "delay_ci95", "transmissions_mean", "transmissions_ci95",
-    "transmissions_in_references", "memory_mean", "memory_ci95", "copies_mean", "copies_ci95", "loops",
-    *(f"lost_{reason}_{part}" for reason in _REASONS for part in ("mean", "ci95")),
+    "world", "topology", "policy", "variant", "runs", "steps", *COLUMNS, *triple("over_reference"),
+    "losses_in_references", *triple("ceiling"), "share_of_ceiling", *triple("bound"),
+    "transmissions_in_references", *triple("memory"),
+    *triple("copies"), "loops", *(part for reason in _REASONS for part in triple(f"lost_{reason}")),
 )  # fmt: skip
 DISTANCE_COLUMNS = ("world", "topology", "policy", "variant", *distances.COLUMNS)
 
@@ -165,7 +165,7 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
     }
     files = [
         write_runs(out / "runs.csv", results),
-        write_csv(out / "table.csv", TABLE_COLUMNS, _rows(groups, compared)),
+        write_csv(out / "table.csv", TABLE_COLUMNS, _rows(compared)),
         write_text(out / "table.md", _text(groups, compared)),
         write_csv(
             out / "delay-by-distance.csv", DISTANCE_COLUMNS,
@@ -187,15 +187,15 @@ def report(results: Sequence[Result], out: Path) -> list[Path]:
 # -- tables ------------------------------------------------------------------------------------------------------------
 
 
-def _rows(groups: Groups, compared: Compared) -> list[list[object]]:
+def _rows(compared: Compared) -> list[list[object]]:
     """`TABLE_COLUMNS`."""
     return [
         [
-            *where, *what, c.runs, groups[where][what][0].steps, *figures_of(c.reliability), *figures_of(c.gain),
-            _rounded(c.loss_ratio), *figures_of(c.ceiling), _rounded(c.ceiling_share), *figures_of(c.bound),
-            *figures_of(_delay(what[0], c)),
-            *figures_of(c.transmissions), _rounded(c.transmission_ratio), *figures_of(c.memory), *figures_of(c.copies),
-            c.loops, *(value for reason in _REASONS for value in figures_of(c.lost[reason])),
+            *where, *what, c.standard.runs, c.standard.steps, *c.standard.columns(), *figures_of(c.gain, 6),
+            _rounded(c.loss_ratio), *figures_of(c.ceiling), _rounded(c.ceiling_share), *figures_of(c.bound, 6),
+            _rounded(c.transmission_ratio),
+            *figures_of(c.memory), *figures_of(c.copies), c.loops,
+            *(value for reason in _REASONS for value in figures_of(c.lost[reason], 6)),
         ]
         for where, here in compared.items()
         for what, c in here.items()
@@ -212,17 +212,16 @@ def _text(groups: Groups, compared: Compared) -> str:
     first = next(iter(some.values()))
     reference = f"{policy_style(REFERENCE[0]).label}, {_look(*REFERENCE).title}"
     columns = [
-        "Policy", "Variant", "Reliability", "Over the reference", "Losses, x reference", "Share of the ceiling",
-        "Delay", "Sent per datum", "x reference", "Memory, %", "Loops",
+        "Policy", "Variant", *HEADINGS, "Over the reference", "Losses, x reference", "Share of the ceiling",
+        "Sent, x reference", "Memory, %", "Loops",
     ]  # fmt: skip
     parts = [
         "# Policies, world paper\n",
-        f"Mean of {len(first)} runs of {first[0].steps} steps ± half of the 95 % confidence interval (Student's t).\n"
-        f"The reference is {reference}, in the same runs.\n"
-        "Delay: steps from creation to arrival, of data that arrived. Sent: data and copies, per datum created.\n"
+        f"{counted(len(first))} of {first[0].steps} steps. The reference is {reference}, in the same runs.\n"
         "Ceiling: what an oracle keeps that knows everything beforehand, with one copy and one hop a step. It is no\n"
         "bound for the other variants. An oracle with all contacts is one: it copies each datum to all nodes that it\n"
         "can reach over any number of hops, in each step.\n",
+        NOTE + PAIRED,
     ]
     for (world, topology), here in compared.items():
         what = next(iter(here))
@@ -239,17 +238,10 @@ def _text(groups: Groups, compared: Compared) -> str:
 
 def _cells(policy: str, variant: str, c: Comparison) -> list[str]:
     return [
-        policy_style(policy).label, _look(policy, variant).title, cell(c.reliability, 3),
+        policy_style(policy).label, _look(policy, variant).title, *c.standard.cells(),
         "reference" if (policy, variant) == REFERENCE else cell(c.gain, 3, sign="+"),
-        cell(c.loss_ratio), cell(c.ceiling_share),
-        cell(_delay(policy, c)), cell(c.transmissions), cell(c.transmission_ratio),
-        cell(c.memory), str(c.loops),
+        cell(c.loss_ratio), cell(c.ceiling_share), cell(c.transmission_ratio), cell(c.memory), str(c.loops),
     ]  # fmt: skip
-
-
-def _delay(policy: str, c: Comparison) -> Estimate | None:
-    # Stigmergy knows no base: its delays would be those of copies that happen to reach one.
-    return None if policy == "stigmergy" else c.delay
 
 
 def _title(world: str, topology: str, here: dict[tuple[str, str], list[Result]]) -> str:
@@ -305,7 +297,7 @@ def _draw_costs(path: Path, topology: str, groups: Groups, compared: Compared) -
 def _point(what: tuple[str, str], c: Comparison) -> Point:
     return Point(
         replace(policy_style(what[0]), marker=_look(*what).marker),
-        c.transmissions, c.reliability,
+        c.standard.transmissions, c.standard.reliability,
     )  # fmt: skip
 
 

@@ -78,10 +78,11 @@ class Extent(NamedTuple):
     """How many runs an experiment does for each of its cases."""
 
     runs: int
-    """Seeds 0 .. runs - 1."""
+    """Seeds first_seed .. first_seed + runs - 1."""
     steps: int
     assignments: Sequence[str] = ()
     """`key.path=value`: they override all other keys."""
+    first_seed: int = 0
 
     def plan(
         self,
@@ -98,7 +99,10 @@ class Extent(NamedTuple):
         for policy in policies:
             options = {"policy.name": policy, "steps": self.steps, **(keys or {})}
             loaded = load_scenario(scenario, options, self.assignments)
-            planned += [Run(world, variant, replace(loaded, seed=seed), measures) for seed in range(self.runs)]
+            planned += [
+                Run(world, variant, replace(loaded, seed=seed), measures)
+                for seed in range(self.first_seed, self.first_seed + self.runs)
+            ]
         return planned
 
 

@@ -58,6 +58,11 @@ def write_runs(path: Path, results: Sequence[Result]) -> Path:
     return write_csv(path, [*RUN_COLUMNS, *columns], rows)
 
 
+def triple(name: str) -> tuple[str, str, str]:
+    """The columns of a mean and its confidence interval, as `figures_of` gives them."""
+    return f"{name}_mean", f"{name}_low", f"{name}_high"
+
+
 def cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> str:
     """A figure in a Markdown table; `sign`: the text before a mean that is not negative."""
     if value is None:
@@ -68,7 +73,8 @@ def cell(value: Estimate | float | None, digits: int = 2, *, sign: str = "") -> 
 
 
 def figures_of(value: Estimate | None, digits: int = 4) -> list[float | None]:
-    """Mean and half width for two columns of a CSV file."""
+    """Mean and confidence interval for three columns of a CSV file."""
     if value is None:
-        return [None, None]
-    return [round(value.mean, digits), None if value.half_width is None else round(value.half_width, digits)]
+        return [None, None, None]
+    low, high = value.interval or (None, None)
+    return [number if number is None else round(number, digits) for number in (value.mean, low, high)]

@@ -38,6 +38,7 @@ LEAST_THROTTLE = 0.05
 #: free buffer: the last report may be forged, or from before the air was free again.
 RADIO_STATUS_S = 3.0
 _UP, _DOWN_A_LITTLE, _DOWN_A_LOT = 1.25, 0.8, 0.5
+_URGENCIES = tuple(Urgency)
 
 
 class Budget(NamedTuple):
@@ -123,6 +124,7 @@ class Pacer:
         self._beacon_at = now
         self._clear_at = now
         self._status_at = now
+        self._settled_at = -math.inf
 
     # -- what the link can carry ---------------------------------------------------------------------------------------
 
@@ -167,8 +169,8 @@ class Pacer:
     def pop(self, now: float) -> Queued | None:
         """The frame that leaves now, or None. Ask again until None."""
         self._settle(now)
-        urgency = self._next(now)
-        if urgency is None or self._wait(urgency, now) > 1e-9:
+        urgency, wait = self._next(now)
+        if wait > 1e-9:
             return None
         queued = self._queues[urgency].popleft()
         size = len(queued.frame)
@@ -187,34 +189,39 @@ class Pacer:
     def next_at(self, now: float) -> float | None:
         """When to `pop` next; None: nothing waits."""
         self._settle(now)
-        urgency = self._next(now)
-        return None if urgency is None else now + self._wait(urgency, now)
+        _, wait = self._next(now)
+        return None if wait == math.inf else now + wait
 
     def _settle(self, now: float) -> None:
+        if now == self._settled_at:
+            return
+        self._settled_at = now
         while self.throttle < 1.0 and now - self._status_at > RADIO_STATUS_S:
             self._status_at += 1.0
             self.throttle = min(1.0, self.throttle * _UP)
-        rate = self.rate
-        self._bytes.fill(rate, now)
+        self._bytes.fill(self.rate, now)
         self._frames.fill(self.budget.frames_s, now)
         self._data.fill(self.data_rate, now)
-        oldest = now - STALE_TURNS * self.pace().turn_s
         for urgency in (Urgency.ANSWER, Urgency.DATA):
             queue = self._queues[urgency]
+            # A turn has at least a step.
+            if not queue or queue[0].since >= now - STALE_TURNS * self.step_s:
+                continue
+            oldest = now - STALE_TURNS * self.pace().turn_s
             while queue and queue[0].since < oldest:
                 queue.popleft()
                 self.dropped[urgency] += 1
 
-    def _next(self, now: float) -> Urgency | None:
-        """The most urgent, unless a less urgent one may leave before it."""
-        best: Urgency | None = None
-        least = math.inf
-        for urgency in Urgency:
+    def _next(self, now: float) -> tuple[Urgency, float]:
+        """The most urgent, unless a less urgent one may leave before it; and how long it has to wait, seconds. It is
+        infinite if nothing waits."""
+        best, least = Urgency.DATA, math.inf
+        for urgency in _URGENCIES:
             if self._queues[urgency]:
                 wait = self._wait(urgency, now)
                 if wait < least - 1e-9:
                     best, least = urgency, wait
-        return best
+        return best, least
 
     def _wait(self, urgency: Urgency, now: float) -> float:
         size = len(self._queues[urgency][0].frame)

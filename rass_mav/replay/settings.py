@@ -16,7 +16,8 @@ from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import CountsSettings
 from rass_mav.store.settings import StoreSettings
-from rass_mav.swarm.scenario import NodeSection, RadioSection
+from rass_mav.swarm.medium.settings import RadioSection
+from rass_mav.swarm.scenario import NodeSection
 
 
 class ReplayNodeSection(NodeSection):

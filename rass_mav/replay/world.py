@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from rass_mav.errors import LogError
-from rass_mav.swarm.radio import Record
-from rass_mav.swarm.virtual import VirtualSwarm
+from rass_mav.swarm.medium.tally import Record
+from rass_mav.swarm.virtual import Danger, VirtualSwarm
 
 from .places import Point, Projection, links
 from .recording import Recording
@@ -61,6 +61,7 @@ class ReplaySwarm(VirtualSwarm):
             settings.radio,
             seed=settings.seed,
             topology="replay",
+            phases=settings.node.phases == "random",
             record=record,
         )
         home = recording.home
@@ -98,11 +99,15 @@ class ReplaySwarm(VirtualSwarm):
             for time_us, frame in self._due(place, now):
                 vehicle_bytes(frame, self._seconds(time_us))
         self._neighbours = links(self._points(now), self._range_m)
+
+    def _dangers(self) -> Iterator[Danger]:
+        """The drones whose risk is known."""
         if self._corruption:
+            now = self.t * self.step_s
             for agent in self.agents[1:]:
                 risk = agent.node.risk
                 if risk.known(now):
-                    self._strike(agent.node.id, risk.risk(now))
+                    yield Danger(agent.node.id, risk.risk(now))
 
     def _seconds(self, time_us: int) -> float:
         """A time of the logs on the timeline of the nodes."""

@@ -34,8 +34,9 @@ from rass_mav.errors import ConfigError, MalformedError, RassError, os_errors_as
 from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.tlog import TlogWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.swarm.medium.tally import Record
 from rass_mav.swarm.neighbours import RangeGraph
-from rass_mav.swarm.radio import Radio, Record
+from rass_mav.swarm.radio import Radio
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.wires import Wires
 from rass_mav.wire import decode

@@ -42,7 +42,7 @@ from rass_mav.swarm.children import Child, Children
 from rass_mav.swarm.loops import count_loops
 from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
-from rass_mav.swarm.statistics import spread
+from rass_mav.swarm.statistics import rate, spread
 from rass_mav.swarm.stopwatch import Stopwatch
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.swarm.workplace import workplace
@@ -386,6 +386,7 @@ class ProcessSwarm:
             "lost": lost,
             "altered": census.altered,
             "reliability": round(kept / created, 6) if created else 1.0,
+            "delivered_share": round(census.delivered / created, 6) if created else 1.0,
             "delay_steps": spread(list(census.delays.values())),
             "hops": spread(list(census.hops.values())),
             "memory_used_percent": round(100 * census.stored / room, 4) if room else 0.0,
@@ -398,6 +399,7 @@ class ProcessSwarm:
                 "malformed": radio.malformed + sum(node.total("malformed") for node in self._nodes),
             },
             "bytes_sent": radio.bytes_sent,
+            "bytes_per_node_s": rate(radio.bytes_sent, scenario.nodes, scenario.steps * scenario.node.step_s),
             "air_sha256": radio.sha256,
             "routing": {"max_hop_count": radio.max_hop_count, "loops": self._loops},
             "transport": {

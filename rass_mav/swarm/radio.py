@@ -1,58 +1,39 @@
-"""The mock radio: which nodes hear a frame, and what happens to it in transit."""
+"""The air that takes no time: which nodes hear a frame, and what happens to it in transit."""
 
 from __future__ import annotations
 
-import hashlib
 import random
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-from rass_mav.swarm.scenario import RadioSection
+from rass_mav.swarm.medium.settings import RadioSection
+from rass_mav.swarm.medium.tally import Record, Tally
 
 #: The most frames that overtake another; if fewer are in transit, it waits for the next step.
 _OVERTAKEN_BY = 16
-
-#: Called with each frame put on the air, and its step.
-Record = Callable[[bytes, int], None]
-# Bytes of frames that are digested together: one call for each frame would cost more than its bytes.
-_DIGEST_BYTES = 1 << 14
 
 #: A frame, preceded by the nodes that hear it, each as often as it does.
 Arrival = tuple[Sequence[int], bytes]
 
 
-class Radio:
+class Radio(Tally):
     """The air. Accepts frames, and determines in order which node hears what. Every frame is heard as bytes."""
 
     def __init__(self, settings: RadioSection, rng: random.Random, *, record: Record | None) -> None:
         """`record` is called with each frame put on the air and its step, in order."""
+        super().__init__(record)
         self._loss = settings.loss
         self._duplicate = settings.duplicate
         self._reorder = settings.reorder
         self._latency = settings.latency_steps
         self._rng = rng
-        self._record = record
         self._now: deque[tuple[int, bytes, Sequence[int] | None]] = deque()
         self._later: deque[tuple[int, int, bytes, Sequence[int] | None]] = deque()
-        self._digest = hashlib.sha256()
-        self._undigested = bytearray()
         self._plain = not (settings.loss or settings.duplicate or settings.reorder)
-        self.sent = 0
-        """Frames put on the air."""
-        self.dropped = 0
-        """Frames lost, one for each hearer that lost it."""
-        self.bytes_sent = 0
 
     def send(self, sender: int, frame: bytes, step: int) -> None:
         """Put a frame on the air at `step`."""
-        self.sent += 1
-        self.bytes_sent += len(frame)
-        undigested = self._undigested
-        undigested += frame
-        if len(undigested) >= _DIGEST_BYTES:
-            self._take_in()
-        if self._record is not None:
-            self._record(frame, step)
+        self.count(frame, step)
         if self._latency:
             self._later.append((step + self._latency, sender, frame, None))
         else:
@@ -101,13 +82,3 @@ class Radio:
             self._later.append((step + 1, sender, frame, hearers))
         else:
             self._now.insert(places, (sender, frame, hearers))
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 over all frames put on the air, in order, in hexadecimal."""
-        self._take_in()
-        return self._digest.hexdigest()
-
-    def _take_in(self) -> None:
-        self._digest.update(self._undigested)
-        self._undigested.clear()

@@ -14,6 +14,7 @@ from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicyName, PolicySettings
 from rass_mav.store.settings import StoreSettings
 from rass_mav.swarm.hostile.kinds import kinds
+from rass_mav.swarm.medium.settings import RadioSection
 
 
 class NodeSection(Section):
@@ -24,6 +25,9 @@ class NodeSection(Section):
     forward: Forward = "immediate"
     """step: a datum that comes in after a step leaves in the next one at the earliest; immediate: at once, within the
     step's bandwidth."""
+    phases: Literal["lockstep", "random"] | None = None
+    """When nodes have their turns. lockstep: all at the beginning of a step; random: each at a moment of its own in
+    each step, the same in all of them; null: random where `radio.air` takes time."""
 
 
 class MobilitySection(Section):
@@ -44,21 +48,6 @@ class MobilitySection(Section):
     (swarm/authors.py)."""
 
 
-class RadioSection(Section):
-    """The air between the nodes. Loss, duplication and overtaking are drawn separately for each hearer."""
-
-    range_m: Positive = 3.0
-    """Nodes at most this far away hear a frame, metres."""
-    loss: Fraction = 0.0
-    """Probability that a hearer does not get a frame."""
-    duplicate: Fraction = 0.0
-    """Probability that a hearer gets a frame twice."""
-    reorder: Fraction = 0.0
-    """Probability that a frame is overtaken by others, up to one step's worth."""
-    latency_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
-    """0: a frame arrives before the next step, and so do answers; L: at the beginning of the L-th step after."""
-
-
 class RadiationSection(Section):
     """The radiation field, Eq. 1 and 2."""
 
@@ -77,6 +66,9 @@ class RadiationSection(Section):
     """Standard deviation of the sensor's noise b of Eq. 1."""
     corruption: bool = True
     """Whether data in drones' stores are struck."""
+    strikes_per_step: Annotated[int, Meta(ge=1, le=1000)] = 1
+    """How often in a step data are struck, at equal distances from its beginning on, with the same probability in all.
+    Where `radio.air` takes time, frames that wait or fly are struck too."""
     rule: Literal["probability", "threshold"] = "probability"
     """probability: Eq. 2; threshold: a datum is struck when a tolerance drawn for it is below the drone's risk."""
     tolerance: tuple[float, float] = (0.15, 0.5)
@@ -262,6 +254,12 @@ class Scenario(Section):
         for index, attacker in enumerate(self.hostile):
             if attacker.near >= self.nodes:
                 yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
+        if self.transport != "loopback" and (self.radio.takes_time or self.node.phases == "random"):
+            yield "radio.air: expected none, and node.phases lockstep, unless the transport is loopback"
+        if self.radiation.strikes_per_step > 1 and self.transport != "loopback":
+            yield "radiation.strikes_per_step: expected 1 unless the transport is loopback"
+        if self.hostile and (self.radio.path_loss is not None or self.radio.capture_db is not None):
+            yield "hostile: expected no attackers with radio.path_loss or radio.capture_db"
         if self.hostile and self.transport != "loopback":
             yield "hostile: expected no attackers unless the transport is loopback"
         if self.disk is not None and self.transport != "loopback":
@@ -278,6 +276,11 @@ class Scenario(Section):
         while side * side < self.nodes:
             side += 1
         return 2.0 * side
+
+    @property
+    def has_phases(self) -> bool:
+        """Whether each node has its turns at a moment of its own."""
+        return self.radio.takes_time if self.node.phases is None else self.node.phases == "random"
 
     def agent_settings(self, node_id: int) -> AgentSettings:
         """The settings of one node."""

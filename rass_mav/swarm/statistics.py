@@ -12,7 +12,7 @@ from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
-from rass_mav.swarm.radio import Radio
+from rass_mav.swarm.medium.air import Air
 
 
 class Counted(Protocol):
@@ -22,12 +22,13 @@ class Counted(Protocol):
     topology: str
     agents: list[Agent]
     ledger: Ledger
-    radio: Radio
     loops: int
     failures: Failures | None
     blast: Blast | None
     power: Power | None
     hostile: Band | None
+    air: Air
+    step_s: float
 
 
 def percentile(ordered: list[int], fraction: float) -> int | None:
@@ -43,6 +44,11 @@ def spread(values: list[int]) -> dict[str, float | int | None]:
     ordered = sorted(values)
     mean = round(sum(ordered) / len(ordered), 4) if ordered else None
     return {"mean": mean, "p50": percentile(ordered, 0.5), "p95": percentile(ordered, 0.95)}
+
+
+def rate(bytes_sent: int, nodes: int, seconds: float) -> float:
+    """Bytes that a node puts on the air in a second."""
+    return round(bytes_sent / (nodes * seconds), 4) if seconds else 0.0
 
 
 class Statistics:
@@ -84,7 +90,7 @@ class Statistics:
         """What `swarm --json` prints, except the wall times."""
         world = self._world
         settings = world.agents[0].settings
-        ledger, radio = world.ledger, world.radio
+        ledger, radio = world.ledger, world.air.tally
         lost = ledger.losses()
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
@@ -108,6 +114,7 @@ class Statistics:
             "lost": lost,
             "altered": ledger.altered,
             "reliability": round(kept / created, 6) if created else 1.0,
+            "delivered_share": round(len(ledger.arrived) / created, 6) if created else 1.0,
             "delay_steps": spread(ledger.delays()),
             "hops": spread(ledger.hops),
             "memory_used_percent": round(100 * self._stored / room, 4) if room else 0.0,
@@ -115,9 +122,12 @@ class Statistics:
             "transmissions_per_datum": round(sent_data / created, 4) if created else 0.0,
             "frames": {"sent": radio.sent, "received": received, "dropped": radio.dropped, "malformed": malformed},
             "bytes_sent": radio.bytes_sent,
+            "bytes_per_node_s": rate(radio.bytes_sent, len(world.agents), self._steps * settings.step_s),
             "air_sha256": radio.sha256,
             "routing": {"max_hop_count": self.max_hop_count, "loops": world.loops},
         }
+        if air := world.air.figures(self._steps * world.step_s):
+            summary["air"] = air
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
         if world.blast is not None:

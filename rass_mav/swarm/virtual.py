@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
@@ -26,11 +27,27 @@ from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.loops import count_loops
-from rass_mav.swarm.radio import Radio, Record
-from rass_mav.swarm.scenario import DiskSection, HostileSection, RadioSection
+from rass_mav.swarm.medium.air import Air
+from rass_mav.swarm.medium.drivers import Drivers
+from rass_mav.swarm.medium.instant import Instant
+from rass_mav.swarm.medium.settings import RadioSection
+from rass_mav.swarm.medium.tally import Record
+from rass_mav.swarm.medium.timeline import Order, Timeline
+from rass_mav.swarm.neighbours import Position
+from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
 
 S = TypeVar("S", bound="VirtualSwarm")
+
+
+class Danger(NamedTuple):
+    """A drone whose data are struck."""
+
+    node: int
+    probability: float
+    """That a datum is struck in a step, 0..1."""
+    rng: random.Random | None = None
+    """The drone's own generator, if it has one for this."""
 
 
 class VirtualSwarm(ABC):
@@ -51,6 +68,8 @@ class VirtualSwarm(ABC):
         disk: DiskSection | None = None,
         hostile: Sequence[HostileSection] = (),
         off_steps: int = 1,
+        phases: bool = False,
+        strikes: int = 1,
         record: Record | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
@@ -61,14 +80,27 @@ class VirtualSwarm(ABC):
         :param disk: what the nodes' disks are like; None: their stores are in memory.
         :param hostile: attackers beside the nodes.
         :param off_steps: how long a node is off after a power cut.
+        :param phases: each node has its turns at a moment of its own; False: at the beginning of a step.
+        :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         """
         agents = list(agents)
         self.seed = seed
         self.topology = topology
+        self.step_s = agents[0].step_s
+        """Length of a step, seconds."""
+        self._timeline = Timeline()
+        self.air: Air
+        """What carries the nodes' frames."""
         # One generator for each purpose: the draws of one part do not disturb the others. Seeding with a text is the
         # same in every process.
-        self.radio = Radio(radio, random.Random(f"{seed}:radio"), record=record)
+        if radio.takes_time:
+            self.air = Drivers(
+                radio, self._timeline, self._reach, lambda: self.positions, self._hear, nodes=len(agents),
+                attackers=len(hostile), step_s=self.step_s, seed=seed, record=record,
+            )  # fmt: skip
+        else:
+            self.air = Instant(radio, self._timeline, self._reach, self._hear, seed=seed, record=record)
         self.ledger = Ledger(custody=agents[0].custody.mode == "acknowledged")
         self.t = 0
         """The next step."""
@@ -97,8 +129,7 @@ class VirtualSwarm(ABC):
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
             self.agents.append(Agent(settings, store, rng, now=0.0, observer=observer, newborn=True))
-        self.step_s = self.agents[0].settings.step_s
-        """Length of a step, seconds."""
+            self.air.start(settings.node_id, self.agents[-1], 0.0)
         self.statistics = Statistics(self, full_items)
         some = self.agents[0]
         self.hostile = Band(
@@ -107,18 +138,29 @@ class VirtualSwarm(ABC):
         )  if hostile else None  # fmt: skip
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
-        self._begins = bool(radio.latency_steps or radio.reorder)
-        self._at_once = not radio.latency_steps
+        self._strikes = strikes
         self._strike_rng = random.Random(f"{seed}:strikes")
+        draw = random.Random(f"{seed}:phases").random
+        self._phases = [draw() * self.step_s if phases else 0.0 for _ in agents]
+        """When in a step each node has its turn, seconds."""
 
     @property
     @abstractmethod
     def neighbours(self) -> Sequence[Sequence[int]]:
         """For each node the ids in its range, ascending."""
 
+    @property
+    def positions(self) -> Sequence[Position]:
+        """Of each node, metres; empty: they are not known."""
+        return ()
+
     @abstractmethod
     def _surround(self, t: int, now: float) -> None:
-        """Places, links, readings and corruption take their values of step `t`, at `now` seconds."""
+        """Places, links and readings take their values of step `t`, at `now` seconds."""
+
+    @abstractmethod
+    def _dangers(self) -> Iterator[Danger]:
+        """The drones whose data are struck in this step, in order."""
 
     def run(self: S, steps: int, *, after: Callable[[S], None] | None = None) -> None:
         """Do `steps` steps; `after` is called after each."""
@@ -128,77 +170,100 @@ class VirtualSwarm(ABC):
                 after(self)
 
     def step(self) -> None:
-        """One step: arrivals due, places and readings, corruption, every node's turn in id order, the air."""
-        t = self.t
-        now = t * self.step_s
+        """One step: arrivals due, places and readings, then corruption, every node's turn in id order, and the air.
+
+        Turns with phases, several strikes, and an air that takes time come when it is their time.
+        """
+        t, step_s, timeline = self.t, self.step_s, self._timeline
+        now = t * step_s
         # What was overtaken belongs to the step before; what takes whole steps arrives in this one.
-        self.ledger.step = t - 1 if self._at_once else t
-        if self._begins:
-            self.radio.begin_step(t)
-            self._deliver(t, now)
+        self.ledger.step = t - 1 if self.air.at_once else t
+        self.air.arrive(t, now)
         self.ledger.step = t
         off = self.off
         if off:
             for node_id in [node_id for node_id, back in off.items() if back == t]:
                 self._come_back(node_id, t)
         self._surround(t, now)
+        self.air.rearrange()
+        for part in range(self._strikes):
+            timeline.at(now + step_s * part / self._strikes, Order.STRIKE, self._irradiate)
         if self.power is not None:
             for node_id in self.power.begin_step(t, off):
                 self._fail(node_id, None)
-        for node_id, agent in enumerate(self.agents):
-            if node_id in off:
-                continue
-            try:
-                self._say(node_id, agent.step(now), t)
-            except StoreError as error:
-                self._fail(node_id, error)
+        for node_id, phase in enumerate(self._phases):
+            timeline.at(now + phase, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
-            for attacker, frame in self.hostile.turn(t, now):
-                self.radio.send(attacker, frame, t)
-        if self._at_once:
-            self._deliver(t, now)
+            timeline.at(now, Order.TURN, self._attack)
+        timeline.run((t + 1) * step_s)
         self.loops += count_loops(
             [None if node_id in off else agent.node.routing.next_hop for node_id, agent in enumerate(self.agents)]
         )
         self.statistics.count()
         self.t = t + 1
 
-    def _deliver(self, t: int, now: float) -> None:
-        agents, off, reach = self.agents, self.off, self.neighbours
-        if self.hostile is not None:
-            reach = self.hostile.reach(reach)
+    def _reach(self) -> Sequence[Sequence[int]]:
+        """For each node, then for each attacker, the nodes in its range."""
+        return self.neighbours if self.hostile is None else self.hostile.reach(self.neighbours)
+
+    def _take_turn(self, node_id: int, now: float) -> None:
+        if node_id in self.off:
+            return
+        agent = self.agents[node_id]
+        try:
+            self.air.begin_turn(node_id, agent, now)
+            self._say(node_id, agent.step(now), now)
+        except StoreError as error:
+            self._fail(node_id, error)
+
+    def _attack(self, now: float) -> None:
+        assert self.hostile is not None
+        for attacker, frame in self.hostile.turn(self.t, now):
+            self.air.broadcast(attacker, frame, now)
+
+    def _irradiate(self, now: float) -> None:
+        """Corruption strikes the data in the drones' stores, and what waits in their radios."""
+        part = 1.0 / self._strikes
+        struck = {}
+        for node, probability, rng in self._dangers():
+            if self._strikes > 1:
+                probability = 1.0 - (1.0 - probability) ** part
+            struck[node] = probability
+            self._strike(node, probability, rng or self._strike_rng)
+        self.air.strike(struck, now)
+
+    def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
+        """Nodes have heard a frame."""
+        agents, off = self.agents, self.off
         # Over stores in memory nothing waits.
         waits = self.power is not None
-        for hearers, frame in self.radio.arrivals(t, reach):
-            for hearer in hearers:
-                if off and hearer in off:
-                    continue
-                try:
-                    answers = agents[hearer].peer_bytes(frame, now)
-                    if answers or waits:
-                        self._say(hearer, answers, t)
-                except StoreError as error:
-                    self._fail(hearer, error)
+        for hearer in hearers:
+            if off and hearer in off:
+                continue
+            try:
+                answers = agents[hearer].peer_bytes(frame, now)
+                if answers or waits:
+                    self._say(hearer, answers, now)
+            except StoreError as error:
+                self._fail(hearer, error)
 
-    def _say(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
+    def _say(self, node_id: int, frames: Sequence[Outgoing], now: float) -> None:
         """A node has had its turn, or heard a frame. Its frames leave when its changes are on its disk."""
         gate = self.gates[node_id]
-        self._send(node_id, gate.say(frames), t)
+        self._send(node_id, gate.say(frames), now)
         if self.power is not None:
             computer, steps = self.power.computers[node_id], self.power.settings.commit_steps
-            self._send(node_id, computer.commit(gate, t, steps), t)
+            self._send(node_id, computer.commit(gate, self.t, steps), now)
 
-    def _send(self, node_id: int, frames: Sequence[Outgoing], t: int) -> None:
-        send = self.radio.send
+    def _send(self, node_id: int, frames: Sequence[Outgoing], now: float) -> None:
         for outgoing in frames:
             # The mock flight controllers and the ground station listen to no node.
-            if outgoing.way is Way.NEIGHBOURS:
-                send(node_id, outgoing.frame, t)
-                if self.hostile is not None:
-                    for attacker, frame in self.hostile.overhear(
-                        node_id, outgoing.frame, self.neighbours, t, t * self.step_s
-                    ):
-                        send(attacker, frame, t)
+            if outgoing.way is not Way.NEIGHBOURS:
+                continue
+            self.air.send(node_id, outgoing, now)
+            if self.hostile is not None:
+                for attacker, frame in self.hostile.overhear(node_id, outgoing.frame, self.neighbours, self.t, now):
+                    self.air.broadcast(attacker, frame, now)
 
     def _make_store(self, settings: AgentSettings, rng: random.Random) -> MemoryStore:
         """An empty store, with an epoch of its own."""
@@ -215,6 +280,7 @@ class VirtualSwarm(ABC):
         t = self.t
         if self.failures is None or (back is not None and back < t):
             raise ValueError(f"node {node_id} cannot be off from step {t} to {back}")
+        self.air.stop(node_id)
         gone = wiped or back is None
         if self.power is not None:
             self.power.computers[node_id].shut_down()
@@ -248,6 +314,7 @@ class VirtualSwarm(ABC):
         if self.power is None:
             assert error is not None
             raise error
+        self.air.stop(node_id)
         self.power.fail(node_id)
         self.off[node_id] = self.t + self.power.off_steps
 
@@ -273,16 +340,13 @@ class VirtualSwarm(ABC):
         agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
+        self.air.start(node_id, agent, start * self.step_s)
         # Frames that waited for a commit were only in memory.
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random | None = None) -> None:
-        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit.
-
-        `rng`: the drone's own generator, if it has one for this.
-        """
-        rng = rng or self._strike_rng
+    def _strike(self, node_id: int, probability: float, rng: random.Random) -> None:
+        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
         store = self.stores[node_id]
         assert isinstance(store, MemoryStore)
         for id in list(store.ids()):

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.failures import Failures
-from rass_mav.swarm.neighbours import RangeGraph
+from rass_mav.swarm.medium.tally import Record
+from rass_mav.swarm.neighbours import Position, RangeGraph
 from rass_mav.swarm.radiation import Threshold
-from rass_mav.swarm.radio import Record
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
-from rass_mav.swarm.virtual import VirtualSwarm
+from rass_mav.swarm.virtual import Danger, VirtualSwarm
 
 
 class World(VirtualSwarm):
@@ -50,6 +50,8 @@ class World(VirtualSwarm):
             disk=scenario.disk,
             hostile=scenario.hostile,
             off_steps=scenario.failures.reboot_steps,
+            phases=scenario.has_phases,
+            strikes=scenario.radiation.strikes_per_step,
             record=record,
         )
         if scenario.failures.blast is not None:
@@ -65,6 +67,11 @@ class World(VirtualSwarm):
         """For each node the ids in its range, ascending."""
         return self.surroundings.graph.neighbours
 
+    @property
+    def positions(self) -> Sequence[Position]:
+        """Of each node, metres east and north of the arena's centre."""
+        return self.surroundings.positions
+
     def _surround(self, t: int, now: float) -> None:
         if t:
             self.surroundings.step()
@@ -74,20 +81,19 @@ class World(VirtualSwarm):
             if self.blast is not None and t == self.scenario.failures.blast:
                 self._explode(self.failures, self.blast)
         self._sense(now)
+
+    def _dangers(self) -> Iterator[Danger]:
+        """The drones where radiation is, by Eq. 2 or the authors' rule."""
         if not self.scenario.radiation.corruption:
             return
-        if self._threshold is not None:
-            levels = self.surroundings.levels
-            for node_id in range(self.scenario.bases, self.scenario.nodes):
+        for node_id in range(self.scenario.bases, self.scenario.nodes):
+            if self._threshold is None:
+                danger = Danger(node_id, self.surroundings.corruption[node_id])
+            else:
                 rng = self._robot_rngs[node_id]
-                probability = self._threshold.probability(levels[node_id], rng)
-                if probability:
-                    self._strike(node_id, probability, rng)
-        else:
-            corruption = self.surroundings.corruption
-            for node_id in range(self.scenario.bases, self.scenario.nodes):
-                if corruption[node_id]:
-                    self._strike(node_id, corruption[node_id])
+                danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)
+            if danger.probability:
+                yield danger
 
     def _explode(self, failures: Failures, blast: Blast) -> None:
         """The blast of this step."""

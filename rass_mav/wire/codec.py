@@ -22,6 +22,7 @@ from rass_mav.core.messages import (
     Chunk,
     Committed,
     Data,
+    Digest,
     Distance,
     Given,
     Handover,
@@ -39,7 +40,8 @@ from rass_mav.core.messages import (
     WordEntry,
     Words,
 )
-from rass_mav.core.news.checksums import TOLD_LOST, entry_bytes, given_crc, receipt_crc
+from rass_mav.core.news.checksums import TOLD_LOST, digest_crc, entry_bytes, given_crc, receipt_crc
+from rass_mav.core.news.marks import MARK_BYTES, MAX_BITS, MIN_BITS, pack_marks, unpack_marks
 from rass_mav.core.news.statements import RECEIPT_BITS
 from rass_mav.core.replica import QUERY_IDS
 from rass_mav.errors import MalformedError
@@ -51,6 +53,9 @@ VERSION = 2
 
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
 GIVEN = 14
+#: After a head of this type, the second byte is the type, from 16 on.
+MORE = 15
+DIGEST = 16
 
 # A beacon without its checksum, which is at `_SEAL` and covers all bytes before and after it.
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
@@ -70,6 +75,7 @@ _RECEIPT = struct.Struct("<BHIIIB")
 _PAIR = struct.Struct("<HI")
 _NOTE = struct.Struct("<IHIIBI")
 _GIVEN = struct.Struct("<BHIII")
+_DIGEST = struct.Struct("<BBHIIIBBB")
 _PUT = struct.Struct("<BHHHHIIIBBIB")
 _ID = struct.Struct("<HII")
 _WORD = struct.Struct("<HIIB")
@@ -207,6 +213,14 @@ def _encode_given(m: Given, now: float) -> list[bytes]:
     return [_GIVEN.pack(_head(GIVEN), *m)]
 
 
+def _encode_digest(m: Digest, now: float) -> list[bytes]:
+    packed = pack_marks(m.marks, m.bits)
+    if len(packed) > MARK_BYTES:
+        raise ValueError(f"a digest of {len(packed)} bytes")
+    fields = (m.base, m.base_life, m.serial, m.crc, len(m.marks), m.bits, len(packed))
+    return [_DIGEST.pack(_head(MORE), DIGEST, *fields) + packed]
+
+
 def _encode_rows(
     type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0
 ) -> list[bytes]:
@@ -276,6 +290,8 @@ def decode(payload: bytes, now: float) -> Message:
 def _foreign(p: bytes) -> ForeignError:
     version, type_ = p[0] >> 4, p[0] & 15
     if version == VERSION:
+        if type_ == MORE and len(p) > 1:
+            type_ = p[1]
         return ForeignError(f"message type {type_} is not known", version)
     sender = p[1] | p[2] << 8 if len(p) > 2 and type_ in _WITH_SENDER else BROADCAST
     return ForeignError(f"version {version}, ours is {VERSION}", version, None if sender == BROADCAST else sender)
@@ -397,6 +413,27 @@ def _decode_given(p: bytes, now: float) -> Given:
     return given
 
 
+def _decode_digest(p: bytes, now: float) -> Digest:
+    _, _, base, life, serial, crc, count, bits, size = _DIGEST.unpack_from(p)
+    packed = p[_DIGEST.size : _DIGEST.size + size]
+    if len(packed) != size or size > MARK_BYTES or not count or not MIN_BITS <= bits <= MAX_BITS:
+        raise MalformedError(f"a digest of {count} data with {bits} bits in {size} bytes")
+    if digest_crc(base, life, serial, bits, count, packed) != crc:
+        raise MalformedError("a digest with a wrong checksum")
+    try:
+        marks = unpack_marks(packed, count, bits)
+    except ValueError as error:
+        raise MalformedError(f"a digest: {error}") from None
+    return Digest(base, life, serial, crc, bits, marks)
+
+
+def _decode_more(p: bytes, now: float) -> Message:
+    decoder = _MORE_DECODERS.get(p[1]) if len(p) > 1 else None
+    if decoder is None:
+        raise _foreign(p)
+    return decoder(p, now)
+
+
 def _decode_rows(p: bytes, row: struct.Struct) -> tuple[int, int, list[tuple[int, ...]]]:
     """Sender, target and the fields of each row."""
     _, sender, target, count = _TO.unpack_from(p)
@@ -440,7 +477,7 @@ class Format(NamedTuple):
     """How a kind of message is encoded."""
 
     number: int
-    """Its type, the low four bits of the first byte."""
+    """Its type: the low four bits of the first byte; from 16 on the second byte, after a first one of type 15."""
     encode: Callable[..., list[bytes]]
     decode: Callable[[bytes, float], Message]
 
@@ -460,9 +497,13 @@ FORMATS: dict[type, Format] = {
     PassedOn: Format(PASSED_ON, _encode_passed_on, _decode_passed_on),
     Words: Format(WORDS, _encode_words, _decode_words),
     Given: Format(GIVEN, _encode_given, _decode_given),
+    Digest: Format(DIGEST, _encode_digest, _decode_digest),
 }
 _ENCODERS = {kind: format.encode for kind, format in FORMATS.items()}
+# By second byte, after a first one of type 15.
+_MORE_DECODERS = {format.number: format.decode for format in FORMATS.values() if format.number > MORE}
 # By first byte.
-_DECODERS = {_head(format.number): format.decode for format in FORMATS.values()}
+_DECODERS = {_head(format.number): format.decode for format in FORMATS.values() if format.number < MORE}
+_DECODERS[_head(MORE)] = _decode_more
 #: First bytes of messages whose target node id is in bytes 3 and 4.
 _TARGETED = frozenset(_head(FORMATS[kind].number) for kind, about in KINDS.items() if about.target is Target.NAMED)

@@ -9,6 +9,7 @@ import random
 from collections import deque
 from collections.abc import Sequence
 
+from rass_mav.core.datum import Fate
 from rass_mav.core.messages import Beacon
 from rass_mav.core.node import Node
 
@@ -22,11 +23,19 @@ class Swarm:
     """Nodes on a graph. They step at different moments of a turn; frames are lost, doubled and delayed."""
 
     def __init__(
-        self, rng: random.Random, size: int, bases: int, *, seq_period: int = 30, policies: Sequence[str] = ("rass",)
+        self,
+        rng: random.Random,
+        size: int,
+        bases: int,
+        *,
+        seq_period: int = 30,
+        policies: Sequence[str] = ("rass",),
+        queue_toll: bool = False,
     ) -> None:
         """Nodes follow `policies` in turn."""
         self.rng = rng
         self.policies = policies
+        self.queue_toll = queue_toll
         self.risks = dict.fromkeys(range(size), 0.0)
         self.bases = set(range(bases))
         self.seq_period = seq_period
@@ -52,6 +61,7 @@ class Swarm:
             policy=self.policies[i % len(self.policies)],
             risk=self.risks[i],
             seq_period=self.seq_period,
+            queue_toll=self.queue_toll,
             neighbour_steps=NEIGHBOUR_STEPS,
             newborn=self.now == 0.0,
         )
@@ -71,6 +81,14 @@ class Swarm:
             self.risks[i] = min(max(risk + self.rng.uniform(-spread, spread), 0.0), 1.0)
             if i in self.nodes:
                 self.nodes[i].risk.observe(self.risks[i], self.now)
+
+    def queue(self, i: int, count: int) -> None:
+        """From now on this many data wait at a node. (No data are delivered here, so they stay.)"""
+        node = self.nodes[i]
+        while len(node.holdings.custody) < count:
+            node.put(b"waits", self.now)
+        for holding in list(node.holdings.custody.values())[count:]:
+            node.keeper.drop(holding, Fate.PASSED_ON)
 
     def random_links(self, density: float) -> None:
         size = len(self.stores)

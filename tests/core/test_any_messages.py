@@ -24,6 +24,7 @@ from rass_mav.core.messages import (
     Chunk,
     Committed,
     Data,
+    Digest,
     Given,
     Handover,
     LossNote,
@@ -40,7 +41,8 @@ from rass_mav.core.messages import (
     WordEntry,
     Words,
 )
-from rass_mav.core.news.checksums import make_given, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
+from rass_mav.core.news.marks import bits_for, marks_of
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.errors import StoreFullError
@@ -268,6 +270,12 @@ def hears_given(world: World, of: DatumId) -> Given:
 
 
 @message
+def hears_digest(world: World, ids: list[DatumId], base: int, serial: int) -> Digest:
+    bits = bits_for(len(ids))
+    return make_digest(base, 1, serial, bits, marks_of(ids, base, 1, serial, len(ids) << bits))
+
+
+@message
 def hears_loss_note(world: World, sender: int, entries: list[tuple[int, DatumId, int]]) -> LossNote:
     return LossNote(sender, ME, tuple(LossNoteEntry(number, id, why, note_crc(id, why)) for number, id, why in entries))
 
@@ -344,6 +352,7 @@ any_event = st.one_of(
         bitmap=st.sampled_from([0, 2, 0xFFFE]), lost=any_flag,
     ),
     hears_given(of=any_id),
+    hears_digest(ids=some_ids, base=st.integers(0, 2), serial=st.integers(0, 3)),
     hears_loss_note(sender=any_sender, entries=st.lists(st.tuples(any_number, any_id, st.integers(1, 7)), max_size=3)),
     steps(seconds=st.sampled_from([0.3, 1.0, 1.0, 1.0, 4.0, 40.0])),
     forwards(),
@@ -359,6 +368,7 @@ any_options = st.fixed_dictionaries(
         "immediate": any_flag,
         "mirror_until_receipt": any_flag,
         "receipts": any_flag,
+        "digest": any_flag,
         "policy": st.sampled_from(["rass", "hop-count", "survival"]),
         "capacity_items": st.sampled_from([1, 4, 50]),
         "capacity_bytes": st.sampled_from([None, 3000]),

@@ -103,6 +103,24 @@ def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> 
         swarm.turn()
 
 
+@settings(max_examples=examples(60), deadline=None, phases=ONLY)
+@given(st.integers(0, 1 << 32))
+def test_no_cycles_where_queues_come_and_go(seed: int) -> None:
+    rng = random.Random(seed)
+    size = rng.randint(4, 10)
+    swarm = Swarm(rng, size, 1, seq_period=2, policies=("survival",), queue_toll=True)
+    swarm.random_links(rng.choice([0.3, 0.6]))
+    swarm.loss = rng.choice([0.0, 0.3])
+    for _ in range(80):
+        swarm.sense(rng.choice([0.0, 0.05]))
+        for i in range(1, size):
+            if rng.random() < 0.3:
+                swarm.queue(i, rng.choice([0, 5, 20, 50]))
+        if rng.random() < 0.05:
+            swarm.random_links(rng.choice([0.3, 0.6]))
+        swarm.turn()
+
+
 def line(risks: list[float], *, base: bool = True) -> Swarm:
     """0 - 1 - 2 - ...; node 0 is the base, or away."""
     swarm = Swarm(random.Random(1), len(risks), 1, policies=("survival",))
@@ -146,6 +164,53 @@ def test_a_full_neighbour_is_passed_by() -> None:
         swarm.turn()
     # Nobody has room: the cheaper way will be the first to have some.
     assert routing.next_hop == 1
+
+
+def diamond(*, queue_toll: bool) -> Swarm:
+    """From 3 to the base by 1 or by 2, where it is a little less safe."""
+    swarm = Swarm(random.Random(1), 4, 1, seq_period=1, policies=("survival",), queue_toll=queue_toll)
+    swarm.links = {frozenset(link) for link in ((0, 1), (0, 2), (1, 3), (2, 3))}
+    swarm.risks[2] = 0.02
+    swarm.sense(0.0)
+    for _ in range(5):
+        swarm.turn()
+    assert swarm.nodes[3].routing.next_hop == 1
+    return swarm
+
+
+def test_data_avoid_a_node_where_data_wait() -> None:
+    swarm = diamond(queue_toll=True)
+    # A turn carries 10 data. A datum that arrives behind 20 others is exposed three times.
+    swarm.queue(1, 20)
+    for _ in range(3):
+        swarm.turn()
+    assert swarm.nodes[1].routing.metric == 3 * toll(0.0)
+    routing = swarm.nodes[3].routing
+    assert (routing.next_hop, routing.metric) == (2, toll(0.02) + toll(0.0))
+    swarm.queue(1, 0)
+    for _ in range(3):
+        swarm.turn()
+    assert (routing.next_hop, routing.metric) == (1, 2 * toll(0.0))
+
+
+def test_without_the_toll_nobody_cares_for_queues() -> None:
+    swarm = diamond(queue_toll=False)
+    swarm.queue(1, 20)
+    for _ in range(3):
+        swarm.turn()
+    assert costs(swarm) == cheapest(swarm)
+
+
+def test_the_data_that_gather_on_the_safest_node_of_an_island_do_not_drive_others_away() -> None:
+    swarm = Swarm(random.Random(1), 4, 1, policies=("survival",), queue_toll=True)
+    swarm.risks = dict(enumerate([0.0, 0.2, 0.1, 0.0]))
+    swarm.links = {frozenset((i, i + 1)) for i in range(3)}
+    swarm.sense(0.0)
+    swarm.kill(0)
+    swarm.queue(3, 40)
+    for _ in range(FORGOTTEN + 12):
+        swarm.turn()
+    assert [swarm.nodes[i].routing.next_hop for i in (1, 2, 3)] == [2, 3, None]
 
 
 def test_where_no_base_is_all_data_go_to_the_safest_node() -> None:

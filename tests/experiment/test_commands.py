@@ -80,12 +80,18 @@ def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]
     assert (rass["delay_paper"], rass["memory_paper"], rass["reliability_authors"]) == ("11.45", "1.35", "0.8125")
     assert by_policy["hop-count"]["reliability_authors"] == ""
     assert by_policy["stigmergy"]["delay_mean"] == ""
-    # Two values: mean (a + b) / 2, and the half width is t_1 |a - b| / 2.
-    a, b = (float(r["reliability"]) for r in runs if r["policy"] == "rass")
-    assert float(rass["reliability_mean"]) == pytest.approx((a + b) / 2, abs=1e-4)
-    assert float(rass["reliability_ci95"]) == pytest.approx(12.7062 * abs(a - b) / 2, abs=1e-3)
-    a, b = (float(r["memory_used_percent"]) for r in runs if r["policy"] == "rass")
-    assert float(rass["memory_mean"]) == pytest.approx((a + b) / 2, abs=1e-4)
+    for column, key in (
+        ("reliability", "reliability"), ("delivered", "delivered_share"), ("delay", "delay_steps.mean"),
+        ("transmissions", "transmissions_per_datum"), ("memory", "memory_used_percent"),
+    ):  # fmt: skip
+        a, b = (float(r[key]) for r in runs if r["policy"] == "rass")
+        assert float(rass[f"{column}_mean"]) == pytest.approx((a + b) / 2, abs=1e-4)
+    # Two values: half of the interval is t_1 |a - b| / 2.
+    assert float(rass["memory_high"]) == pytest.approx((a + b) / 2 + 12.7062 * abs(a - b) / 2, abs=1e-3)
+    assert float(rass["lost_per_million_high"]) == pytest.approx(1e6 * (1 - float(rass["reliability_low"])), abs=1)
+    a, b = (float(r["bytes_sent"]) for r in runs if r["policy"] == "rass")
+    assert float(rass["bytes_per_node_s_mean"]) == pytest.approx((a + b) / 2 / (16 * 30 * 0.2), abs=0.1)
+    assert int(rass["delay_p50"]) <= int(rass["delay_p95"]) <= 30
 
     columns, rows = table(out / "delay-by-distance.csv")
     assert tuple(columns) == paper.DISTANCE_COLUMNS
@@ -96,9 +102,12 @@ def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]
     again = asked(capsys, *command, *SMALL)
     assert (again["done"], again["reused"]) == (0, 6)
     assert ((out / "runs.csv").read_bytes(), (out / "table1.csv").read_bytes()) == before
-    # More runs: the first ones are reused.
+    # More runs, or later seeds: those that were done are reused.
     more = asked(capsys, *command, *SMALL, "--runs", "3", "--policy", "rass")
     assert (more["done"], more["reused"]) == (1, 2)
+    later = asked(capsys, *command, *SMALL, "--first-seed", "2", "--policy", "rass")
+    assert (later["done"], later["reused"]) == (1, 1)
+    assert [row["seed"] for row in table(out / "runs.csv")[1]] == ["2", "3"]
 
 
 def test_two_processes_write_the_same_tables_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,11 +139,10 @@ def test_five_drones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
     assert tuple(columns) == five_drones.TABLE_COLUMNS
-    kept = {(row["policy"], row["origin"]): float(row["reliability_mean"]) for row in rows}
-    assert {origin for _, origin in kept} == {"all", "A", "B", "C", "D"}
+    kept = {row["policy"]: float(row["from_C_mean"]) for row in rows}
     # C's data go round the source under `rass`, and past it under the others.
-    assert kept["rass", "C"] > kept["hop-count", "C"] + 0.5
-    assert kept["rass", "C"] > kept["rass-literal", "C"] + 0.5
+    assert kept["rass"] > kept["hop-count"] + 0.5
+    assert kept["rass"] > kept["rass-literal"] + 0.5
     columns, rows = table(tmp_path / "reliability.csv")
     assert tuple(columns) == five_drones.SERIES_COLUMNS
     assert len(rows) == 3 * 5 * 25
@@ -179,6 +187,7 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ("arguments", "message"),
     [
         (["paper", "--runs", "0"], "--runs: expected 1 or more, got 0"),
+        (["paper", "--first-seed", "-1"], "--first-seed: expected 0 or more, got -1"),
         (["paper", "--jobs", "0"], "--jobs: expected 1 or more, got 0"),
         (["paper", "--world", "reference", "--policy", "rass-literal"], "rass-literal belongs to the world paper"),
         (["paper", "--reference-data", "/nowhere"], "--reference-data: /nowhere/curves.csv: no such file"),

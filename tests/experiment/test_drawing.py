@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from rass_mav.experiment import figures
 from rass_mav.experiment.curves import mean_curve
 from rass_mav.experiment.figures import SHARE, Bars, Curve, Panel, Point, Scatter, Style
-from rass_mav.experiment.statistics import estimate
+from rass_mav.experiment.statistics import Share, estimate, estimate_share
 
 X = [0, 10, 20]
 
@@ -58,12 +58,28 @@ def test_few_runs_are_shown_one_by_one_and_many_by_a_band(
 
 
 def test_a_band_ends_where_shares_end_and_has_a_gap_where_there_is_none(tmp_path: Path, drawn: list[Figure]) -> None:
-    curve = Curve("RASS", [0, 1, 2, 3, 4], [0.95, 0.95, math.nan, 0.05, 0.05], "blue", half=[0.2] * 5)
+    ys = [0.95, 0.95, math.nan, 0.05, 0.05]
+    curve = Curve("RASS", [0, 1, 2, 3, 4], ys, "blue", band=[(y - 0.2, y + 0.2) for y in ys])
     figures.draw(tmp_path / "a.png", [panel([curve], bounds=SHARE)])
     [band] = bands(drawn[0].axes[0])
     before, after = (np.asarray(path.vertices)[:, 1] for path in band.get_paths())
     assert (min(before), max(before)) == (0.75, 1.0)
     assert (min(after), max(after)) == (0.0, 0.25)
+
+
+def test_a_band_of_shares_is_theirs_and_reaches_below_where_nothing_was_lost(
+    tmp_path: Path, drawn: list[Figure]
+) -> None:
+    rows = [[Share(10, 10), Share(10 - run, 10)] for run in range(5)]
+    figures.draw(tmp_path / "a.png", [panel([mean_curve("RASS", "blue", "o", [0, 1], rows)], bounds=SHARE)])
+    [axes] = drawn[0].axes
+    [band] = bands(axes)
+    [lowest] = {float(y) for x, y in np.asarray(band.get_paths()[0].vertices) if x == 0 and y < 1}
+    sure = estimate_share([Share(10, 10)] * 5).interval
+    assert sure is not None
+    assert lowest == pytest.approx(sure[0])
+    figures.draw(tmp_path / "a.png", [panel([mean_curve("RASS", "blue", "o", [0, 1], rows[:2])], bounds=SHARE)])
+    assert [heights(line) for line in drawn[1].axes[0].lines[1:]] == [[1.0, 1.0], [1.0, 0.9]]
 
 
 def test_panels_of_a_row_have_one_scale(tmp_path: Path, drawn: list[Figure]) -> None:

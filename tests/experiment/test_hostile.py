@@ -36,7 +36,7 @@ def test_what_a_sinkhole_takes_is_healed_from_spares_and_told_where_there_are_no
     found = {(row["attacker"], row["variant"]): row for row in rows}
     assert len(found) == 4
     for attacker in ("nobody", "sinkhole"):
-        assert float(found[attacker, "mirrors"]["arrived_mean"]) >= 0.99
+        assert float(found[attacker, "mirrors"]["delivered_mean"]) >= 0.99
     healed, lost = found["sinkhole", "mirrors"], found["sinkhole", "one-copy"]
     assert float(healed["late_mean"]) > 0.1
     # Some spare may have had to go for want of room.

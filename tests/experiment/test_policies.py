@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -97,12 +98,14 @@ def test_bad_usage_is_one_line(
 def result(seed: int, reliability: float, sent: float, kept: float = 90.0, **summary: Any) -> Result:
     """100 data; only what a comparison looks at."""
     told = {
-        "created": 100, "lost": {"corrupted": round(100 * (1 - reliability)), "died": 0}, "reliability": reliability,
-        "delay_steps": {"mean": 5.0}, "memory_used_percent": 1.0, "copies_mean": 1.0, "transmissions_per_datum": sent,
-        "routing": {"max_hop_count": 9, "loops": 0}, **summary,
+        "created": 100, "lost": {"corrupted": round(100 * (1 - reliability)), "died": 0, "vanished": 0},
+        "delivered": 50, "delay_steps": {"mean": 5.0}, "memory_used_percent": 1.0, "copies_mean": 1.0,
+        "transmissions_per_datum": sent, "bytes_per_node_s": 7.0, "routing": {"max_hop_count": 9, "loops": 0},
+        **summary,
     }  # fmt: skip
     ceiling = {"ceiling": {"data": 100, "kept": kept}}
-    return Result("", "paper", "grid", "rass", "plain", seed, 9, told, Series([], [], [], [], []), {}, {}, ceiling)
+    series, delays = Series([], [], [], [], []), {2: 30, 9 + seed: 20}
+    return Result("", "paper", "grid", "rass", "plain", seed, 9, told, series, delays, {}, ceiling)
 
 
 def test_a_comparison_by_hand() -> None:
@@ -110,26 +113,40 @@ def test_a_comparison_by_hand() -> None:
     reference = [result(0, 0.6, 4.0), result(1, 0.8, 6.0)]
     results = [result(1, 0.9, 9.0, routing={"loops": 2}), result(0, 0.8, 6.0), result(2, 0.4, 3.0, kept=60)]
     found = compare(results, reference)
-    assert found.reliability.mean == pytest.approx(0.7)
-    assert found.transmissions.mean == pytest.approx(6.0)
+    assert found.standard.reliability.mean == pytest.approx(0.7)
+    assert found.standard.lost_per_million.mean == pytest.approx(300_000)
+    assert found.standard.delivered.values == (0.5, 0.5, 0.5)
+    assert found.standard.transmissions.mean == pytest.approx(6.0)
+    assert found.standard.bytes_per_node_s.mean == 7.0
+    # Of the 150 that arrived 90 took 2 steps, 20 each 9, 10 and 11.
+    assert (found.standard.delay_p50, found.standard.delay_p95) == (2, 11)
     assert found.gain is not None
-    # +0.1 and +0.2: s = 0.0707, t for one degree 12.706, so 12.706 * 0.0707 / sqrt(2).
-    assert (found.gain.mean, found.gain.half_width) == pytest.approx((0.15, 0.6353), abs=1e-4)
+    # +0.1 and +0.2: all that two runs can tell.
+    assert found.gain.mean == pytest.approx(0.15)
+    assert found.gain.interval == pytest.approx((0.1, 0.2))
     assert found.loss_ratio == pytest.approx((0.1 + 0.2) / (0.4 + 0.2))
     assert found.transmission_ratio == pytest.approx(15 / 10)
     assert found.ceiling is not None
     assert found.ceiling.mean == pytest.approx(0.8)
     assert found.ceiling_share == pytest.approx(0.7 / 0.8)
     assert found.loops == 2
-    corrupted = found.lost["corrupted"]
-    assert corrupted is not None
-    assert corrupted.mean == pytest.approx(0.3)
+    assert found.lost["corrupted"].mean == pytest.approx(0.3)
 
 
 def test_without_a_reference_nothing_is_compared() -> None:
     found = compare([result(0, 0.6, 4.0)], [])
     assert (found.gain, found.loss_ratio, found.transmission_ratio) == (None, None, None)
-    assert found.reliability.mean == 0.6
+    assert found.standard.reliability.mean == 0.6
+
+
+def test_vanished_data_do_not_count_as_lost() -> None:
+    lost = {"corrupted": 10, "vanished": 30}
+    assert compare([result(0, 0.0, 4.0, lost=lost)], []).standard.reliability.mean == 0.9
+
+
+def test_stigmergy_knows_no_base_and_so_no_delay() -> None:
+    found = compare([msgspec.structs.replace(result(0, 0.6, 4.0), policy="stigmergy")], []).standard
+    assert (found.delay, found.delay_p50, found.delay_p95) == (None, None, None)
 
 
 def test_a_reference_that_loses_nothing_gives_no_ratio() -> None:
@@ -141,7 +158,7 @@ def test_compared_with_itself_nothing_differs(pairs: list[tuple[float, float]]) 
     runs = [result(seed, reliability, sent) for seed, (reliability, sent) in enumerate(pairs)]
     found = compare(runs, runs)
     assert found.gain is not None
-    assert (found.gain.mean, found.gain.half_width) == (0.0, 0.0)
+    assert (found.gain.mean, found.gain.interval) == (0.0, (0.0, 0.0))
     assert found.loss_ratio == found.transmission_ratio == 1.0
 
 
@@ -196,4 +213,5 @@ def test_without_rass_people_are_told_that_nothing_is_compared(
     )
     assert survival.startswith("| survival | one copy, one hop a step | ")
     assert survival.count(" n/a ") == 3
+    assert stigmergy.count(" n/a ") == 5  # nor a delay
     assert stigmergy.startswith("| virtual stigmergy | copies everywhere | ")

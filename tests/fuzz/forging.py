@@ -14,6 +14,7 @@ from rass_mav.core.messages import (
     Beacon,
     Committed,
     Data,
+    Digest,
     Given,
     Handover,
     LossNote,
@@ -29,7 +30,8 @@ from rass_mav.core.messages import (
     WordEntry,
     Words,
 )
-from rass_mav.core.news.checksums import make_given, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
+from rass_mav.core.news.marks import bits_for, marks_of
 from rass_mav.core.participant import Participant
 
 from .source import Source
@@ -44,6 +46,8 @@ def sealed(message: Message) -> Message:
     """The same message with right checksums."""
     if isinstance(message, Receipt):
         return make_receipt(*message[:3], message.entries)
+    if isinstance(message, Digest):
+        return make_digest(*message[:3], message.bits, message.marks)
     if isinstance(message, Given):
         return make_given(*message[:3])
     if isinstance(message, LossNote):
@@ -165,6 +169,12 @@ class Liar:
     def _given(self) -> Message:
         return make_given(self._name(), self._life(), self._source.byte())
 
+    def _digest(self) -> Message:
+        ids = [self._id() for _ in self._some()]
+        about = self._name(), self._life(), self._source.pick(EDGES)
+        bits = bits_for(len(ids))
+        return make_digest(*about, bits, marks_of(ids, *about, len(ids) << bits))
+
     def _loss_note(self) -> Message:
         entries = [LossNoteEntry(self._number(), self._id(), self._source.byte() % 9, 0) for _ in self._some()]
         return LossNote(self._name(), self._victim.id, tuple(entries))
@@ -185,5 +195,5 @@ class Liar:
 
 _INVENTED = (
     Liar._beacon, Liar._data, Liar._committed, Liar._offer, Liar._accept, Liar._sack, Liar._receipt, Liar._given,
-    Liar._loss_note, Liar._passed_on, Liar._words, Liar._put, Liar._query,
+    Liar._loss_note, Liar._passed_on, Liar._words, Liar._put, Liar._query, Liar._digest,
 )  # fmt: skip

@@ -18,8 +18,12 @@ pytestmark = pytest.mark.no_cover
 PARITY = Path(__file__).parents[3] / "shared" / "data" / "paper" / "parity-grid.json"
 
 
-def paper_grid(policy: str, seed: int, sources: Any = None) -> dict[str, Any]:
-    options: dict[str, Any] = {"policy.name": policy, "seed": seed}
+def paper_grid(
+    policy: str, seed: int, sources: Any = None, *, due: str = "step-id", bandwidth: int = 10
+) -> dict[str, Any]:
+    options: dict[str, Any] = {
+        "policy.name": policy, "seed": seed, "data.due": due, "store.bandwidth_items": bandwidth,
+    }  # fmt: skip
     if sources is not None:
         options["radiation.sources"] = sources
     world = World(load_scenario("paper-grid", options))
@@ -63,30 +67,50 @@ def test_hop_count_agrees_with_exact_computation(seeds: int) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("policy", ["hop-count", "rass", "rass-literal"])
 def test_it_agrees_with_an_independent_simulator(policy: str) -> None:
-    """The mean over the worlds is closer than any of them."""
+    """The means over the worlds are closer than any of them."""
     differences = differences_from_an_independent_simulator(policy, worlds=6, seeds=2)
-    assert abs(sum(differences) / len(differences)) < 0.02
-    assert all(abs(difference) < 0.03 for difference in differences), differences
+    for name, mean, most in (("reliability", 0.02, 0.03), ("delay", 0.1, 0.3)):
+        found = [difference[name] for difference in differences]
+        assert abs(sum(found) / len(found)) < mean
+        assert all(abs(difference) < most for difference in found), found
 
 
 @pytest.mark.parametrize("policy", ["rass", "rass-literal"])
 def test_in_one_world_it_agrees_with_an_independent_simulator(policy: str) -> None:
     (difference,) = differences_from_an_independent_simulator(policy, worlds=1, seeds=1)
-    assert abs(difference) < 0.03
+    assert abs(difference["reliability"]) < 0.03
+    assert abs(difference["delay"]) < 0.3
 
 
-def differences_from_an_independent_simulator(policy: str, worlds: int, seeds: int) -> list[float]:
-    """Of reliability, world by world."""
+def differences_from_an_independent_simulator(policy: str, worlds: int, seeds: int) -> list[dict[str, float]]:
+    """Of reliability and of mean delay in steps, world by world."""
     if not PARITY.exists():
         pytest.skip("needs ../shared/data/paper, which is not part of the repository")
     parity = json.loads(PARITY.read_text())
-    expected = parity["expect"][policy]["reliability"]
-    assert len(expected) == len(parity["sources"]) >= worlds
+    expected = parity["expect"][policy]
+    assert len(parity["sources"]) >= worlds
     differences = []
     for world in range(worlds):
         runs = [paper_grid(policy, seed, parity["sources"][world]) for seed in range(seeds)]
-        differences.append(sum(r["reliability"] for r in runs) / len(runs) - expected[world])
+        reliability = sum(r["reliability"] for r in runs) / len(runs)
+        delay = sum(r["delay_steps"]["mean"] for r in runs) / len(runs)
+        differences.append(
+            {
+                "reliability": reliability - expected["reliability"][world],
+                "delay": delay - expected["delay_steps"][world],
+            }
+        )
     return differences
+
+
+def test_data_that_are_born_in_a_wave_towards_the_base_bunch_and_wait() -> None:
+    """Half a step of delay, and none where a drone may send all it has."""
+    delay = {
+        (due, bandwidth): paper_grid("hop-count", 0, due=due, bandwidth=bandwidth)["delay_steps"]["mean"]
+        for due, bandwidth in (("step-id", 10), ("step+id", 10), ("step+id", 50))
+    }
+    assert delay["step+id", 10] > delay["step-id", 10] + 0.3
+    assert delay["step+id", 50] == pytest.approx(delay["step-id", 10], abs=0.1)
 
 
 @pytest.mark.parametrize("seeds", extents(2, 8))

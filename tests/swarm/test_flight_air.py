@@ -24,7 +24,8 @@ from rass_mav.mavlink.mission import SIM_STATE, sim_state
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.swarm.autopilot import ORIGIN, to_earth
-from rass_mav.swarm.scenario import MobilitySection, RadiationSection, RadioSection, system_id
+from rass_mav.swarm.medium.settings import RadioSection
+from rass_mav.swarm.scenario import MobilitySection, RadiationSection, system_id
 from rass_mav.swarm.sitl.air import FlightAir, FlightOrder
 from rass_mav.swarm.sitl.scenario import FlightScenario, to_arena
 from tests.telemetry import global_position_int

@@ -62,9 +62,9 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(
     assert {receipts.digest for receipts in receipts_of(world)} == {first.digest}
     # Nobody holds anything any more, and nobody has anything to tell.
     assert not ledger.copies
-    sent = world.radio.sent
+    sent = world.air.tally.sent
     world.run(50)
-    assert world.radio.sent - sent == 50 * nodes
+    assert world.air.tally.sent - sent == 50 * nodes
 
 
 def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:
@@ -110,7 +110,7 @@ def test_receipts_stay_within_their_share_of_the_air() -> None:
             radiation={"corruption": False},
         )
         world.run(200)
-        frames[receipts] = world.radio.sent
+        frames[receipts] = world.air.tally.sent
         period = world.agents[0].settings.custody.receipt_steps
     assert 0 < frames[True] - frames[False] <= 36 * (200 // period + 1)
 
@@ -123,9 +123,9 @@ def test_differing_digests_do_not_keep_a_quiet_swarm_talking() -> None:
     # One of them is full of what others said long ago, and had to forget.
     receipts_of(world)[4].statements.forgetful = True
     world.run(PAUSE << (MAX_ROUNDS + 1))
-    sent = world.radio.sent
+    sent = world.air.tally.sent
     world.run(20)
-    assert world.radio.sent - sent == 20 * 9
+    assert world.air.tally.sent - sent == 20 * 9
 
 
 def test_a_swarm_that_believes_in_an_arrival_that_never_was_is_found_out() -> None:

@@ -77,7 +77,7 @@ def honest() -> str:
     """The digest of what is on the air in the first 30 steps of a swarm without attackers."""
     world = World(load_scenario("hostile"))
     world.run(30)
-    return world.radio.sha256
+    return world.air.tally.sha256
 
 
 @pytest.mark.no_cover
@@ -85,7 +85,7 @@ def honest() -> str:
 def test_an_attacker_that_is_not_there_changes_nothing(kind: str, honest: str) -> None:
     visited = swarm(kind, begin=10**6, end=10**6 + 1)
     visited.run(30)
-    assert visited.radio.sha256 == honest
+    assert visited.air.tally.sha256 == honest
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -94,7 +94,7 @@ def test_the_same_seed_tells_the_same_lies(kind: str) -> None:
     for _ in range(2):
         world = swarm(kind, begin=5)
         world.run(25)
-        digests.add(world.radio.sha256)
+        digests.add(world.air.tally.sha256)
     assert len(digests) == 1
 
 

@@ -18,8 +18,9 @@ from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.swarm.air_server import AirOrder, serve
+from rass_mav.swarm.medium.settings import RadioSection
 from rass_mav.swarm.mock_air import MockAir
-from rass_mav.swarm.scenario import NodeSection, RadiationSection, RadioSection, Scenario, system_id
+from rass_mav.swarm.scenario import NodeSection, RadiationSection, Scenario, system_id
 from rass_mav.wire import encode
 from tests.patience import PATIENCE_S
 

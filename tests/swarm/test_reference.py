@@ -310,7 +310,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others() -> None:
     def digest(seed: int) -> str:
         world = World(reference("random-walk", seed=seed))
         world.run(30)
-        return world.radio.sha256
+        return world.air.tally.sha256
 
     assert digest(4) == digest(4)
     assert digest(4) != digest(5)

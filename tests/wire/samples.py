@@ -13,6 +13,7 @@ from rass_mav.core.messages import (
     Chunk,
     Committed,
     Data,
+    Digest,
     Distance,
     Given,
     Handover,
@@ -30,7 +31,8 @@ from rass_mav.core.messages import (
     WordEntry,
     Words,
 )
-from rass_mav.core.news.checksums import make_given, make_receipt, note_crc
+from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
+from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
 #: The moment at which the samples are encoded and decoded, seconds.
@@ -67,6 +69,7 @@ SAMPLES: dict[str, Message] = {
         3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1, note_crc(DatumId(3, 0xCAFEBABE, 9), 1)),)
     ),
     "given": make_given(3, 0xCAFEBABE, 11),
+    "digest": make_digest(1, 0x0BADF00D, 515, 16, marks_of([HELLO.id, WORLD.id], 1, 0x0BADF00D, 515, 2 << 16)),
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
@@ -138,6 +141,15 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8, u32), max_size=20).map(tuple)
     ),
     Given: st.builds(make_given, u16, u32, u32),
+    Digest: st.builds(
+        lambda base, life, serial, marks: make_digest(
+            base, life, serial, bits_for(len(marks)), [mark % (len(marks) << bits_for(len(marks))) for mark in marks]
+        ),
+        u16,
+        u32,
+        u32,
+        st.lists(u32, min_size=1, max_size=MAX_MARKS),
+    ),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
     PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple)),

@@ -51,7 +51,7 @@ function _shtab_rass_mav_using
 end
 
 set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --arena --attacker --base --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --for --group --jobs --keep --line --live --loss --name --nodes --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_opts_with_value --arena --attacker --base --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --first-seed --for --group --jobs --keep --line --live --loss --name --nodes --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -212,7 +212,8 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -s h -l help -d
 complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l runs -x -d 'seeds 0 .. N - 1 (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l policy -xka "rass hop-count stigmergy rass-literal" -d 'which to compare'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment paper' -l jobs -x -d 'processes at a time (default: one per core)'
@@ -226,7 +227,8 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -s h -l h
 complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l runs -x -d 'seeds 0 .. N - 1 (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l policy -xka "rass rass-literal hop-count stigmergy survival" -d 'which to compare'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment five-drones' -l jobs -x -d 'processes at a time (default: one per core)'
@@ -237,7 +239,8 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -s h -
 complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l runs -x -d 'seeds 0 .. N - 1 (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l policy -xka "rass rass-literal hop-count stigmergy survival" -d 'which to compare'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment moving-sources' -l jobs -x -d 'processes at a time (default: one per core)'
@@ -250,7 +253,8 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -s h -l 
 complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l runs -x -d 'seeds 0 .. N - 1 (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l policy -xka "rass hop-count rass-literal" -d 'which to compare'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment local-maxima' -l jobs -x -d 'processes at a time (default: one per core)'
@@ -262,7 +266,8 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -s h -l help
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l runs -x -d 'seeds 0 .. N - 1 (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l policy -xka "rass rass-literal hop-count stigmergy survival" -d 'which to compare'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l jobs -x -d 'processes at a time (default: one per core)'
@@ -276,7 +281,8 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s h -l help 
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l runs -x -d 'seeds 0 .. N - 1 (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l policy -xka "rass rass-literal hop-count survival" -d 'which to compare'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l jobs -x -d 'processes at a time (default: one per core)'

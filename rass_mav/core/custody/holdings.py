@@ -95,8 +95,8 @@ class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "id", "offer_at", "offers",
-        "partner", "patience_s", "pending", "resent", "size", "state",
+        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "id", "matched", "offer_at",
+        "offers", "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
@@ -118,6 +118,8 @@ class Holding:
         """In custody without a backer: when a spare may be offered next, seconds. None: it needs no spare."""
         self.asked = 0.0
         """Spare: when the custodian last reported it or was asked for it, seconds."""
+        self.matched = False
+        """Spare: a digest matches it, so it has probably arrived, and is kept only while a custodian counts on it."""
         self.given_to: int | None = None
         """Spare: the node that took custody last, or offered this copy."""
         self.given = 0.0
@@ -275,6 +277,7 @@ class Holdings:
         assert (holding.state, state) in CHANGES
         self._leave(holding)
         holding.state = state
+        holding.matched = False
         self._enter(holding)
 
     def pair(self, holding: Holding, partner: Partner, now: float) -> None:

@@ -10,8 +10,9 @@ from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
-from rass_mav.core.messages import Distance
+from rass_mav.core.messages import Digest, Distance
 from rass_mav.core.news.archive import Archive
+from rass_mav.core.news.digests import NoDigests, matched
 from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
@@ -183,7 +184,8 @@ class Keeper:
         """Drop a datum in custody, or a spare."""
         id, noted = holding.id, fate
         if holding.state is not State.CUSTODY:
-            self.spares.let_go(holding, missing=fate in (Fate.CORRUPTED, Fate.OVERFLOW))
+            missing = fate in (Fate.CORRUPTED, Fate.OVERFLOW)
+            self.spares.let_go(holding, missing=missing, confirmed=fate is Fate.DELIVERED)
             # Not a loss that is recorded here: another node has custody.
             noted = Fate.PASSED_ON
         else:
@@ -218,6 +220,15 @@ class Keeper:
                 elif receipts.told_lost(id):
                     # The node that had custody believed it was the last copy.
                     self.spares.rescue(spares[id])
+
+    def heed_digest(self, digest: Digest) -> None:
+        """What a digest matches has probably arrived. That ends the spares that no custodian counts on, now or as soon
+        as that is so."""
+        holdings = self.holdings
+        for id in matched(digest, holdings.passed_on):
+            self.drop(holdings.passed_on[id], Fate.DELIVERED)
+        for id in matched(digest, holdings.spare):
+            holdings.spare[id].matched = True
 
     @property
     def takes_notes(self) -> bool:
@@ -261,13 +272,14 @@ class Keeper:
 class Sink(Keeper):
     """The storing half of a base: data that reach it have arrived for good."""
 
-    __slots__ = ("_alarms", "archive")
+    __slots__ = ("_alarms", "_digests", "archive")
 
     def __init__(
-        self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts, archive: Archive,
-        observer: Observer, alarms: Alarms,
+        self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
+        digests: NoDigests, archive: Archive, observer: Observer, alarms: Alarms,
     ) -> None:  # fmt: skip
         super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer, alarms)
+        self._digests = digests
         self.archive = archive
         """What has become of all data."""
         self.arrived = archive
@@ -312,6 +324,7 @@ class Sink(Keeper):
             self.store.found(datum.id)
         if self.archive.add(datum.id):
             self.receipts.arrived(datum.id)
+            self._digests.arrived(datum.id)
         self.observer.delivered(datum)
 
     def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
@@ -320,6 +333,9 @@ class Sink(Keeper):
 
     def heed(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""
+
+    def heed_digest(self, digest: Digest) -> None:
+        """Nor anything that digests are about."""
 
     @property
     def takes_notes(self) -> bool:

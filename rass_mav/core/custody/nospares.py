@@ -41,8 +41,9 @@ class NoSpares:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
         return False
 
-    def let_go(self, holding: Holding, *, missing: bool) -> None:
-        """A spare is about to go. `missing`: tell the custodian that counts on it."""
+    def let_go(self, holding: Holding, *, missing: bool, confirmed: bool) -> None:
+        """A spare is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
+        arrived, by what bases report."""
 
     # -- messages ------------------------------------------------------------------------------------------------------
 

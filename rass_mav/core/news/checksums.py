@@ -12,7 +12,8 @@ from collections.abc import Iterable
 from zlib import crc32
 
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Given, Receipt, ReceiptEntry
+from rass_mav.core.messages import Digest, Given, Receipt, ReceiptEntry
+from rass_mav.core.news.marks import pack_marks
 
 #: In the last byte before a bitmap: these numbers were reported lost.
 TOLD_LOST = 0x80
@@ -20,6 +21,7 @@ TOLD_LOST = 0x80
 _pack_head = struct.Struct("<HIIB").pack
 _pack_pair = struct.Struct("<HI").pack
 _pack_given = struct.Struct("<HII").pack
+_pack_digest = struct.Struct("<HIIBBB").pack
 _pack_note = struct.Struct("<HIIB").pack
 
 
@@ -53,6 +55,21 @@ def is_sound(receipt: Receipt) -> bool:
         return False
 
 
+def digest_crc(base: int, life: int, serial: int, bits: int, count: int, packed: bytes) -> int:
+    """CRC-32 of a digest: `<HIIBBB` base, its life, serial, count, bits, bytes of packed marks, and these."""
+    return crc32(packed, crc32(_pack_digest(base, life, serial, count, bits, len(packed))))
+
+
+def is_sound_digest(digest: Digest) -> bool:
+    """Whether a digest is unchanged since its base created it."""
+    base, life, serial, crc, bits, marks = digest
+    try:
+        return digest_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits)) == crc
+    except (struct.error, OverflowError, ValueError):
+        # As above.
+        return False
+
+
 def given_crc(origin: int, epoch: int, given: int) -> int:
     """CRC-32 of an origin's report about its numbers, `<HII`."""
     return crc32(_pack_given(origin, epoch, given))
@@ -76,6 +93,13 @@ def make_receipt(base: int, life: int, serial: int, entries: Iterable[ReceiptEnt
     """A statement with its checksum."""
     entries = tuple(entries)
     return Receipt(base, life, serial, receipt_crc(base, life, serial, entries), entries)
+
+
+def make_digest(base: int, life: int, serial: int, bits: int, marks: Iterable[int]) -> Digest:
+    """A digest with its checksum."""
+    marks = tuple(sorted(marks))
+    crc = digest_crc(base, life, serial, bits, len(marks), pack_marks(marks, bits))
+    return Digest(base, life, serial, crc, bits, marks)
 
 
 def make_given(origin: int, epoch: int, given: int) -> Given:

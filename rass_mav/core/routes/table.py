@@ -14,6 +14,7 @@ from __future__ import annotations
 from math import inf
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Beacon, Route
+from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.neighbours import Neighbour, Neighbours
 from rass_mav.core.routes.ranks import Rank
 from rass_mav.core.routes.serial import following, newer
@@ -83,7 +84,7 @@ class RoutingTable:
         self.metric = 0 if self.base else rank.no_way
         """The chosen route's value in feasibility comparisons, counted from this node: its hops, or its cost, wire
         units."""
-        self.toll = 1
+        self.toll = Toll(1)
         """What a hop from this node adds to the metric."""
         self.wanted: tuple[int, int] | None = None
         """(base id, number) that this node requests, for itself or for a neighbour."""
@@ -150,7 +151,7 @@ class RoutingTable:
             return
         self.route = None
         if self._bound is None:
-            self.next_hop, self.metric = self.rank.shelter(self.neighbours.values(), self.toll, self.next_hop, now)
+            self.next_hop, self.metric = self.rank.shelter(self.neighbours.values(), self.toll.hop, self.next_hop, now)
         else:
             # Other nodes may still count on the route that this node has lost.
             self.next_hop, self.metric = None, self.rank.no_way
@@ -221,7 +222,7 @@ class RoutingTable:
     def _take(self, beacon: Beacon, metric: int, now: float) -> None:
         """Choose the route that a neighbour announces, and relay requests for newer numbers (RFC 8966, 3.8.1.2)."""
         self.next_hop = beacon.sender
-        metric += self.toll
+        metric += sum(self.toll)
         self.metric = metric if metric < self.rank.no_way else self.rank.no_way - 1
         base, number = beacon.base, beacon.route_number
         way = (base, beacon.base_life, number, beacon.hops + 1)

@@ -150,7 +150,11 @@ class DistantSpares:
             out.append(Data(self._id, to, tuple(handovers), True, distance))
 
     def _needs(self, holding: Holding) -> bool:
-        return holding.further > 0 and holding.backer is None and holding.id not in self._keeper.arrived
+        return (
+            holding.further > 0
+            and holding.backer is None
+            and not (holding.matched or holding.id in self._keeper.arrived)
+        )
 
     def _rests(self, holding: Holding, near: int) -> bool:
         """Data rest at a custodian without a route to a base; at others they move on soon."""

@@ -212,9 +212,10 @@ class Mirrors(NoSpares):
         keeper.observer.gained(datum)
         return True
 
-    def let_go(self, holding: Holding, *, missing: bool) -> None:
-        """A spare is about to go. `missing`: tell the custodian that counts on it."""
-        if holding.id in self._keeper.arrived:
+    def let_go(self, holding: Holding, *, missing: bool, confirmed: bool) -> None:
+        """A spare is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
+        arrived, by what bases report."""
+        if confirmed:
             self._unconfirmed.confirmed(holding, self._now)
         self._release(holding)
         custodian = self._keeper.holdings.unpair(holding)
@@ -355,7 +356,9 @@ class Mirrors(NoSpares):
             holding = keeper.holdings.spare.get(id)
             if holding is None or holding.partner is None or holding.partner.id != message.sender:
                 continue
-            if keeper.settings.mirror_until_receipt:
+            if holding.matched:
+                keeper.drop(holding, Fate.DELIVERED)
+            elif keeper.settings.mirror_until_receipt:
                 self._retire(holding)
             else:
                 keeper.drop(holding, Fate.PASSED_ON)

@@ -1,0 +1,170 @@
+"""How soon the nodes that hold a copy of a datum know of its arrival, and what they send for that.
+
+    python -m benchmarks.receipts                         the scenario `thousand`, seed 1
+    python -m benchmarks.receipts demo --seeds 1 2 3
+    python -m benchmarks.receipts --set custody.digest=false --json
+
+A copy counts if its node has it when the datum arrives, or gets it within `WITHIN` steps after. The node knows of the
+arrival when it drops the copy because of it. A copy that made way for other data before that is not held any more; such
+copies are listed beside the others. docs/benchmarks.md explains the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    # As a script, the top of the checkout is not on the path.
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from rass_mav.agent.peers import open_datagram
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.node import Node
+from rass_mav.core.observer import Observer
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.scenario import Scenario
+from rass_mav.swarm.statistics import percentile
+from rass_mav.swarm.world import World
+
+#: Steps within which a node should know.
+WITHIN = 60
+#: Types of the messages that tell what has arrived: Receipt, Given, Digest.
+_TYPES = (8, 14, 15)
+
+
+class Watch(Observer):
+    """Follows the copies of one drone, and passes everything on to the ledger."""
+
+    def __init__(self, inner: Observer, node: int, copies: Copies) -> None:
+        self._inner = inner
+        self._node = node
+        self._copies = copies
+
+    def created(self, datum: Datum) -> None:
+        self._inner.created(datum)
+
+    def overflow(self) -> None:
+        self._inner.overflow()
+
+    def declined(self, id: DatumId) -> None:
+        self._inner.declined(id)
+
+    def gained(self, datum: Datum) -> None:
+        self._inner.gained(datum)
+        self._copies.holders.setdefault(datum.id, set()).add(self._node)
+
+    def dropped(self, id: DatumId, fate: Fate) -> None:
+        self._inner.dropped(id, fate)
+        self._copies.ended(self._node, id, fate)
+
+
+class Copies:
+    """The copies of all data, and what their nodes know of arrivals."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.holders: dict[DatumId, set[int]] = {}
+        self.ends: Counter[str] = Counter()
+        """Copies of data that had arrived, by what became of them within `WITHIN` steps."""
+        self.delays: list[int] = []
+        """Steps from the arrival of a datum until a node dropped its copy because of it."""
+        self.false = 0
+        """Copies that were dropped as arrived before their datum had arrived."""
+        self.bytes = 0
+        """Payload of receipts sent."""
+        self._due: dict[int, list[DatumId]] = {}
+        self._seen = 0
+        self.world = World(scenario, record=self._record)
+        for agent in self.world.agents:
+            node = agent.node
+            if isinstance(node, Node) and not node.base:
+                node.keeper.observer = Watch(node.keeper.observer, node.id, self)
+
+    def _record(self, frame: bytes, step: int) -> None:
+        opened = open_datagram(frame)
+        assert opened is not None
+        payload = opened[3]
+        if payload[0] & 15 in _TYPES:
+            self.bytes += len(payload)
+
+    def ended(self, node: int, id: DatumId, fate: Fate) -> None:
+        """A drone has dropped a copy."""
+        self.holders.get(id, set()).discard(node)
+        ledger = self.world.ledger
+        arrived = ledger.arrived.get(id)
+        if arrived is None:
+            self.false += fate is Fate.DELIVERED
+        elif ledger.step - arrived <= WITHIN:
+            self.ends["known" if fate is Fate.DELIVERED else fate.value] += 1
+            if fate is Fate.DELIVERED:
+                self.delays.append(ledger.step - arrived)
+
+    def look(self, world: World) -> None:
+        """After each step."""
+        arrived = list(world.ledger.arrived)
+        for id in arrived[self._seen :]:
+            self._due.setdefault(world.t + WITHIN, []).append(id)
+        self._seen = len(arrived)
+        for id in self._due.pop(world.t, ()):
+            for holder in self.holders.pop(id, ()):
+                self.ends["known" if id in world.agents[holder].node.receipts else "unknown"] += 1
+
+
+def measure(scenario: Scenario) -> dict[str, Any]:
+    """One run."""
+    copies = Copies(scenario)
+    begun = time.process_time()
+    copies.world.run(scenario.steps, after=copies.look)
+    cpu_s = time.process_time() - begun
+    summary = copies.world.statistics.summary()
+    ends = copies.ends
+    held = ends["known"] + ends["unknown"]
+    robot_steps = scenario.nodes * max(1, scenario.steps)
+    return {
+        "nodes": scenario.nodes,
+        "bases": scenario.bases,
+        "seed": scenario.seed,
+        "steps": scenario.steps,
+        "known_within": round(ends["known"] / held, 4) if held else 1.0,
+        "delay_steps": {"p50": percentile(sorted(copies.delays), 0.5), "p95": percentile(sorted(copies.delays), 0.95)},
+        "copies": dict(sorted(ends.items())),
+        "false_ends": copies.false,
+        "receipt_bytes": round(copies.bytes / robot_steps, 2),
+        "delivered": round(summary["delivered"] / max(1, summary["created"]), 4),
+        "reliability": summary["reliability"],
+        "loops": summary["routing"]["loops"],
+        "memory_used_percent": summary["memory_used_percent"],
+        "transmissions_per_datum": summary["transmissions_per_datum"],
+        "hops": summary["hops"],
+        "delay_of_data": summary["delay_steps"],
+        "created": summary["created"],
+        "overflow": summary["lost"]["overflow"],
+        "robot_steps_per_s": round(robot_steps / cpu_s) if cpu_s else 0,
+        "forgetful": sum(agent.node.receipts.digest == 0 for agent in copies.world.agents if agent.node.receipts.told),
+        "alarms": dict(
+            sum((Counter({a.name: 1 for a in ag.node.alarms.counts}) for ag in copies.world.agents), Counter())
+        ),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", nargs="?", default="thousand", help="a scenario's name or file (default: thousand)")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="default: 1")
+    parser.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="a scenario key")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per seed")
+    options = parser.parse_args(arguments)
+    for seed in options.seeds:
+        result = measure(load_scenario(options.scenario, {"seed": seed}, options.keys))
+        print(json.dumps(result), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""Digests: what has arrived at each base lately, in a few bits a datum, so that spares end soon.
+
+Receipts prove arrivals, but they name origins, and many origins take long to name. So a base also sends digests: each
+covers the data that have arrived since the one before. Nodes relay them, and end the spares that they match. A digest
+matches other data too, seldom, and nobody can contradict it. So it ends only spares that no custodian counts on, never
+custody, and it is no proof for anybody. A digest that is lost is not repeated: receipts follow.
+
+Nodes relay the digests of the bases that they and their neighbours have routes to: copies of what arrives at a base are
+along the routes to it. What a node keeps is bounded for each base, and in all. In its turn a node sends the digest that
+it has heard the fewest times. One that it has heard `ENOUGH` times is not repeated.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Container, Iterable
+
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import NO_ROUTE, Digest
+from rass_mav.core.news.checksums import is_sound_digest, make_digest
+from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
+from rass_mav.core.news.table import Identity, Source
+from rass_mav.core.news.voice import Serials
+from rass_mav.core.routes.neighbours import Neighbour
+
+#: Bases whose digests a node relays, and the digests that it recognises of each, at most.
+MAX_BASES = 16
+MAX_SEEN = 64
+#: Digests that wait to be relayed, and the turns for which one waits, at most.
+MAX_WAITING = 16
+WAITING_TURNS = 10
+#: A digest heard so many times is not relayed: most nodes have heard it.
+ENOUGH = 3
+#: Arrivals that wait at a base for a digest, at most.
+MAX_FRESH = 1024
+#: With so many arrivals a digest is well filled, and its marks still have twelve bits.
+WELL_FILLED = 50
+
+
+def matched(digest: Digest, ids: Iterable[DatumId]) -> list[DatumId]:
+    """Which of these data a digest matches: all that it was made of, and others by accident."""
+    ids, marks = list(ids), set(digest.marks)
+    own = marks_of(ids, digest.base, digest.base_life, digest.serial, len(digest.marks) << digest.bits)
+    return [id for id, mark in zip(ids, own, strict=True) if mark in marks]
+
+
+class NoDigests:
+    """For a node that neither sends nor hears digests."""
+
+    __slots__ = ()
+
+    def arrived(self, id: DatumId) -> None:
+        """At a base: a datum has arrived."""
+
+    def is_forged(self, digest: Digest) -> bool:
+        """At a base: whether a digest in its name is not its own."""
+        return False
+
+    def hear(self, digest: Digest) -> bool:
+        """A neighbour sends a digest. Returns whether it may be new."""
+        return False
+
+    def turn(self, step: int, neighbours: Collection[Neighbour]) -> Digest | None:
+        """Once a step: what to send; None: nothing."""
+        return None
+
+
+class Fresh:
+    """The digests of one base."""
+
+    __slots__ = ("_ids", "_period", "_sent", "_serials", "_since", "source")
+
+    def __init__(self, source: Source, serials: Serials, period: int) -> None:
+        """`source`: the base's node id and life. `period`: a few arrivals wait for so many steps."""
+        self.source = source
+        self._serials = serials
+        self._period = period
+        self._ids: deque[DatumId] = deque(maxlen=MAX_FRESH)
+        """What has arrived since the last digest, the oldest first."""
+        self._since = 0
+        """Steps since then."""
+        self._sent: deque[tuple[int, int]] = deque(maxlen=MAX_SEEN)
+        """Serial and checksum of the last digests."""
+
+    def arrived(self, id: DatumId) -> None:
+        """A datum has arrived for the first time."""
+        self._ids.append(id)
+
+    def is_forged(self, digest: Digest) -> bool:
+        """Whether a digest in this base's name and life is not one of its last ones, nor an older one."""
+        oldest = self._sent[0][0] if self._sent else self._serials.next
+        older = (digest.serial - oldest & 0xFFFFFFFF) >= 1 << 31
+        return not older and (digest.serial, digest.crc) not in self._sent
+
+    def turn(self) -> Digest | None:
+        """Once a step: the next digest, if it is due. The more has arrived, the sooner it is."""
+        self._since += 1
+        count = len(self._ids)
+        full, filled = count >= MAX_MARKS, count >= WELL_FILLED
+        wait = self._period // 3 if full else self._period // 2 if filled else self._period
+        if not count or self._since < wait:
+            return None
+        self._since = 0
+        ids = [self._ids.popleft() for _ in range(min(count, MAX_MARKS))]
+        serial, bits = self._serials.draw(), bits_for(len(ids))
+        digest = make_digest(*self.source, serial, bits, marks_of(ids, *self.source, serial, len(ids) << bits))
+        self._sent.append((serial, digest.crc))
+        return digest
+
+
+class _Waiting:
+    __slots__ = ("digest", "heard", "until")
+
+    def __init__(self, digest: Digest, until: int) -> None:
+        self.digest = digest
+        self.heard = 1
+        self.until = until
+        """The turn in which it is too late to relay it."""
+
+
+class Digests(NoDigests):
+    """What one node relays, and at a base also what it has to send itself."""
+
+    __slots__ = ("_fresh", "_named", "_period", "_phase", "_seen", "_turns", "_waiting")
+
+    def __init__(self, fresh: Fresh | None = None, *, period: int = 1, phase: int = 0) -> None:
+        """`fresh`: the digests of this node, a base; None: it is none.
+
+        A node relays a digest at most once in `period` steps, when (step + phase) is a multiple of it.
+        """
+        self._fresh = fresh
+        self._period = period
+        self._phase = phase
+        self._turns = 0
+        self._named: Container[Source] = ()
+        """The bases whose digests are relayed here."""
+        self._seen: dict[Source, dict[Identity, None]] = {}
+        """Digests heard, by base, the oldest first."""
+        self._waiting: dict[Identity, _Waiting] = {}
+        """Those to relay, the oldest first."""
+
+    def arrived(self, id: DatumId) -> None:
+        if self._fresh is not None:
+            self._fresh.arrived(id)
+
+    def is_forged(self, digest: Digest) -> bool:
+        return self._fresh is not None and digest[:2] == self._fresh.source and self._fresh.is_forged(digest)
+
+    def hear(self, digest: Digest) -> bool:
+        identity: Identity = digest[:4]
+        waiting = self._waiting.get(identity)
+        if waiting is not None:
+            waiting.heard += 1
+            if waiting.heard >= ENOUGH:
+                del self._waiting[identity]
+            return False
+        source: Source = digest[:2]
+        if source not in self._named or (self._fresh is not None and source == self._fresh.source):
+            return True
+        seen = self._seen.get(source)
+        if seen is None:
+            if len(self._seen) >= MAX_BASES:
+                return True
+            seen = self._seen[source] = {}
+        elif identity in seen:
+            return False
+        seen[identity] = None
+        if len(seen) > MAX_SEEN:
+            del seen[next(iter(seen))]
+        self._waiting[identity] = _Waiting(digest, self._turns + WAITING_TURNS)
+        if len(self._waiting) > MAX_WAITING:
+            del self._waiting[max(self._waiting, key=lambda other: self._waiting[other].heard)]
+        return True
+
+    def turn(self, step: int, neighbours: Collection[Neighbour]) -> Digest | None:
+        if self._fresh is not None and (own := self._fresh.turn()) is not None:
+            return own
+        if (step + self._phase) % self._period:
+            return None
+        self._turns += 1
+        self._look_round(neighbours)
+        waiting = self._waiting
+        for identity in [identity for identity, one in waiting.items() if one.until <= self._turns]:
+            del waiting[identity]
+        while waiting:
+            identity = min(waiting, key=lambda other: waiting[other].heard)
+            digest = waiting.pop(identity).digest
+            if is_sound_digest(digest):
+                return digest
+        return None
+
+    def _look_round(self, neighbours: Collection[Neighbour]) -> None:
+        """Note which bases the neighbours have routes to; this node's own route is one of theirs."""
+        named = {(n.beacon.base, n.beacon.base_life) for n in neighbours if n.beacon.hops != NO_ROUTE}
+        if named:
+            self._named = named
+            for source in [source for source in self._seen if source not in named]:
+                del self._seen[source]

@@ -1,0 +1,340 @@
+"""Digests: what they match, how they travel, and what they may end."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rass_mav.core.alarms import Alarm
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.messages import Digest, PassedOn, Route
+from rass_mav.core.news.checksums import is_sound_digest, make_digest
+from rass_mav.core.news.digests import (
+    ENOUGH,
+    MAX_BASES,
+    MAX_FRESH,
+    MAX_SEEN,
+    MAX_WAITING,
+    WAITING_TURNS,
+    WELL_FILLED,
+    Digests,
+    Fresh,
+    matched,
+)
+from rass_mav.core.news.marks import (
+    MARK_BYTES,
+    MAX_BITS,
+    MAX_MARKS,
+    MIN_BITS,
+    bits_for,
+    marks_of,
+    pack_marks,
+    unpack_marks,
+)
+from rass_mav.core.news.voice import Serials
+from rass_mav.core.routes.neighbours import Neighbour
+from rass_mav.wire import decode, encode
+from tests.extent import examples
+
+from .build import beacon, data, datum, make_node, of
+from .durable import DurableStore
+from .mirror_net import CHAIN, RISKS, Net, at_rest
+
+any_id = st.builds(DatumId, st.integers(0, 0xFFFF), st.integers(0, 0xFFFFFFFF), st.integers(0, 0xFFFFFFFF))
+#: A base and its life.
+BASE = (0, 9)
+
+
+def digest_of(ids: Iterable[DatumId], *, base: int = 0, life: int = 9, serial: int = 0) -> Digest:
+    ids = list(ids)
+    bits = bits_for(len(ids))
+    return make_digest(base, life, serial, bits, marks_of(ids, base, life, serial, len(ids) << bits))
+
+
+def some_ids(count: int, start: int = 0) -> list[DatumId]:
+    """As a swarm's are: many nodes with a few numbers each."""
+    return [DatumId(n % 250, 1000 + n % 250, n // 250) for n in range(start, start + count)]
+
+
+# -- marks -------------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(any_id, min_size=1, max_size=MAX_MARKS), st.integers(0, 0xFFFFFFFF))
+def test_a_digest_matches_all_that_it_was_made_of_in_any_order_and_fits_its_bytes(
+    ids: list[DatumId], serial: int
+) -> None:
+    digest = digest_of(ids, serial=serial)
+    assert matched(digest, ids) == ids
+    assert digest_of(reversed(ids), serial=serial) == digest
+    [payload] = encode(digest, 0.0)
+    assert len(payload) <= 108
+    assert decode(payload, 0.0) == digest
+    assert is_sound_digest(digest)
+
+
+@pytest.mark.parametrize("count", [1, 25, WELL_FILLED, MAX_MARKS])
+def test_so_many_marks_fit_whatever_they_are(count: int) -> None:
+    bits = bits_for(count)
+    assert MIN_BITS <= bits <= MAX_BITS
+    last = (count << bits) - 1
+    for marks in ([last] * count, [0] * count, [0] * (count - 1) + [last]):
+        assert len(pack_marks(marks, bits)) <= MARK_BYTES
+        assert unpack_marks(pack_marks(marks, bits), count, bits) == tuple(marks)
+
+
+def test_well_filled_digests_have_twelve_bits() -> None:
+    assert bits_for(WELL_FILLED) == 12
+    assert bits_for(MAX_MARKS) == MIN_BITS
+
+
+@pytest.mark.parametrize("count", [20, WELL_FILLED, MAX_MARKS])
+def test_other_data_are_matched_as_seldom_as_promised(count: int) -> None:
+    bits = bits_for(count)
+    others = some_ids(5000, start=10_000)
+    rounds = min(200, (100 << bits) // len(others))
+    wrong = sum(
+        len(matched(digest_of(some_ids(count, start=count * serial), serial=serial), others))
+        for serial in range(rounds)
+    )
+    expected = rounds * len(others) / (1 << bits)
+    # Four standard deviations.
+    assert wrong <= expected + 4 * expected**0.5 + 1
+
+
+def test_a_wrong_match_does_not_come_again_with_the_next_digest() -> None:
+    ids, others = some_ids(MAX_MARKS), some_ids(5000, start=10_000)
+    wrong = [set(matched(digest_of(ids, serial=serial), others)) for serial in range(40)]
+    assert sum(map(len, wrong)) > 400
+    # Of 20 wrong matches by one, the next has 20 / 256.
+    again = sum(len(one & other) for one, other in pairwise(wrong))
+    assert again < 20
+
+
+@given(st.binary(max_size=MARK_BYTES), st.integers(1, 255), st.integers(MIN_BITS, MAX_BITS))
+def test_each_set_of_marks_has_one_encoding(packed: bytes, count: int, bits: int) -> None:
+    try:
+        marks = unpack_marks(packed, count, bits)
+    except ValueError:
+        return
+    assert pack_marks(marks, bits) == packed
+    assert len(marks) == count
+    assert list(marks) == sorted(marks)
+    assert marks[-1] < count << bits
+
+
+# -- a base ------------------------------------------------------------------------------------------------------------
+
+
+def fresh(period: int = 6) -> Fresh:
+    return Fresh(BASE, Serials(DurableStore(1)), period)
+
+
+@pytest.mark.parametrize(("a_step", "steps", "most"), [(0.2, 6, 2), (8, 6, 50), (12, 5, 60), (20, 3, 71), (36, 2, 71)])
+def test_the_more_arrives_the_sooner_the_next_digest_comes(a_step: float, steps: int, most: int) -> None:
+    one = fresh()
+    said: list[tuple[int, int]] = []
+    arrived = 0
+    for t in range(1, 300):
+        while arrived < a_step * t:
+            one.arrived(DatumId(1, 1, arrived))
+            arrived += 1
+        if (digest := one.turn()) is not None:
+            said.append((t, len(digest.marks)))
+            assert digest.bits == bits_for(len(digest.marks))
+    gaps = [b - a for (a, _), (b, _) in pairwise(said)]
+    assert max(gaps) <= steps
+    assert max(count for _, count in said) <= most
+    # Nothing waits for long.
+    assert arrived - sum(count for _, count in said) <= 6 * a_step + 1
+
+
+def test_each_datum_is_in_one_digest() -> None:
+    one = fresh()
+    ids = some_ids(300)
+    for id in ids:
+        one.arrived(id)
+    said = [digest for _ in range(60) if (digest := one.turn()) is not None]
+    assert sum(len(digest.marks) for digest in said) == len(ids)
+    assert len({digest.serial for digest in said}) == len(said)
+    for digest in said:
+        assert set(matched(digest, ids)) >= set(ids[: len(digest.marks)])
+        del ids[: len(digest.marks)]
+
+
+def test_what_waits_at_a_base_is_bounded() -> None:
+    one = fresh()
+    for id in some_ids(3 * MAX_FRESH):
+        one.arrived(id)
+    assert sum(len(digest.marks) for _ in range(200) if (digest := one.turn()) is not None) == MAX_FRESH
+
+
+def test_a_base_knows_its_own_digests() -> None:
+    base = make_node(0, base=True, digest=True, receipt_steps=1)
+    forged = digest_of([datum().id], life=base.store.life)
+    base.receive(forged, 0.0)
+    assert base.alarms.counts == {Alarm.FORGED: 1}
+    base.receive(data(7, 0, (5, datum())), 0.0)
+    [own] = of(Digest, base.step(1.0))
+    assert matched(own, [datum().id]) == [datum().id]
+    base.receive(own, 1.0)
+    base.receive(digest_of([datum().id], life=base.store.life + 1), 1.0)
+    assert base.alarms.counts == {Alarm.FORGED: 1}, "its own, and that of another life"
+    base.receive(digest_of([datum(sequence=1).id], life=base.store.life, serial=own.serial + 1), 1.0)
+    assert base.alarms.counts == {Alarm.FORGED: 2}
+    # After a restart it does not know what it sent before, so it accuses nobody of that.
+    base.store.commit()  # type: ignore[attr-defined]
+    again = make_node(0, base=True, digest=True, store=base.store.crashed())  # type: ignore[attr-defined]
+    again.receive(own, 2.0)
+    assert not again.alarms.counts
+
+
+# -- relaying ----------------------------------------------------------------------------------------------------------
+
+
+def beside(*bases: tuple[int, int]) -> list[Neighbour]:
+    """Neighbours with routes to these bases."""
+    return [Neighbour(beacon(100 + i, 1, Route(*base, 1, 1)), 0.0) for i, base in enumerate(bases)]
+
+
+def relay(*bases: tuple[int, int]) -> Digests:
+    """A node that has its turn in every step, with neighbours that have routes to these bases."""
+    node = Digests()
+    node.turn(0, beside(*bases))
+    return node
+
+
+def test_a_digest_is_heeded_once_and_relayed_once() -> None:
+    node = relay(BASE)
+    digest = digest_of(some_ids(5))
+    assert node.hear(digest)
+    assert not node.hear(digest)
+    assert node.turn(1, beside(BASE)) == digest
+    assert not node.hear(digest)
+    assert node.turn(2, beside(BASE)) is None
+
+
+def test_what_was_heard_often_is_not_relayed_and_what_was_heard_least_goes_first() -> None:
+    node = relay(BASE)
+    often, twice, once = (digest_of(some_ids(5), serial=n) for n in range(3))
+    for digest in [often] * ENOUGH + [twice] * 2 + [once]:
+        node.hear(digest)
+    assert [node.turn(t, beside(BASE)) for t in range(1, 4)] == [once, twice, None]
+
+
+def test_digests_of_bases_that_no_neighbour_has_a_route_to_are_heeded_and_not_relayed() -> None:
+    node = relay((1, 9))
+    assert node.hear(digest_of(some_ids(5)))
+    assert node.turn(1, beside((1, 9))) is None
+
+
+def test_a_digest_that_has_waited_too_long_is_not_relayed() -> None:
+    node = relay(BASE)
+    for serial in range(MAX_WAITING):
+        node.hear(digest_of(some_ids(5), serial=serial))
+    assert len([t for t in range(1, 2 * MAX_WAITING) if node.turn(t, beside(BASE))]) == WAITING_TURNS - 1
+
+
+def test_a_node_has_its_turn_only_once_in_so_many_steps() -> None:
+    node = Digests(period=6, phase=2)
+    said = []
+    for t in range(120):
+        node.hear(digest_of(some_ids(5), serial=t))
+        if node.turn(t, beside(BASE)) is not None:
+            said.append(t)
+    assert said == list(range(10, 120, 6))
+
+
+def test_a_flood_is_bounded() -> None:
+    bases = [(n, 9) for n in range(3 * MAX_BASES)]
+    node = relay(*bases)
+    for serial in range(2 * MAX_SEEN):
+        for base, life in bases:
+            node.hear(digest_of(some_ids(1), base=base, life=life, serial=serial))
+    assert len(node._waiting) == MAX_WAITING
+    assert len(node._seen) == MAX_BASES
+    assert max(map(len, node._seen.values())) == MAX_SEEN
+    # A base that is there again is relayed again.
+    node.turn(1, beside((1000, 9)))
+    digest = digest_of(some_ids(2), base=1000)
+    assert node.hear(digest)
+    assert digest in [one.digest for one in node._waiting.values()]
+
+
+def test_a_flipped_bit_in_memory_does_not_spread() -> None:
+    node = relay(BASE)
+    node.hear(digest_of(some_ids(5)))
+    [waiting] = node._waiting.values()
+    first, *others = waiting.digest.marks
+    waiting.digest = waiting.digest._replace(marks=(first ^ 1 << 40, *others))
+    assert node.turn(1, beside(BASE)) is None
+
+
+# -- what a digest ends ------------------------------------------------------------------------------------------------
+
+
+def test_a_digest_ends_what_nobody_counts_on_and_the_rest_as_soon_as_nobody_does() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True, digest=True)
+    id = at_rest(net)
+    first, backer, custodian = net.nodes.values()
+    assert list(first.holdings.passed_on) == list(backer.holdings.spare) == list(custodian.holdings.custody) == [id]
+    for node in net.nodes.values():
+        assert node.receive(digest_of([id]), net.now) == []
+    assert list(first.holdings) == []
+    assert net.book.fates == [(id, Fate.DELIVERED)]
+    assert list(backer.holdings.spare) == list(custodian.holdings.custody) == [id]
+    assert id not in custodian.keeper.arrived, "it is no proof"
+    backer.receive(PassedOn(3, 2, (id,)), net.now)
+    assert list(backer.holdings) == []
+    assert net.book.fates == [(id, Fate.DELIVERED)] * 2
+
+
+def test_a_spare_that_comes_into_custody_is_an_ordinary_datum_again() -> None:
+    net = Net(RISKS, CHAIN, mirror_until_receipt=True, digest=True)
+    id = at_rest(net)
+    backer = net.nodes[2]
+    backer.receive(digest_of([id]), net.now)
+    net.off = {3}
+    net.step(40)
+    assert id in backer.holdings.custody
+    net.off = set()
+    net.step(3)
+    assert list(backer.holdings.spare) == [id]
+    backer.receive(PassedOn(3, 2, (id,)), net.now)
+    assert list(backer.holdings.passed_on) == [id]
+
+
+@given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=4), max_size=6), st.integers(0, 99))
+@settings(max_examples=examples(25))
+def test_forged_digests_end_no_custody(lies: list[list[int]], seed: int) -> None:
+    rng = random.Random(seed)
+    net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, digest=True, immediate=True)
+    ids = [net.put(1, bytes([n + 1])) for n in range(6)]
+    for serial, lie in enumerate(lies):
+        for node in net.nodes.values():
+            held = set(node.holdings.custody), set(node.holdings.spare)
+            forged = digest_of([ids[n] for n in lie], serial=serial, base=rng.choice([0, 5]))
+            node.receive(forged, net.now)
+            assert (set(node.holdings.custody), set(node.holdings.spare)) == held
+        net.step()
+    net.step(80)
+    base = net.nodes[0]
+    assert base.archive is not None
+    assert all(id in base.archive for id in ids)
+
+
+def test_nodes_without_digests_send_and_heed_none() -> None:
+    net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, receipt_steps=1)
+    id = net.put(1)
+    while id not in net.nodes[2].holdings.passed_on:
+        net.step()
+        assert not net.of(Digest)
+    net.nodes[2].receive(digest_of([id]), net.now)
+    assert id in net.nodes[2].holdings
+    net.step(10)
+    assert net.spares(id) == [], "receipts end them"
+    assert not net.of(Digest)
