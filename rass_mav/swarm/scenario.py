@@ -198,6 +198,9 @@ class FailureSection(Section):
     """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: without limit."""
     recharge_steps: Count | None = None
     """How long a drone that has landed is off, steps; null: for good."""
+    blast: Count | None = None
+    """At the beginning of this step, the drone that holds the most data which have not arrived dies for good, with all
+    drones within its radio range; null: never."""
     base_off: Steps = field(default_factory=list)
     """All bases are off from one step until another, at which they are on again."""
     base_wiped: bool = False
@@ -216,7 +219,16 @@ class FailureSection(Section):
     @property
     def of_robots(self) -> list[str]:
         """The keys that are set and make whole robots fail in virtual time."""
-        keys = ("die_fraction", "die_rate", "die_dose", "reboot_rate", "wipe_rate", "battery_steps", "base_off")
+        keys = (
+            "die_fraction",
+            "die_rate",
+            "die_dose",
+            "reboot_rate",
+            "wipe_rate",
+            "battery_steps",
+            "blast",
+            "base_off",
+        )
         return [key for key in keys if getattr(self, key)]
 
 
