@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from rass_mav.swarm.blast import OLD_STEPS
+
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     """The summary of `swarm` or `replay` as lines."""
@@ -40,11 +42,30 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         f"on the air: {frames['sent']:,} MAVLink frames, {s['bytes_sent'] / 1e6:.1f} MB; heard {frames['received']:,} "
         f"times, lost {frames['dropped']:,} times, {frames['malformed']:,} malformed"
     )
+    if "load" in s:
+        load = s["load"]
+        intervals = [
+            f"{what} every {interval} steps"
+            for what, interval in (
+                ("a measurement", load["interval_steps"]), ("a picture", load["picture_interval_steps"])
+            )
+            if interval
+        ]  # fmt: skip
+        yield (
+            f"load {load['share']:.3f} of the air's one-hop capacity of {load['capacity_bytes_s']:,} bytes/s: "
+            f"{load['created_bytes_s']:,} bytes/s created, from each drone {' and '.join(intervals)}"
+        )
     if "failures" in s:
         failed = s["failures"]
         yield (
             f"drones that died: {failed['died']}, landed: {failed['landed']}; reboots: {failed['rebooted']}, "
             f"stores wiped: {failed['wiped']}"
+        )
+    if "blast" in s:
+        blast = s["blast"]
+        yield (
+            f"blast: {blast['drones']} drones; of {blast['held']:,} data held that were at least {OLD_STEPS} steps "
+            f"old, {blast['lost']:,} lost"
         )
     yield f"altered data: {s['altered']}; routing loops: {s['routing']['loops']}"
     if "wall_s" in s:

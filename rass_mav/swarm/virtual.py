@@ -15,11 +15,13 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.observer import Observer
+from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
 from rass_mav.store.memory import MemoryStore, flipped
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -44,9 +46,11 @@ class Danger(NamedTuple):
 
     node: int
     probability: float
-    """That a datum is struck in a step, 0..1."""
+    """That a datum, or a page of it, is struck in a step, 0..1."""
     rng: random.Random | None = None
     """The drone's own generator, if it has one for this."""
+    page_bytes: int | None = None
+    """Size of the pages; None: a datum is struck as a whole."""
 
 
 class VirtualSwarm(ABC):
@@ -70,6 +74,7 @@ class VirtualSwarm(ABC):
         phases: bool = False,
         strikes: int = 1,
         record: Record | None = None,
+        participant: type[Participant] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -82,8 +87,10 @@ class VirtualSwarm(ABC):
         :param phases: each node has its turns at a moment of its own; False: at the beginning of a step.
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
+        :param participant: what every node is; None: what its policy asks for.
         """
         agents = list(agents)
+        self._participant = participant
         self.seed = seed
         self.topology = topology
         self.step_s = agents[0].step_s
@@ -106,6 +113,8 @@ class VirtualSwarm(ABC):
         self.loops = 0
         """Cycles of next hops seen, one for each cycle and step."""
         self.failures = failures
+        self.blast: Blast | None = None
+        """None: there is none. The subclass that simulates the surroundings sets it, and carries it out."""
         self.off: dict[int, int | None] = {}
         """Nodes that are off, and the step in which each has its turn again (None: never)."""
         self.power = None if disk is None else Power(disk, self.ledger, seed=seed, off_steps=off_steps)
@@ -125,7 +134,9 @@ class VirtualSwarm(ABC):
                 store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
-            self.agents.append(Agent(settings, store, rng, now=0.0, observer=observer, newborn=True))
+            self.agents.append(
+                Agent(settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant)
+            )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
         self.statistics = Statistics(self, full_items)
         some = self.agents[0]
@@ -222,11 +233,11 @@ class VirtualSwarm(ABC):
         """Corruption strikes the data in the drones' stores, and what waits in their radios."""
         part = 1.0 / self._strikes
         struck = {}
-        for node, probability, rng in self._dangers():
+        for node, probability, rng, page_bytes in self._dangers():
             if self._strikes > 1:
                 probability = 1.0 - (1.0 - probability) ** part
             struck[node] = probability
-            self._strike(node, probability, rng or self._strike_rng)
+            self._strike(node, probability, rng or self._strike_rng, page_bytes)
         self.air.strike(struck, now)
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
@@ -334,7 +345,10 @@ class VirtualSwarm(ABC):
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
-        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
+        agent = Agent(
+            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer,
+            participant=self._participant,
+        )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
         self.air.start(node_id, agent, start * self.step_s)
@@ -342,15 +356,28 @@ class VirtualSwarm(ABC):
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random) -> None:
-        """Corruption strikes each datum at a drone with this probability, by flipping a bit."""
+    def _strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
+        """Corruption strikes each datum at a drone with this probability, by flipping a bit.
+
+        `page_bytes`: it strikes each page of this size with this probability, and a datum is as many pages as it needs;
+        None: it strikes each datum.
+        """
         store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
         for id in list(store.ids()):
-            if rng.random() < probability:
-                datum = store.get(id)
-                assert datum is not None
-                store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
+            struck = probability
+            if page_bytes is not None and (pages := -(-_size(store, id) // page_bytes)) > 1:
+                struck = 1.0 - (1.0 - probability) ** pages
+            if rng.random() < struck:
+                store.flip_bit(id, rng.randrange(8 * _size(store, id)))
+        # These fit one frame, and so one page.
         for id, datum in overheard.items():
             if rng.random() < probability:
                 overheard[id] = flipped(datum, rng.randrange(8 * len(datum.payload)))
+
+
+def _size(store: MemoryStore, id: DatumId) -> int:
+    """Bytes of a datum that is in a store."""
+    datum = store.get(id)
+    assert datum is not None
+    return len(datum.payload)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import pytest
@@ -25,9 +26,9 @@ NEVER = {"base_off": [[10**6, 10**6 + 1]]}
 
 
 def plan(steps: int, nodes: int, level: float = 0.0, *, seed: int = 1, bases: int = 1, **keys: Any) -> dict[int, Any]:
-    """The failures of a run by step, with the same radiation everywhere."""
+    """The failures of a run by step, with the same radiation everywhere. A step is 0.01 hours."""
     section = convert(keys, FailureSection, "test")
-    failures = Failures(section, seed=seed, steps=steps, nodes=nodes, bases=bases)
+    failures = Failures(section, seed=seed, steps=steps, nodes=nodes, bases=bases, step_s=36.0)
     found = {t: failures.due(t, [level] * nodes) for t in range(steps)}
     return {t: due for t, due in found.items() if due}
 
@@ -63,6 +64,16 @@ def test_who_dies_of_a_smaller_fraction_dies_of_a_larger_one_too() -> None:
 def test_drones_die_in_proportion_to_the_radiation_up_to_one(level: float, effective: float) -> None:
     dead = len(nodes_of(plan(20, 5001, level, die_rate=0.05)))
     assert dead / 5000 == pytest.approx(1 - (1 - 0.05 * effective) ** 20, abs=0.02)
+
+
+def test_drones_die_of_the_dose_that_they_have_had() -> None:
+    # 200 steps of 0.01 h at 1,000 uSv/h: 2,000 uSv.
+    dead = len(nodes_of(plan(200, 5001, 1000.0, die_dose=4000.0)))
+    assert dead / 5000 == pytest.approx(1 - math.exp(-2000 / 4000), abs=0.02)
+    # The same dose in a tenth of the time kills the same drones.
+    strong = plan(20, 5001, 10_000.0, die_dose=4000.0)
+    assert len(nodes_of(strong)) == dead
+    assert plan(200, 50, 0.0, die_dose=1e-9) == {}
 
 
 def test_where_nothing_radiates_nobody_dies_of_it_and_a_certain_death_comes_at_once() -> None:
@@ -229,6 +240,68 @@ def test_scripts_and_people_read_of_failures_where_there_can_be_any(capsys: pyte
     assert "drones that died" not in capsys.readouterr().out
 
 
+def blasted(**keys: Any) -> World:
+    """A line of six drones and a base that is off, so that nothing arrives; the data of three steps, and a blast."""
+    world = World(
+        scenario(
+            nodes=7,
+            steps=20,
+            topology="line",
+            data={"interval_steps": 1, "until_step": 3},
+            radiation={"sources": []},
+            failures={"base_off": [[0, 100]], "blast": 12},
+            **keys,
+        )
+    )
+    world.run(12)
+    return world
+
+
+def test_a_blast_kills_the_drones_around_the_fullest_store_and_counts_what_was_nowhere_else() -> None:
+    world = blasted(custody={"mirror": False}, policy={"name": "hop-count"})
+    # Without a route and without spares each drone has its own three data, and node 1 is the first of the fullest.
+    assert [len(agent.node.holdings) for agent in world.agents] == [0, 3, 3, 3, 3, 3, 3]
+    world.step()
+    assert world.off == {0: 100, 1: None, 2: None}
+    summary = world.statistics.summary()
+    assert summary["blast"] == {"drones": 2, "held": 18, "lost": 6}
+    assert (summary["failures"]["died"], summary["lost"]["died"]) == (2, 6)
+    check(world)
+
+
+def test_a_blast_finds_the_store_with_the_most_data_and_spares_what_is_elsewhere_too() -> None:
+    world = blasted()
+    full = [len(agent.node.holdings) for agent in world.agents]
+    centre = full.index(max(full))
+    copies = dict(world.ledger.copies)
+    world.step()
+    dead = [node for node, back in world.off.items() if back is None]
+    assert dead == list(range(max(centre - 1, 1), min(centre + 2, 7)))
+    gone = copies.keys() - world.ledger.copies.keys()
+    assert world.statistics.summary()["blast"] == {"drones": len(dead), "held": 18, "lost": len(gone)}
+    check(world)
+
+
+def test_a_blast_counts_neither_young_data_nor_those_that_have_arrived() -> None:
+    world = World(
+        scenario(
+            nodes=2, steps=20, topology="line", data={"interval_steps": 1}, radiation={"sources": []},
+            failures={"base_off": [[8, 100]], "blast": 12},
+        )
+    )  # fmt: skip
+    world.run(13, after=check)
+    assert world.off == {0: 100, 1: None}
+    summary = world.statistics.summary()
+    # The data of steps 8 to 11 are lost, but were not old enough.
+    assert (summary["delivered"], summary["lost"]["died"]) == (8, 4)
+    assert summary["blast"] == {"drones": 1, "held": 0, "lost": 0}
+
+
+def test_people_read_what_a_blast_did(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["swarm", "--nodes", "4", "--steps", "5", "--set", "failures.blast=3"]) == 0
+    assert "blast: 3 drones; of 0 data held that were at least 5 steps old, 0 lost" in capsys.readouterr().out
+
+
 # -- what makes no sense -----------------------------------------------------------------------------------------------
 
 
@@ -243,6 +316,7 @@ def test_scripts_and_people_read_of_failures_where_there_can_be_any(capsys: pyte
         ({"battery_steps": 7}, r"^test: failures\.battery_steps: expected a list of 2 values, got 7$"),
         ({"recharge_steps": 5}, r"^test: failures\.recharge_steps: expected null unless"),
         ({"base_wiped": True}, r"^test: failures\.base_wiped: expected false unless"),
+        ({"blast": 0}, r"^test: failures\.blast: expected a whole number >= 1, got 0$"),
         ({"base_off": [[5, 5]]}, r"^test: failures\.base_off: expected .*, got \[\[5, 5\]\]$"),
         ({"base_off": [[5, 9], [8, 12]]}, r"^test: failures\.base_off: expected .*, got \[\[5, 9\], \[8, 12\]\]$"),
         ({"reboots": 1}, r"^test: failures\.reboots: unknown key"),
@@ -261,6 +335,7 @@ def test_wrong_keys_are_named(keys: dict[str, Any], complaint: str) -> None:
         "reboot_rate=0.1",
         "wipe_rate=0.1",
         "battery_steps=[5, 9]",
+        "blast=3",
         "base_off=[[1, 2]]",
     ],
 )
