@@ -16,7 +16,7 @@ from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode, target_of
+from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
 
 log = logging.getLogger(__name__)
@@ -92,7 +92,8 @@ class Peers:
             self.foreign += 1
             return None
         self.received += 1
-        if target != self._node_id and target != BROADCAST:
+        # Data for other nodes are heard too: answers ride on them, and they show that the datum moves on.
+        if target != self._node_id and target != BROADCAST and not is_data(payload):
             return None
         if (system or component) and not addressed_to(
             system, component, self.writer.system_id, self.writer.component_id

@@ -13,8 +13,8 @@ from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
-from rass_mav.core.datum import MAX_PAYLOAD, Datum, Fate
-from rass_mav.core.messages import Committed, Message
+from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
+from rass_mav.core.messages import BROADCAST, KINDS, Committed, Message, Target
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
 from rass_mav.core.news.digests import Digests, Fresh, NoDigests
@@ -32,9 +32,11 @@ from rass_mav.core.spares.mirrors import Mirrors
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("archive", "digests", "keeper", "own", "percolation", "transfers")
+    __slots__ = ("_answered", "archive", "digests", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
+        self._answered: list[tuple[int, int, DatumId, int]] = []
+        """Giver, number, datum and checksum of what was accepted since the last turn."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.digests = NoDigests()
@@ -169,13 +171,37 @@ class Node(Participant):
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         if type(message) is messages.Beacon:
-            # Most messages are beacons, and they change no copies, so there is nothing to flush.
-            return self._on_beacon(message, now)
+            # Most messages are beacons. While nothing waits for answers they change no copies.
+            return self._hear_beacon(message, now) if self.holdings.pending else self._on_beacon(message, now)
+        if KINDS[type(message)].target is Target.NAMED:
+            self.routing.neighbours.notice(message.sender, now)  # type: ignore[union-attr]
         answers = HANDLERS[type(message)](self, message, now)
         self.keeper.spares.flush(answers)
         return answers
 
+    def _hear_beacon(self, beacon: messages.Beacon, now: float) -> list[Message]:
+        """A beacon, while hand-overs wait for answers: these may be in it."""
+        out = self._on_beacon(beacon, now)
+        for answer in beacon.answers:
+            if answer.target == self.id:
+                out += self._on_committed(answer, now)
+        self.percolation.not_answered(beacon.sender, now)
+        self.keeper.spares.flush(out)
+        return out
+
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
+        out: list[Message] = []
+        for answer in data.answers:
+            if answer.target == self.id:
+                out += self._on_committed(answer, now)
+        return out + (self._take(data) if data.target in (self.id, BROADCAST) else self._on_overheard(data, now))
+
+    def _on_overheard(self, data: messages.Data, now: float) -> list[Message]:
+        """A neighbour sends data to another node. Whatever comes of it, it is not answered."""
+        self.percolation.moves_on(data, now)
+        return []
+
+    def _take(self, data: messages.Data) -> list[Message]:
         keeper = self.keeper
         take = keeper.keep_spare if data.spare else keeper.take_custody
         committed: list[tuple[int, int]] = []
@@ -187,7 +213,17 @@ class Node(Participant):
                 refused.append(number)
             elif number:
                 committed.append((number, datum.crc))
+                if self.settings.measured:
+                    self._answered.append((data.sender, number, datum.id, datum.crc))
         return self._answer(data.sender, committed, [number for number in refused if number])
+
+    def _answers_again(self) -> tuple[Committed, ...]:
+        answered, self._answered = self._answered, []
+        to: dict[int, list[tuple[int, int]]] = {}
+        for giver, number, id, crc in answered:
+            if self.store.durable(id):
+                to.setdefault(giver, []).append((number, crc))
+        return tuple([Committed(self.id, giver, tuple(done), ()) for giver, done in to.items()])
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:
         if not committed and not refused:
@@ -201,6 +237,7 @@ class Node(Participant):
             if holding is None:
                 keeper.notes.committed(number, sender)
             elif holding.crc == crc:
+                self.percolation.answered(holding, now)
                 keeper.give_away(holding, sender)
         for number in message.refused:
             holding = holdings.answered(number, sender)

@@ -15,6 +15,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.turns import MOST_JITTER, jitter
 from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
@@ -138,8 +139,9 @@ class VirtualSwarm(ABC):
         self._strikes = strikes
         self._strike_rng = random.Random(f"{seed}:strikes")
         draw = random.Random(f"{seed}:phases").random
-        self._phases = [draw() * self.step_s if phases else 0.0 for _ in agents]
-        """When in a step each node has its turn, seconds."""
+        self._phases = [draw() if phases else None for _ in agents]
+        """When in a step each node has its turn, 0..1, but for the jitter; None: at its beginning."""
+        self._jitter_rng = random.Random(f"{seed}:jitter")
 
     @property
     @abstractmethod
@@ -189,7 +191,8 @@ class VirtualSwarm(ABC):
             for node_id in self.power.begin_step(t, off):
                 self._fail(node_id, None)
         for node_id, phase in enumerate(self._phases):
-            timeline.at(now + phase, Order.TURN, partial(self._take_turn, node_id))
+            delay = 0.0 if phase is None else (phase + jitter(self._jitter_rng)) / (1.0 + MOST_JITTER)
+            timeline.at(now + delay * step_s, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
             timeline.at(now, Order.TURN, self._attack)
         timeline.run((t + 1) * step_s)

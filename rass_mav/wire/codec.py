@@ -60,6 +60,10 @@ DIGEST = 16
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
 _BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
 _SEAL = 37
+# What may follow the fields: its kind and its size in bytes. Unknown kinds are ignored.
+_BLOCK = struct.Struct("<BB")
+#: The block with answers, each as on data.
+ANSWERS = 1
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _OFFER = struct.Struct("<BHHIHIIIBBIIB")
@@ -67,6 +71,9 @@ _ACCEPT = struct.Struct("<BHHIHH")
 _CHUNK = struct.Struct("<BHH")
 _SACK = struct.Struct("<BHHHHB")
 _COMMITTED = struct.Struct("<BHHBB")
+# An answer that rides on data: a `_COMMITTED` without its first bytes, because the sender is known.
+_RIDER = struct.Struct("<HBB")
+_RIDER_AT = _COMMITTED.size - _RIDER.size
 _DONE = struct.Struct("<II")
 _NUMBER = struct.Struct("<I")
 _RECEIPT = struct.Struct("<BHIIIB")
@@ -130,10 +137,15 @@ def encode(message: Message, now: float) -> list[bytes]:
 
 
 _BEACON_HEAD = _head(BEACON)
+_DATA_HEAD = bytes([_head(DATA)])
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    rest = _BEACON.pack(_BEACON_HEAD, *m)
+    rest = _BEACON.pack(_BEACON_HEAD, *m[:-1])
+    if m.answers:
+        riders, _ = _riders(m.answers, MAX_TUNNEL - _MAC - len(rest) - _NUMBER.size - _BLOCK.size, now)
+        if riders:
+            rest += _BLOCK.pack(ANSWERS, len(riders)) + riders
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
@@ -154,7 +166,28 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
         parts.append(payload)
         room -= size
     frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
-    return frames
+    return _encode_riders(m.answers, frames, now) if m.answers else frames
+
+
+def _encode_riders(answers: tuple[Committed, ...], frames: list[bytes], now: float) -> list[bytes]:
+    """Append answers to the last frame with data; what does not fit gets frames of its own."""
+    riders, rest = _riders(answers, MAX_TUNNEL - _MAC - len(frames[-1]), now)
+    frames[-1] += riders
+    return frames + rest
+
+
+def _riders(answers: tuple[Committed, ...], room: int, now: float) -> tuple[bytes, list[bytes]]:
+    """As many answers as fit, and the frames of those that do not."""
+    riders = b""
+    rest = []
+    for answer in answers:
+        for payload in _encode_committed(answer, now):
+            rider = payload[_RIDER_AT:]
+            if len(riders) + len(rider) <= room:
+                riders += rider
+            else:
+                rest.append(payload)
+    return riders, rest
 
 
 def _encode_offer(m: Offer, now: float) -> list[bytes]:
@@ -267,6 +300,11 @@ def target_of(payload: bytes) -> int:
     return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
 
 
+def is_data(payload: bytes) -> bool:
+    """Whether a TUNNEL payload is a `Data` message of this version, as far as its first byte tells."""
+    return payload[:1] == _DATA_HEAD
+
+
 # In a mock swarm all nodes that hear a frame decode it one after the other.
 @lru_cache(maxsize=16)
 def decode(payload: bytes, now: float) -> Message:
@@ -300,8 +338,24 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
+    answers = _decode_blocks(rest, fields[0]) if len(rest) > _BEACON.size else ()
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, fields)
+    return tuple.__new__(Beacon, (*fields, answers))
+
+
+def _decode_blocks(rest: bytes, sender: int) -> tuple[Committed, ...]:
+    """The blocks after a beacon's fields; unknown ones are ignored."""
+    answers: tuple[Committed, ...] = ()
+    at = _BEACON.size
+    while at < len(rest):
+        tag, size = _BLOCK.unpack_from(rest, at)
+        at += _BLOCK.size
+        if at + size > len(rest):
+            raise MalformedError("truncated block")
+        if tag == ANSWERS:
+            answers = _decode_riders(rest[: at + size], at, at + size, sender)
+        at += size
+    return answers
 
 
 def _decode_data(p: bytes, now: float) -> Data:
@@ -318,7 +372,16 @@ def _decode_data(p: bytes, now: float) -> Data:
         created = now - (age & _OLDEST) / 1000.0
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
-    return Data(sender, target, tuple(handovers), count >= _SPARE)
+    answers = _decode_riders(p, at, len(p), sender) if at < len(p) else ()
+    return Data(sender, target, tuple(handovers), count >= _SPARE, answers)
+
+
+def _decode_riders(p: bytes, at: int, end: int, sender: int) -> tuple[Committed, ...]:
+    answers = []
+    while at < end:
+        answer, at = _decode_answer(p, at, sender)
+        answers.append(answer)
+    return tuple(answers)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:
@@ -348,12 +411,18 @@ def _decode_sack(p: bytes, now: float) -> Sack:
 
 
 def _decode_committed(p: bytes, now: float) -> Committed:
-    _, sender, target, done, no = _COMMITTED.unpack_from(p)
-    at = _COMMITTED.size
+    answer, _ = _decode_answer(p, _RIDER_AT, p[1] | p[2] << 8)
+    return answer
+
+
+def _decode_answer(p: bytes, at: int, sender: int) -> tuple[Committed, int]:
+    """An answer, and where it ends."""
+    target, done, no = _RIDER.unpack_from(p, at)
+    at += _RIDER.size
     end = at + done * _DONE.size
     committed = tuple([_DONE.unpack_from(p, i) for i in range(at, end, _DONE.size)])
     refused = tuple([_NUMBER.unpack_from(p, end + i * _NUMBER.size)[0] for i in range(no)])
-    return Committed(sender, target, committed, refused)
+    return Committed(sender, target, committed, refused), end + no * _NUMBER.size
 
 
 def _decode_receipt(p: bytes, now: float) -> Receipt:

@@ -218,6 +218,7 @@ class Mirrors(NoSpares):
     def step(self, now: float) -> None:
         """Once a step: handle partners that are gone, spares with no news for long, and repairs without an answer."""
         self._now = now
+        self._speech.step()
         holdings = self._keeper.holdings
         if holdings.partners:
             self._look_after_partners(now)

@@ -81,7 +81,7 @@ class SpareOffers:
     def _count_gone(self, now: float) -> None:
         here = silent = 0
         for neighbour in self._routing.neighbours.values():
-            age = (now - neighbour.heard) / neighbour.turn_s
+            age = (now - neighbour.noticed) / neighbour.turn_s
             if age < 1.5:
                 here += 1
             elif age < 2.5:
@@ -172,7 +172,7 @@ class SpareOffers:
         safest = [
             neighbour
             for neighbour in self._routing.neighbours.values()
-            if neighbour.heard >= now - 1.5 * neighbour.turn_s
+            if neighbour.noticed >= now - 1.5 * neighbour.turn_s
             and neighbour.beacon.free
             and not neighbour.beacon.flags & BEACON_BASE
             and refused.get(neighbour.id, now) <= now
