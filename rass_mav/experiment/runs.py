@@ -68,10 +68,15 @@ class Run:
         return hashlib.sha256(msgspec.json.encode(what, order="sorted")).hexdigest()
 
     @property
+    def name(self) -> str:
+        """For people: what it is in its experiment."""
+        parts = (self.world, self.scenario.topology, self.policy, self.variant, str(self.scenario.seed))
+        return "_".join(part for part in parts if part)
+
+    @property
     def file_name(self) -> str:
         """Where its outcome is kept: readable, and different for different keys."""
-        parts = (self.world, self.scenario.topology, self.policy, self.variant, str(self.scenario.seed), self.key[:16])
-        return "_".join(part for part in parts if part) + ".json"
+        return f"{self.name}_{self.key[:16]}.json"
 
 
 class Extent(NamedTuple):

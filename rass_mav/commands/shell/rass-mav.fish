@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --arena --attacker --base --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --first-seed --for --group --jobs --keep --line --live --loss --name --nodes --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --air --arena --attacker --base --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --first-seed --for --group --jobs --keep --line --live --loss --name --nodes --off --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -276,6 +276,20 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l set -x -d
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l topology -xka "grid scale-free lennard-jones random-walk islands" -d 'which topologies, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l variant -xka "plain immediate mirror mirror-immediate copies-auto" -d 'which variants, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l failures -x -d 'also repeat all runs with this share of the drones dying permanently, 0 to 1 (0.1 without a number)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a ablation -d 'What each part of the defaults is worth, where frames take time and where not.'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l jobs -x -d 'processes at a time (default: one per core)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l dask -x -d 'use the workers of this Dask scheduler instead'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l air -xka "none wifi-6m wifi-1m sik-250k sik-64k lora" -d 'on which airs (default: none wifi-6m wifi-1m)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l topology -xka "grid scale-free lennard-jones random-walk islands" -d 'which topologies (default: grid random-walk)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l off -xka "nothing policy immediate mirror receipts copies everything" -d 'what to switch off, each in runs of its own'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a hostile -d 'Attackers beside honest nodes: what arrives, what is lost, who notices, recovery.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s v -l verbose -d 'logs on stderr; -vv for more'
