@@ -120,7 +120,7 @@ class Node(Participant):
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
         keeper = self.keeper
-        if not keeper.stirred:
+        if not keeper.stirred and self.percolation.due > now:
             return []
         keeper.stirred = False
         out: list[Message] = []
