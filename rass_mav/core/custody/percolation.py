@@ -122,8 +122,8 @@ class Percolation:
             keeper.drop(holding, Fate.PASSED_ON)
         self._send(target, number, datum)
 
-    def _send(self, target: int, number: int, datum: Datum) -> None:
-        self._pace.spend()
+    def _send(self, target: int, number: int, datum: Datum, *, again: bool = False) -> None:
+        self._pace.spend(again=again)
         self._batches.setdefault(target, []).append(Handover(number, datum))
 
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
@@ -219,4 +219,4 @@ class Percolation:
             pending.tries += 1
             pending.sent = now
             self._wait(pending, now)
-            self._send(pending.neighbour, pending.number, datum)
+            self._send(pending.neighbour, pending.number, datum, again=True)
