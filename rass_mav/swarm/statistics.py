@@ -74,6 +74,7 @@ class Statistics:
         self._copies += ledger.waiting_copies
         self._waiting += ledger.waiting
         for agent in self._world.agents:
+            self._stored += len(agent.node.overheard)
             hops = agent.node.routing.hops
             if self.max_hop_count < hops != NO_ROUTE:
                 self.max_hop_count = hops

@@ -20,7 +20,7 @@ from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.store.memory import MemoryStore
+from rass_mav.store.memory import MemoryStore, flipped
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -346,11 +346,14 @@ class VirtualSwarm(ABC):
         self.statistics.retire(old)
 
     def _strike(self, node_id: int, probability: float, rng: random.Random) -> None:
-        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
-        store = self.stores[node_id]
+        """Corruption strikes each datum at a drone with this probability, by flipping a bit."""
+        store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
         for id in list(store.ids()):
             if rng.random() < probability:
                 datum = store.get(id)
                 assert datum is not None
                 store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
+        for id, datum in overheard.items():
+            if rng.random() < probability:
+                overheard[id] = flipped(datum, rng.randrange(8 * len(datum.payload)))
