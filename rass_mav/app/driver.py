@@ -60,9 +60,10 @@ class Driver:
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
-        `rng`: determines by how much steps are late, and how long a node listens before it sends on a shared radio. `sensor`: the node's own; None:
-        readings come from the autopilot. `ground`: a direct connection to a ground station. `mute`: send nothing to
-        neighbours. `lived`: the clock behind `now`, if the store keeps the time; None: it does not.
+        `rng`: determines by how much steps are late, and how long a node listens before it sends on a shared radio.
+        `sensor`: the node's own; None: readings come from the autopilot. `ground`: a direct connection to a ground
+        station. `mute`: send nothing to neighbours. `lived`: the clock behind `now`, if the store keeps the time; None:
+        it does not.
         """
         self.agent = agent
         self.vehicle = vehicle
