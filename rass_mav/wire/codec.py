@@ -60,9 +60,10 @@ DIGEST = 16
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
 _BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
 _SEAL = 37
-# What may follow the fields: its kind and its size in bytes. Unknown kinds are ignored.
+# What may follow the fields of a beacon, or the hand-overs of data: its kind and its size in bytes. Unknown kinds are
+# ignored.
 _BLOCK = struct.Struct("<BB")
-#: The block with answers, each as on data.
+#: The block with answers to hand-overs.
 ANSWERS = 1
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
@@ -70,10 +71,9 @@ _OFFER = struct.Struct("<BHHIHIIIBBIIB")
 _ACCEPT = struct.Struct("<BHHIHH")
 _CHUNK = struct.Struct("<BHH")
 _SACK = struct.Struct("<BHHHHB")
-_COMMITTED = struct.Struct("<BHHBB")
-# An answer that rides on data: a `_COMMITTED` without its first bytes, because the sender is known.
+_SENDER = struct.Struct("<BH")
+# An answer without its sender, which is known where it rides on another message.
 _RIDER = struct.Struct("<HBB")
-_RIDER_AT = _COMMITTED.size - _RIDER.size
 _DONE = struct.Struct("<II")
 _NUMBER = struct.Struct("<I")
 _RECEIPT = struct.Struct("<BHIIIB")
@@ -143,9 +143,7 @@ _DATA_HEAD = bytes([_head(DATA)])
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
     rest = _BEACON.pack(_BEACON_HEAD, *m[:-1])
     if m.answers:
-        riders, _ = _riders(m.answers, MAX_TUNNEL - _MAC - len(rest) - _NUMBER.size - _BLOCK.size, now)
-        if riders:
-            rest += _BLOCK.pack(ANSWERS, len(riders)) + riders
+        rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size)[0]
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
@@ -166,28 +164,40 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
         parts.append(payload)
         room -= size
     frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
-    return _encode_riders(m.answers, frames, now) if m.answers else frames
+    if m.answers:
+        block, rest = _encode_answers(m.answers, MAX_TUNNEL - len(frames[-1]))
+        frames[-1] += block
+        for answer in rest:
+            frames += _encode_committed(answer, now)
+    return frames
 
 
-def _encode_riders(answers: tuple[Committed, ...], frames: list[bytes], now: float) -> list[bytes]:
-    """Append answers to the last frame with data; what does not fit gets frames of its own."""
-    riders, rest = _riders(answers, MAX_TUNNEL - _MAC - len(frames[-1]), now)
-    frames[-1] += riders
-    return frames + rest
-
-
-def _riders(answers: tuple[Committed, ...], room: int, now: float) -> tuple[bytes, list[bytes]]:
-    """As many answers as fit, and the frames of those that do not."""
+def _encode_answers(answers: tuple[Committed, ...], room: int) -> tuple[bytes, list[Committed]]:
+    """A block with as much of the answers as fits `room` bytes, and what does not fit."""
+    room -= _BLOCK.size + _MAC
     riders = b""
-    rest = []
+    left = []
     for answer in answers:
-        for payload in _encode_committed(answer, now):
-            rider = payload[_RIDER_AT:]
-            if len(riders) + len(rider) <= room:
-                riders += rider
-            else:
-                rest.append(payload)
-    return riders, rest
+        rider, rest = _encode_answer(answer, room - len(riders))
+        riders += rider
+        if rest is not None:
+            left.append(rest)
+    return (_BLOCK.pack(ANSWERS, len(riders)) + riders if riders else b""), left
+
+
+def _encode_answer(m: Committed, room: int) -> tuple[bytes, Committed | None]:
+    """As much of an answer as fits `room` bytes, without its sender, and what does not fit."""
+    room = max(0, room - _RIDER.size)
+    done = m.committed[: room // _DONE.size]
+    no = m.refused[: (room - len(done) * _DONE.size) // _NUMBER.size]
+    if len(done) == len(m.committed) and len(no) == len(m.refused):
+        rest = None
+    else:
+        rest = m._replace(committed=m.committed[len(done) :], refused=m.refused[len(no) :])
+        if not done and not no:
+            return b"", rest
+    numbers = struct.pack(f"<{2 * len(done) + len(no)}I", *chain(*done, no))
+    return _RIDER.pack(m.target, len(done), len(no)) + numbers, rest
 
 
 def _encode_offer(m: Offer, now: float) -> list[bytes]:
@@ -215,19 +225,13 @@ def _encode_sack(m: Sack, now: float) -> list[bytes]:
 
 
 def _encode_committed(m: Committed, now: float) -> list[bytes]:
-    committed, refused = list(m.committed), list(m.refused)
+    head = _SENDER.pack(_head(COMMITTED), m.sender)
     frames = []
-    while True:
-        room = MAX_TUNNEL - _MAC - _COMMITTED.size
-        done = committed[: room // _DONE.size]
-        no = refused[: (room - len(done) * _DONE.size) // _NUMBER.size]
-        del committed[: len(done)], refused[: len(no)]
-        frames.append(
-            _COMMITTED.pack(_head(COMMITTED), m.sender, m.target, len(done), len(no))
-            + struct.pack(f"<{2 * len(done) + len(no)}I", *chain(*done, no))
-        )
-        if not committed and not refused:
-            return frames
+    rest: Committed | None = m
+    while rest is not None:
+        answer, rest = _encode_answer(rest, MAX_TUNNEL - _MAC - len(head))
+        frames.append(head + answer)
+    return frames
 
 
 def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
@@ -338,24 +342,32 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
-    answers = _decode_blocks(rest, fields[0]) if len(rest) > _BEACON.size else ()
+    answers = _decode_blocks(rest, _BEACON.size, fields[0])
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
     return tuple.__new__(Beacon, (*fields, answers))
 
 
-def _decode_blocks(rest: bytes, sender: int) -> tuple[Committed, ...]:
-    """The blocks after a beacon's fields; unknown ones are ignored."""
+def _decode_blocks(p: bytes, at: int, sender: int) -> tuple[Committed, ...]:
+    """The answers in the blocks from `at` to the end; unknown blocks are ignored."""
     answers: tuple[Committed, ...] = ()
-    at = _BEACON.size
-    while at < len(rest):
-        tag, size = _BLOCK.unpack_from(rest, at)
+    while at < len(p):
+        kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
-        if at + size > len(rest):
+        if at + size > len(p):
             raise MalformedError("truncated block")
-        if tag == ANSWERS:
-            answers = _decode_riders(rest[: at + size], at, at + size, sender)
+        if kind == ANSWERS:
+            answers += _decode_answers(p[at : at + size], sender)
         at += size
     return answers
+
+
+def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:
+    answers = []
+    at = 0
+    while at < len(block):
+        answer, at = _decode_answer(block, at, sender)
+        answers.append(answer)
+    return tuple(answers)
 
 
 def _decode_data(p: bytes, now: float) -> Data:
@@ -372,16 +384,7 @@ def _decode_data(p: bytes, now: float) -> Data:
         created = now - (age & _OLDEST) / 1000.0
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
-    answers = _decode_riders(p, at, len(p), sender) if at < len(p) else ()
-    return Data(sender, target, tuple(handovers), count >= _SPARE, answers)
-
-
-def _decode_riders(p: bytes, at: int, end: int, sender: int) -> tuple[Committed, ...]:
-    answers = []
-    while at < end:
-        answer, at = _decode_answer(p, at, sender)
-        answers.append(answer)
-    return tuple(answers)
+    return Data(sender, target, tuple(handovers), count >= _SPARE, _decode_blocks(p, at, sender))
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:
@@ -411,8 +414,7 @@ def _decode_sack(p: bytes, now: float) -> Sack:
 
 
 def _decode_committed(p: bytes, now: float) -> Committed:
-    answer, _ = _decode_answer(p, _RIDER_AT, p[1] | p[2] << 8)
-    return answer
+    return _decode_answer(p, _SENDER.size, _SENDER.unpack_from(p)[1])[0]
 
 
 def _decode_answer(p: bytes, at: int, sender: int) -> tuple[Committed, int]:
