@@ -125,6 +125,7 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         self.peers = Peers(settings.node_id, FrameWriter(system_id, mavlink.component_id), mavlink.payload_type)
+        self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
         self._said: list[Outgoing] = []
@@ -194,6 +195,7 @@ class Agent:
     def _renew(self, now: float) -> None:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False)
+        self.peers.overhears = self.node.overhears
         self._observe_again()
 
     def _observe_again(self) -> None:

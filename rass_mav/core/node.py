@@ -120,7 +120,7 @@ class Node(Participant):
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
         keeper = self.keeper
-        if not keeper.stirred:
+        if not keeper.stirred and self.percolation.due > now:
             return []
         keeper.stirred = False
         out: list[Message] = []
@@ -141,6 +141,16 @@ class Node(Participant):
 
     def _keep_own(self, datum: Datum) -> None:
         self.keeper.keep(datum)
+
+    @property
+    def overhears(self) -> bool:
+        """Whether this node handles the data that neighbours send to others."""
+        return self.settings.overhear or self.settings.measured
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory only."""
+        return self.keeper.spares.overheard
 
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
@@ -197,8 +207,12 @@ class Node(Participant):
         return out + (self._take(data) if data.target in (self.id, BROADCAST) else self._on_overheard(data, now))
 
     def _on_overheard(self, data: messages.Data, now: float) -> list[Message]:
-        """A neighbour sends data to another node. Whatever comes of it, it is not answered."""
-        self.percolation.moves_on(data, now)
+        """A neighbour sends data to another node. Such a message is never answered: only its target can promise
+        anything."""
+        if self.settings.measured:
+            self.percolation.moves_on(data, now)
+        if self.settings.overhear:
+            self.keeper.overhear(data.sender, data.handovers, now)
         return []
 
     def _take(self, data: messages.Data) -> list[Message]:

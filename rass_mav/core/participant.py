@@ -98,6 +98,16 @@ class Participant(ABC):
         peer."""
         return self.base and not self.policy.replicates
 
+    @property
+    def overhears(self) -> bool:
+        """Whether this node handles the data that neighbours send to others (`Data` with another target)."""
+        return False
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory only."""
+        return {}
+
     # -- incoming messages ---------------------------------------------------------------------------------------------
 
     @abstractmethod

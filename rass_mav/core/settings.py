@@ -105,6 +105,9 @@ class CustodySettings(Section):
     copies: Literal[1, "auto"] = "auto"
     """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
+    overhear: bool = True
+    """A drone keeps, in free memory, data that it hears neighbours hand over to each other; a base takes them all. Only
+    with mode acknowledged; for drones only with spare copies until a receipt."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""
@@ -142,6 +145,9 @@ class NodeSettings:
     receiver has passed it on."""
     copies_auto: bool = False
     """As many spare copies as the risk requires (`core.spares`); only with `mirror`."""
+    overhear: bool = False
+    """Data that neighbours hand over to others are taken by a base, and kept in memory by a drone; a drone only with
+    `mirror` and receipts."""
     immediate: bool = False
     """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True

@@ -20,7 +20,7 @@ from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.store.memory import MemoryStore
+from rass_mav.store.memory import MemoryStore, flipped
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -45,9 +45,11 @@ class Danger(NamedTuple):
 
     node: int
     probability: float
-    """That a datum is struck in a step, 0..1."""
+    """That a datum, or a page of it, is struck in a step, 0..1."""
     rng: random.Random | None = None
     """The drone's own generator, if it has one for this."""
+    page_bytes: int | None = None
+    """Size of the pages; None: a datum is struck as a whole."""
 
 
 class VirtualSwarm(ABC):
@@ -225,11 +227,11 @@ class VirtualSwarm(ABC):
         """Corruption strikes the data in the drones' stores, and what waits in their radios."""
         part = 1.0 / self._strikes
         struck = {}
-        for node, probability, rng in self._dangers():
+        for node, probability, rng, page_bytes in self._dangers():
             if self._strikes > 1:
                 probability = 1.0 - (1.0 - probability) ** part
             struck[node] = probability
-            self._strike(node, probability, rng or self._strike_rng)
+            self._strike(node, probability, rng or self._strike_rng, page_bytes)
         self.air.strike(struck, now)
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
@@ -345,12 +347,24 @@ class VirtualSwarm(ABC):
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random) -> None:
-        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
-        store = self.stores[node_id]
+    def _strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
+        """Corruption strikes each datum at a drone with this probability, by flipping a bit.
+
+        `page_bytes`: it strikes each page of this size with this probability, and a datum is as many pages as it needs;
+        None: it strikes each datum.
+        """
+        store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
+
+        def is_struck(size: int) -> bool:
+            pages = 1 if page_bytes is None else -(-size // page_bytes)
+            return rng.random() < (probability if pages == 1 else 1.0 - (1.0 - probability) ** pages)
+
         for id in list(store.ids()):
-            if rng.random() < probability:
-                datum = store.get(id)
-                assert datum is not None
+            datum = store.get(id)
+            assert datum is not None
+            if is_struck(len(datum.payload)):
                 store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
+        for id, datum in overheard.items():
+            if is_struck(len(datum.payload)):
+                overheard[id] = flipped(datum, rng.randrange(8 * len(datum.payload)))

@@ -12,6 +12,7 @@ from rass_mav.swarm.neighbours import Position, RangeGraph
 from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.traffic import Pictures, loaded
 from rass_mav.swarm.virtual import Danger, VirtualSwarm
 
 
@@ -20,8 +21,11 @@ class World(VirtualSwarm):
 
     def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
         """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
-        self.scenario = scenario
         self.surroundings = Surroundings(scenario)
+        neighbours = self.surroundings.graph.neighbours
+        scenario, load = loaded(scenario, max(round(sum(map(len, neighbours)) / scenario.nodes) + 1, 2))
+        self.scenario = scenario
+        self._pictures = Pictures(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
         self._autopilots = [
             MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name)
@@ -37,8 +41,9 @@ class World(VirtualSwarm):
         failures: Failures | None = None
         if scenario.failures.of_robots:
             failures = Failures(
-                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes, bases=scenario.bases
-            )
+                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes,
+                bases=scenario.bases, step_s=scenario.node.step_s,
+            )  # fmt: skip
         super().__init__(
             (scenario.agent_settings(node_id) for node_id in range(scenario.nodes)),
             scenario.radio,
@@ -53,6 +58,7 @@ class World(VirtualSwarm):
             strikes=scenario.radiation.strikes_per_step,
             record=record,
         )
+        self.statistics.load = load
 
     @property
     def graph(self) -> RangeGraph:
@@ -76,14 +82,20 @@ class World(VirtualSwarm):
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
         self._sense(now)
+        for node_id in self._pictures.due(t):
+            if node_id not in self.off:
+                # It leaves in the node's turn.
+                self._pictures.take(self.agents[node_id], now)
 
     def _dangers(self) -> Iterator[Danger]:
-        """The drones where radiation is, by Eq. 2 or the authors' rule."""
-        if not self.scenario.radiation.corruption:
+        """The drones where radiation is, by Eq. 2, the authors' rule, or the dose."""
+        radiation = self.scenario.radiation
+        if not radiation.corruption:
             return
+        page_bytes = radiation.page_bytes if radiation.law == "dose" else None
         for node_id in range(self.scenario.bases, self.scenario.nodes):
             if self._threshold is None:
-                danger = Danger(node_id, self.surroundings.corruption[node_id])
+                danger = Danger(node_id, self.surroundings.corruption[node_id], page_bytes=page_bytes)
             else:
                 rng = self._robot_rngs[node_id]
                 danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)
@@ -91,17 +103,16 @@ class World(VirtualSwarm):
                 yield danger
 
     def _sense(self, now: float) -> None:
-        """Each flight controller sends its position, and its sensor's reading: Eq. 1 with noise."""
-        noise = self.scenario.radiation.noise
-        gauss = self._noise_rng.gauss
+        """Each flight controller sends its position, and its sensor's reading."""
+        rng = self._noise_rng
         positions = self.surroundings.positions
-        levels = self.surroundings.levels
+        reading = self.surroundings.reading
         agents = self.agents
         off = self.off
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]
             vehicle_bytes = agents[node_id].vehicle_bytes
-            frames = autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise))
+            frames = autopilot.frames(now, x, y, reading(node_id, rng))
             if node_id in off:
                 continue
             for frame in frames:

@@ -305,7 +305,7 @@ def target_of(payload: bytes) -> int:
 
 
 def is_data(payload: bytes) -> bool:
-    """Whether a TUNNEL payload is a `Data` message of this version, as far as its first byte tells."""
+    """Whether a TUNNEL payload begins like a `Data` message of this version."""
     return payload[:1] == _DATA_HEAD
 
 

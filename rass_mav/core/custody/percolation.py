@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from math import inf
 
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.keeper import Keeper
@@ -18,6 +19,8 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: A hand-over without an answer waits twice as long each time, up to this many times.
 MOST_DOUBLINGS = 3
+#: From this risk on a hand-over is sent again as soon as its answer is late: what stays here may be gone in a turn.
+DANGER = 0.05
 #: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
 MOVING_TURNS = 4
 
@@ -26,7 +29,19 @@ class Percolation:
     """The order is: retransmissions, data that take another route than before, the policy's plan, spares of resting
     data."""
 
-    __slots__ = ("_batches", "_id", "_keeper", "_pace", "_risk", "_rng", "_routing", "_transfers", "_trips", "policy")
+    __slots__ = (
+        "_batches",
+        "_id",
+        "_keeper",
+        "_pace",
+        "_risk",
+        "_rng",
+        "_routing",
+        "_transfers",
+        "_trips",
+        "due",
+        "policy",
+    )
 
     def __init__(
         self, keeper: Keeper, transfers: Transfers, routing: RoutingTable, pace: Pace, policy: Policy,
@@ -43,6 +58,8 @@ class Percolation:
         self._batches: dict[int, list[Handover]] = {}
         """The hand-overs to each neighbour, until they are sent."""
         self._trips = RoundTrips()
+        self.due = inf
+        """When the next hand-over is sent again, or before, seconds."""
 
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
@@ -55,8 +72,10 @@ class Percolation:
         self.forward(potential, now, out)
 
     def forward(self, potential: int, now: float, out: list[Message]) -> None:
-        """The same without the retransmissions."""
+        """The same between two turns."""
         pace = self._pace
+        if self.due <= now:
+            self._retry(now, out)
         if pace.left > 0 and self._routing.neighbours:
             if pace.left > pace.kept:
                 self._percolate(potential, now, out)
@@ -103,8 +122,8 @@ class Percolation:
             keeper.drop(holding, Fate.PASSED_ON)
         self._send(target, number, datum)
 
-    def _send(self, target: int, number: int, datum: Datum) -> None:
-        self._pace.spend()
+    def _send(self, target: int, number: int, datum: Datum, *, again: bool = False) -> None:
+        self._pace.spend(again=again)
         self._batches.setdefault(target, []).append(Handover(number, datum))
 
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
@@ -124,6 +143,7 @@ class Percolation:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
         keeper, pace = self._keeper, self._pace
         self._trips.keep(self._routing.neighbours)
+        self.due = inf
         for holding in list(keeper.holdings.pending.values()):
             pending = holding.pending
             assert pending is not None
@@ -131,6 +151,8 @@ class Percolation:
                 keeper.holdings.cancel(holding)
             elif pending.due <= now and pace.left > 0:
                 self._send_again(holding, pending, now, out)
+            elif pending.due < now + pace.turn_s and self._risk.risk(now) >= DANGER:
+                self.due = min(self.due, pending.due)
 
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
@@ -148,11 +170,16 @@ class Percolation:
         if not settings.measured:
             pending.due = now + (settings.retry_steps - 0.5) * turn_s
             return
-        # The neighbour repeats its answer in its next beacon.
-        wait_s = max((settings.retry_steps + 0.5) * turn_s, self._trips.wait_s(pending.neighbour))
-        if again:
+        wait_s = self._trips.wait_s(pending.neighbour)
+        urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
+        if not urgent:
+            # The neighbour repeats its answer in its next beacon.
+            wait_s = max(wait_s, (settings.retry_steps + 0.5) * turn_s)
+        if again or urgent:
             wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
         pending.due = now + wait_s
+        if urgent:
+            self.due = min(self.due, pending.due)
 
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
@@ -162,6 +189,7 @@ class Percolation:
                 pending = holding.pending
                 assert pending is not None
                 if pending.neighbour == neighbour and pending.sent <= soonest and not pending.moves_on:
+                    # In the next turn: many have heard this beacon.
                     pending.due = min(pending.due, now)
 
     def answered(self, holding: Holding, now: float) -> None:
@@ -191,4 +219,4 @@ class Percolation:
             pending.tries += 1
             pending.sent = now
             self._wait(pending, now)
-            self._send(pending.neighbour, pending.number, datum)
+            self._send(pending.neighbour, pending.number, datum, again=True)

@@ -36,6 +36,8 @@ REFUSED_STEPS = 5
 GONE_GAIN = 0.05
 #: With `copies_auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
+#: The chance of loss in the next step from which a datum gets a spare even while the air is full.
+DANGER = 0.05
 
 
 class SpareOffers:
@@ -140,8 +142,12 @@ class SpareOffers:
         kept = 0 if backer is None else pace.kept
         # A datum that rests alone gets one spare, however safe it is here.
         wanting = way is None and backer is None
+        bearable = 1.0 - TARGET
+        if pace.full:
+            # Spares would take airtime from the data themselves: only for what is in danger.
+            wanting, bearable = False, DANGER
         for neighbour in safest:
-            if not wanting and (not auto or loss <= 1.0 - TARGET):
+            if not wanting and (not auto or loss <= bearable):
                 return
             to = neighbour.id
             if not room[to] or to in (backer, way):
