@@ -194,7 +194,7 @@ def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words(
     net.step()
     id = net.put(1)
     # The answers to 1, and those that beacons repeat.
-    net.loses = lambda message: type(message) in (Beacon, Committed) and message.sender == 2
+    net.loses = lambda message: isinstance(message, Beacon | Committed) and message.sender == 2
     net.step(2)
     assert net.custody(id) == [1, 3]
     net.loses = lambda message: False

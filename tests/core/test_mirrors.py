@@ -319,7 +319,8 @@ def test_the_word_for_a_spare_never_ends_custody() -> None:
 
 
 def test_an_offer_that_is_not_answered_is_repeated_after_two_steps() -> None:
-    net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
+    # Beacons repeat no answers.
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)], measured=False)
     net.loses = lambda message: type(message) is Committed
     id = resting(net, 1)
     offers = []
