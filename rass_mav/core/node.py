@@ -28,6 +28,9 @@ from rass_mav.core.settings import NodeSettings
 from rass_mav.core.spares.atbase import AtBase
 from rass_mav.core.spares.mirrors import Mirrors
 
+#: How many answers a node remembers until its next beacon, which carries eight.
+MAX_ANSWERED = 64
+
 
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
@@ -35,8 +38,8 @@ class Node(Participant):
     __slots__ = ("_answered", "archive", "digests", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
-        self._answered: list[tuple[int, int, DatumId, int]] = []
-        """Giver, number, datum and checksum of what was accepted since the last turn."""
+        self._answered: dict[tuple[int, int], tuple[DatumId, int]] = {}
+        """Datum and checksum of what was accepted since the last turn, by giver and number, the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.digests = NoDigests()
@@ -183,7 +186,8 @@ class Node(Participant):
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         if type(message) is messages.Beacon:
             # Most messages are beacons. While nothing waits for answers they change no copies.
-            return self._hear_beacon(message, now) if self.holdings.pending else self._on_beacon(message, now)
+            waiting = self.holdings.pending or self.holdings.offers
+            return self._hear_beacon(message, now) if waiting else self._on_beacon(message, now)
         if KINDS[type(message)].target is Target.NAMED:
             self.routing.neighbours.notice(message.sender, now)  # type: ignore[union-attr]
         answers = HANDLERS[type(message)](self, message, now)
@@ -191,7 +195,7 @@ class Node(Participant):
         return answers
 
     def _hear_beacon(self, beacon: messages.Beacon, now: float) -> list[Message]:
-        """A beacon, while hand-overs wait for answers: these may be in it."""
+        """A beacon, while hand-overs or offers wait for answers: these may be in it."""
         out = self._on_beacon(beacon, now)
         for answer in beacon.answers:
             if answer.target == self.id:
@@ -232,15 +236,24 @@ class Node(Participant):
             elif number:
                 committed.append((number, datum.crc))
                 if self.settings.measured:
-                    self._answered.append((data.sender, number, datum.id, datum.crc))
+                    self._answered[data.sender, number] = datum.id, datum.crc
+        while len(self._answered) > MAX_ANSWERED:
+            del self._answered[next(iter(self._answered))]
         return self._answer(data.sender, committed, [number for number in refused if number])
 
     def _answers_again(self) -> tuple[Committed, ...]:
-        answered, self._answered = self._answered, []
+        answered, self._answered = self._answered, {}
         to: dict[int, list[tuple[int, int]]] = {}
-        for giver, number, id, crc in answered:
+        for (giver, number), (id, crc) in answered.items():
+            # The giver may delete its copy because of this, so the copy here must still be good.
+            stored = self.store.get(id)
+            if stored is None or stored.crc != crc or not stored.intact:
+                continue
             if self.store.durable(id):
                 to.setdefault(giver, []).append((number, crc))
+            else:
+                # The answer itself still waits for the disk.
+                self._answered[giver, number] = id, crc
         return tuple([Committed(self.id, giver, tuple(done), ()) for giver, done in to.items()])
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:

@@ -170,7 +170,8 @@ class Percolation:
         if not settings.measured:
             pending.due = now + (settings.retry_steps - 0.5) * turn_s
             return
-        wait_s = self._trips.wait_s(pending.neighbour)
+        trips = self._trips
+        wait_s = trips.usual_s(pending.neighbour) if again else trips.wait_s(pending.neighbour)
         urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
         if not urgent:
             # The neighbour repeats its answer in its next beacon.
@@ -184,11 +185,11 @@ class Percolation:
     def not_answered(self, neighbour: int, now: float) -> None:
         """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
         if self._keeper.settings.measured:
-            soonest = now - self._trips.wait_s(neighbour)
+            wait_s = self._trips.wait_s(neighbour)
             for holding in self._keeper.holdings.pending.values():
                 pending = holding.pending
                 assert pending is not None
-                if pending.neighbour == neighbour and pending.sent <= soonest and not pending.moves_on:
+                if pending.neighbour == neighbour and 0.0 < wait_s <= now - pending.sent and not pending.moves_on:
                     # In the next turn: many have heard this beacon.
                     pending.due = min(pending.due, now)
 
@@ -216,6 +217,8 @@ class Percolation:
             return
         datum = self._keeper.load(holding)
         if datum is not None:
+            most_s = (1 << MOST_DOUBLINGS) * (self._keeper.settings.retry_steps + 0.5) * self._pace.turn_s
+            self._trips.missed(pending.neighbour, now - pending.sent, most_s)
             pending.tries += 1
             pending.sent = now
             self._wait(pending, now)
