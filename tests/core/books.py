@@ -37,6 +37,7 @@ def check(holdings: Holdings, small_bytes: int) -> None:
             assert (h.pending, h.offers, h.offer_at) == (None, {}, None)
         if h.state is State.PASSED_ON:
             assert h.partner is None
+        assert h.state is State.SPARE or not h.matched
         if h.partner is not None:
             assert holdings.partners[h.partner.id] is h.partner
     for id, partner in holdings.partners.items():
