@@ -143,6 +143,7 @@ class AgentSettings(Section):
             mirror=mirrored and not self.base,
             mirror_until_receipt=until_receipt,
             copies_auto=self.custody.copies == "auto",
+            distant=self.custody.distant,
             immediate=self.forward == "immediate",
             receipts=self.custody.receipts,
             digest=self.custody.digest and mirrored and until_receipt,

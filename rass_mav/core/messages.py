@@ -15,6 +15,8 @@ from rass_mav.core.datum import Datum, DatumId
 
 #: As a target: every neighbour. Not a valid node id.
 BROADCAST = 0xFFFF
+#: What a `Distance` takes on the wire.
+DISTANT_BYTES = 5
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
@@ -138,6 +140,17 @@ class Handover(NamedTuple):
     datum: Datum
 
 
+class Distance(NamedTuple):
+    """How a distant spare keeps away from the custodian of its datum."""
+
+    near: int
+    """The sender keeps its spare for this node. A receiver that hears it refuses."""
+    custodian: int
+    """The same for this one, which has custody."""
+    further: int
+    """How many nodes still farther away should have a copy, 0..255."""
+
+
 @_kind(Target.NAMED, Urgency.DATA, lambda data: [handover.datum.id for handover in data.handovers])
 class Data(NamedTuple):
     """Small data, whole, with their hand-over numbers; several to a frame where they fit."""
@@ -147,6 +160,8 @@ class Data(NamedTuple):
     handovers: tuple[Handover, ...]
     spare: bool = False
     """True: custody stays with the sender. The receiver should keep spare copies, and answers as to a hand-over."""
+    distance: Distance | None = None
+    """With `spare`: the sender has spares itself, and these are distant ones. None: it has custody."""
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, lambda answer: None if answer.committed else ())
@@ -354,6 +369,8 @@ class Word(enum.IntEnum):
     silent."""
     HERE = 5
     """Answer to WANTED: a spare is here. The node that answers first is sent AGAIN."""
+    ENCLOSED = 6
+    """From a backer: every neighbour of the sender hears the receiver, so another node would be a better backer."""
 
 
 class WordEntry(NamedTuple):

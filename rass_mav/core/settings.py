@@ -102,6 +102,9 @@ class CustodySettings(Section):
     copies: Literal[1, "auto"] = "auto"
     """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
+    distant: bool = True
+    """Whether a datum that rests where no base can be reached has another copy out of its holder's radio range. Only
+    with spare copies until a receipt."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""
@@ -139,6 +142,8 @@ class NodeSettings:
     receiver has passed it on."""
     copies_auto: bool = False
     """As many spare copies as the risk requires (`core.spares`); only with `mirror`."""
+    distant: bool = False
+    """Data that rest get a distant spare (`core.spares`); only with `mirror` and `mirror_until_receipt`."""
     immediate: bool = False
     """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True

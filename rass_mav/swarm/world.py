@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from rass_mav.core.participant import Participant
 from rass_mav.swarm.autopilot import MockAutopilot
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.medium.tally import Record
 from rass_mav.swarm.neighbours import Position, RangeGraph
@@ -64,6 +65,8 @@ class World(VirtualSwarm):
             participant=participant,
         )
         self.statistics.load = load
+        if scenario.failures.blast is not None:
+            self.blast = Blast(self.ledger)
 
     @property
     def graph(self) -> RangeGraph:
@@ -86,6 +89,8 @@ class World(VirtualSwarm):
         if self.failures is not None:
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
+            if self.blast is not None and t == self.scenario.failures.blast:
+                self._explode(self.failures, self.blast)
         self._sense(now)
         for node_id in self._pictures.due(t):
             if node_id not in self.off:
@@ -106,6 +111,15 @@ class World(VirtualSwarm):
                 danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)
             if danger.probability:
                 yield danger
+
+    def _explode(self, failures: Failures, blast: Blast) -> None:
+        """The blast of this step."""
+        holdings = [agent.node.holdings for agent in self.agents]
+        dying = failures.kill(blast.aim(holdings, self.neighbours, self.scenario.bases))
+        blast.begins(len(dying))
+        for failure in dying:
+            self.crash(failure.node, failure.back)
+        blast.is_over()
 
     def _sense(self, now: float) -> None:
         """Each flight controller sends its position, and its sensor's reading."""

@@ -23,6 +23,7 @@ from rass_mav.core.messages import (
     Committed,
     Data,
     Digest,
+    Distance,
     Given,
     Handover,
     LossNote,
@@ -62,6 +63,7 @@ _BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
 _SEAL = 37
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
+_DISTANCE = struct.Struct("<HHB")
 _OFFER = struct.Struct("<BHHIHIIIBBIIB")
 _ACCEPT = struct.Struct("<BHHIHH")
 _CHUNK = struct.Struct("<BHH")
@@ -82,6 +84,8 @@ _WORD = struct.Struct("<HIIB")
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
 #: Largest payload of a chunk.
 CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
+#: Largest digest.
+DIGEST_BYTES = _DIGEST.size + MARK_BYTES
 
 _POLL = 0x8000
 _SPARE = 0x80
@@ -140,20 +144,22 @@ def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
 def _encode_data(m: Data, now: float) -> list[bytes]:
     frames = []
     parts: list[bytes] = []
-    room = MAX_TUNNEL - _TO.size
+    tail = _DISTANCE.pack(*m.distance) if m.spare and m.distance else b""
+    most = room = MAX_TUNNEL - _TO.size - len(tail)
     flag = _SPARE if m.spare else 0
     for number, (id, kind, created, hops, crc, payload, at_least) in m.handovers:
         size = _DATUM.size + len(payload)
         if size > room:
-            if size > MAX_TUNNEL - _TO.size:
+            if size > most:
                 raise ValueError(f"a datum of {len(payload)} bytes does not fit one frame")
-            frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
+            head = _TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2)
+            frames.append(head + b"".join(parts) + tail)
             parts = []
-            room = MAX_TUNNEL - _TO.size
+            room = most
         parts.append(_DATUM.pack(number, *id, _age(created, now, at_least), hops, kind, crc, len(payload)))
         parts.append(payload)
         room -= size
-    frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
+    frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts) + tail)
     return frames
 
 
@@ -318,7 +324,10 @@ def _decode_data(p: bytes, now: float) -> Data:
         created = now - (age & _OLDEST) / 1000.0
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
-    return Data(sender, target, tuple(handovers), count >= _SPARE)
+    distance = None
+    if count >= _SPARE and len(p) > at:
+        distance = Distance._make(_DISTANCE.unpack_from(p, at))
+    return Data(sender, target, tuple(handovers), count >= _SPARE, distance)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:
