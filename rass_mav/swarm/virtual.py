@@ -91,7 +91,6 @@ class VirtualSwarm(ABC):
         :param participant: what every node is; None: what its policy asks for.
         """
         agents = list(agents)
-        self._participant = participant
         self.seed = seed
         self.topology = topology
         self.step_s = agents[0].step_s
@@ -349,8 +348,7 @@ class VirtualSwarm(ABC):
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
         agent = Agent(
-            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer,
-            participant=self._participant,
+            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
