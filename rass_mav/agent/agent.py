@@ -18,7 +18,7 @@ from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
-from rass_mav.core.messages import Beacon, Message
+from rass_mav.core.messages import Beacon, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
@@ -297,7 +297,7 @@ class Agent:
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
         if self._immediate:
-            answers += self.node.forward(now)
+            answers = let_ride(answers, self.node.forward(now))
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

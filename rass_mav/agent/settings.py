@@ -150,6 +150,7 @@ class AgentSettings(Section):
             digest=self.custody.digest and mirrored and until_receipt,
             receipt_steps=self.custody.receipt_steps,
             retry_steps=self.custody.retry_steps,
+            measured=self.custody.retries == "measured",
             max_tries=self.custody.max_tries,
             neighbour_steps=self.routing.neighbour_steps,
             max_neighbours=self.routing.max_neighbours,

@@ -91,6 +91,9 @@ class CustodySettings(Section):
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: Count = 1
     """Steps after which an unanswered hand-over is sent again."""
+    retries: Literal["measured", "fixed"] = "measured"
+    """measured: an unanswered hand-over is sent again no sooner than answers usually take, later each time, and answers
+    are repeated in the next beacon; fixed: every `retry_steps`."""
     max_tries: Count = 8
     """Unanswered transmissions after which another neighbour may be chosen."""
     mirror: bool | None = None
@@ -161,6 +164,8 @@ class NodeSettings:
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: int = 1
     """Steps after which an unanswered hand-over is sent again."""
+    measured: bool = True
+    """`custody.retries`."""
     max_tries: int = 8
     """Unanswered transmissions after which another neighbour may be chosen."""
     neighbour_steps: int = 3

@@ -15,7 +15,8 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.core.datum import DatumId, Fate
+from rass_mav.agent.turns import MOST_JITTER, jitter
+from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
@@ -90,7 +91,6 @@ class VirtualSwarm(ABC):
         :param participant: what every node is; None: what its policy asks for.
         """
         agents = list(agents)
-        self._participant = participant
         self.seed = seed
         self.topology = topology
         self.step_s = agents[0].step_s
@@ -149,8 +149,9 @@ class VirtualSwarm(ABC):
         self._strikes = strikes
         self._strike_rng = random.Random(f"{seed}:strikes")
         draw = random.Random(f"{seed}:phases").random
-        self._phases = [draw() * self.step_s if phases else 0.0 for _ in agents]
-        """When in a step each node has its turn, seconds."""
+        self._phases = [draw() if phases else None for _ in agents]
+        """When in a step each node has its turn, 0..1, but for the jitter; None: at its beginning."""
+        self._jitter_rng = random.Random(f"{seed}:jitter")
 
     @property
     @abstractmethod
@@ -200,7 +201,8 @@ class VirtualSwarm(ABC):
             for node_id in self.power.begin_step(t, off):
                 self._fail(node_id, None)
         for node_id, phase in enumerate(self._phases):
-            timeline.at(now + phase, Order.TURN, partial(self._take_turn, node_id))
+            delay = 0.0 if phase is None else (phase + jitter(self._jitter_rng)) / (1.0 + MOST_JITTER)
+            timeline.at(now + delay * step_s, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
             timeline.at(now, Order.TURN, self._attack)
         timeline.run((t + 1) * step_s)
@@ -346,8 +348,7 @@ class VirtualSwarm(ABC):
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
         agent = Agent(
-            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer,
-            participant=self._participant,
+            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
@@ -364,20 +365,16 @@ class VirtualSwarm(ABC):
         """
         store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
+
+        def is_struck(size: int) -> bool:
+            pages = 1 if page_bytes is None else -(-size // page_bytes)
+            return rng.random() < (probability if pages == 1 else 1.0 - (1.0 - probability) ** pages)
+
         for id in list(store.ids()):
-            struck = probability
-            if page_bytes is not None and (pages := -(-_size(store, id) // page_bytes)) > 1:
-                struck = 1.0 - (1.0 - probability) ** pages
-            if rng.random() < struck:
-                store.flip_bit(id, rng.randrange(8 * _size(store, id)))
-        # These fit one frame, and so one page.
+            datum = store.get(id)
+            assert datum is not None
+            if is_struck(len(datum.payload)):
+                store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
         for id, datum in overheard.items():
-            if rng.random() < probability:
+            if is_struck(len(datum.payload)):
                 overheard[id] = flipped(datum, rng.randrange(8 * len(datum.payload)))
-
-
-def _size(store: MemoryStore, id: DatumId) -> int:
-    """Bytes of a datum that is in a store."""
-    datum = store.get(id)
-    assert datum is not None
-    return len(datum.payload)

@@ -368,9 +368,13 @@ def test_what_an_origin_remembers_of_digests_is_bounded() -> None:
 def test_nodes_without_digests_send_and_heed_none() -> None:
     net = Net({**RISKS, 0: 0.0}, [*CHAIN, (3, 0)], base=0, mirror_until_receipt=True, receipt_steps=1)
     id = net.put(1)
-    while id not in net.nodes[2].holdings.passed_on:
+    for _ in range(60):
+        if id in net.nodes[2].holdings.spare:
+            break
         net.step()
         assert not net.of(Digest)
+    net.nodes[2].receive(PassedOn(3, 2, (id,)), net.now)
+    assert id in net.nodes[2].holdings.passed_on
     net.nodes[2].receive(digest_of([id]), net.now)
     assert id in net.nodes[2].holdings
     net.step(10)

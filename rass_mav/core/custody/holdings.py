@@ -63,7 +63,7 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
 class Pending:
     """A hand-over that has not been answered."""
 
-    __slots__ = ("neighbour", "number", "sending", "sent", "tries")
+    __slots__ = ("due", "moves_on", "neighbour", "number", "sending", "sent", "tries")
 
     def __init__(self, number: int, neighbour: int, now: float, sending: Sending | None = None) -> None:
         self.number = number
@@ -72,7 +72,11 @@ class Pending:
         """The transfer, if the datum is sent in chunks."""
         self.sent = now
         """When it was last sent, seconds."""
+        self.due = now
+        """When it is sent again without an answer, seconds."""
         self.tries = 1
+        self.moves_on = False
+        """Whether the neighbour was heard to hand the datum over: it has it, and its answer was lost."""
 
 
 class Partner:

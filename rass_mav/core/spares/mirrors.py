@@ -49,7 +49,7 @@ from rass_mav.core.spares.speech import Speech
 from rass_mav.core.spares.unconfirmed import Unconfirmed
 
 #: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
-ASK_STEPS = 10
+ASK_STEPS = 30
 #: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
@@ -240,17 +240,6 @@ class Mirrors(NoSpares):
         if custodian is not None and missing:
             self._speech.say(custodian.id, holding.id, Word.NONE)
 
-    def _retire(self, holding: Holding) -> None:
-        """Nobody counts on a spare any more."""
-        self._release(holding)
-        self._keeper.holdings.change(holding, State.PASSED_ON)
-
-    def _release(self, holding: Holding) -> None:
-        """The node that keeps a spare for a spare here is told that nobody counts on it any more."""
-        if holding.backer is not None:
-            self._speech.passed_on(holding.backer.id, holding.id)
-            self._keeper.holdings.back(holding, None)
-
     # -- overheard data ------------------------------------------------------------------------------------------------
 
     @property
@@ -274,6 +263,17 @@ class Mirrors(NoSpares):
         """A base reports what has arrived lately."""
         self._overheard.heed_digest(digest)
 
+    def _retire(self, holding: Holding) -> None:
+        """Nobody counts on a spare any more."""
+        self._release(holding)
+        self._keeper.holdings.change(holding, State.PASSED_ON)
+
+    def _release(self, holding: Holding) -> None:
+        """The node that keeps a spare for a spare here is told that nobody counts on it any more."""
+        if holding.backer is not None:
+            self._speech.passed_on(holding.backer.id, holding.id)
+            self._keeper.holdings.back(holding, None)
+
     # -- partners ------------------------------------------------------------------------------------------------------
 
     def _pair(self, holding: Holding, with_whom: int, distance: Distance | None = None) -> None:
@@ -296,6 +296,7 @@ class Mirrors(NoSpares):
     def step(self, now: float) -> None:
         """Once a step: handle partners that are gone, spares with no news for long, and repairs without an answer."""
         self._now = now
+        self._speech.step()
         holdings = self._keeper.holdings
         if holdings.partners:
             self._look_after_partners(now)
