@@ -78,6 +78,7 @@ class Agent:
         "_said",
         "_text_id",
         "_turns",
+        "answers_ride",
         "ground",
         "guard",
         "last_reading",
@@ -139,6 +140,8 @@ class Agent:
         self.last_reading: Reading | None = None
         """The last reading, from the autopilot or from the node's own sensor."""
         self._immediate = settings.forward == "immediate"
+        self.answers_ride = True
+        """Whether answers may share a frame with data for another node: where a frame reaches all neighbours."""
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._reports = Reports(now)
@@ -297,7 +300,8 @@ class Agent:
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
         if self._immediate:
-            answers = let_ride(answers, self.node.forward(now))
+            moves = self.node.forward(now)
+            answers = let_ride(answers, moves) if self.answers_ride else answers + moves
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

@@ -48,9 +48,10 @@ def frames_of(
     out = []
     for message in messages:
         whose, urgency, rests = KINDS[type(message)]
-        if type(message) is Data and message.answers:
-            urgency = Urgency.ANSWER
         target = BROADCAST if whose is Target.EVERYBODY else message.target  # type: ignore[union-attr]
+        if type(message) is Data and message.answers:
+            # Nodes besides the target wait for the answers on it.
+            target, urgency = BROADCAST, Urgency.ANSWER
         promises = False
         if unwritten:
             data = rests(message)
