@@ -87,9 +87,9 @@ class Percolation:
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
         keeper, transfers, pace, routing = self._keeper, self._transfers, self._pace, self._routing
         neighbours = routing.neighbours
-        # A neighbour that has been silent for a turn may have moved away: it is tried only if no other is fit.
+        # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
-            [n for n in neighbours.values() if n.noticed >= now - 1.5 * n.turn_s],
+            [n for n in neighbours.values() if not n.is_missing(now)],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
             routing.distance, potential, self._risk.risk(now), pace.left - pace.kept, self._for_neighbour, self._rng,
         )  # fmt: skip
@@ -161,7 +161,7 @@ class Percolation:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.
-        return neighbour.noticed < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+        return neighbour.noticed < now - max(neighbour.patience, 1.5 if neighbour.clean else 2.5) * neighbour.turn_s
 
     def _wait(self, pending: Pending, now: float) -> None:
         """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others

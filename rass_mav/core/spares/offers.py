@@ -90,10 +90,10 @@ class SpareOffers:
     def _count_gone(self, now: float) -> None:
         here = silent = 0
         for neighbour in self._routing.neighbours.values():
-            age = (now - neighbour.noticed) / neighbour.turn_s
-            if age < 1.5:
+            late = (now - neighbour.noticed) / neighbour.turn_s - neighbour.patience
+            if late < 0.0:
                 here += 1
-            elif age < 2.5:
+            elif late < 1.0:
                 silent += 1
         if silent or here:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)
@@ -190,7 +190,7 @@ class SpareOffers:
         safest = [
             neighbour
             for neighbour in self._routing.neighbours.values()
-            if neighbour.noticed >= now - 1.5 * neighbour.turn_s
+            if not neighbour.is_missing(now)
             and neighbour.beacon.free
             and not neighbour.beacon.flags & BEACON_BASE
             and refused.get(neighbour.id, now) <= now
