@@ -198,7 +198,7 @@ class Node(Participant):
         out = self._on_beacon(beacon, now)
         for answer in beacon.answers:
             if answer.target == self.id:
-                out += self._on_committed(answer, now)
+                out += self._on_committed(answer, now, again=True)
         self.percolation.not_answered(beacon.sender, now)
         self.keeper.spares.flush(out)
         return out
@@ -257,14 +257,16 @@ class Node(Participant):
             return []
         return [Committed(self.id, to, tuple(committed), tuple(refused))]
 
-    def _on_committed(self, message: Committed, now: float) -> list[Message]:
+    def _on_committed(self, message: Committed, now: float, *, again: bool = False) -> list[Message]:
+        """`again`: the answer waited for a beacon, so it says nothing of how long answers take."""
         keeper, holdings, sender = self.keeper, self.holdings, message.sender
         for number, crc in message.committed:
             holding = holdings.answered(number, sender)
             if holding is None:
                 keeper.notes.committed(number, sender)
             elif holding.crc == crc:
-                self.percolation.answered(holding, now)
+                if not again:
+                    self.percolation.answered(holding, now)
                 keeper.give_away(holding, sender)
         for number in message.refused:
             holding = holdings.answered(number, sender)
