@@ -16,7 +16,16 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Kind
-from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, BROADCAST, NO_ROUTE, UNBOUNDED_FREE, Message, Word
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    BEACON_WANTED,
+    BROADCAST,
+    NO_ROUTE,
+    UNBOUNDED_FREE,
+    Distance,
+    Message,
+    Word,
+)
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
@@ -46,6 +55,7 @@ _WORDS = {
     Word.STILL: "have you still custody?",
     Word.WANTED: "to all: who has a good copy?",
     Word.HERE: "a good copy is here",
+    Word.ENCLOSED: "all my neighbours hear you, choose another backer",
 }
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
 _HEX = {"epoch": 8, "life": 8, "base_life": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
@@ -204,6 +214,11 @@ def _field(record: Any, name: str, value: Any, depth: int) -> Iterator[str]:
         yield from _fields(value, depth + 1)
         if value.kind == Kind.MEASUREMENT and value.intact:
             yield from _measurement(value.payload, depth + 1)
+    elif isinstance(value, Distance):
+        yield line(name, "", "distant spares", depth=depth)
+        yield from _fields(value, depth + 1)
+    elif value is None:
+        return
     elif isinstance(value, bytes):
         yield line(name, f"{value.hex()}", f"{len(value)} bytes: {value!r}"[:60], depth=depth)
     elif isinstance(value, tuple):
@@ -270,7 +285,10 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "kind": lambda _, value: Kind(value).name.lower() if value in list(Kind) else "unknown",
     "Datum.crc": lambda datum, _: "good" if datum.intact else "BAD: the datum is damaged",
     "reason": lambda _, value: _LOSS_REASONS.get(value, "unknown"),
-    "spare": lambda _, value: "custody stays with the sender" if value else "custody is offered",
+    "spare": lambda data, value: "custody is offered" if not value else "custody is elsewhere",
+    "near": lambda _, value: "the sender keeps a spare for it; who hears it refuses",
+    "custodian": lambda _, value: "who hears it refuses",
+    "further": lambda _, value: "more copies should go on from the receiver",
     "word": lambda _, value: _WORDS[Word(value)] if value in list(Word) else "unknown",
     "Handover.number": lambda _, value: "hand-over" if value else "no custody offered",
     "size": lambda _, value: "bytes",

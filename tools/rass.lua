@@ -22,7 +22,7 @@ local VERSION = 2
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
     [6] = "numbers unknown from here on", [7] = "store damaged" }
-local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here" }
+local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
 local TARGETS = { [65535] = "everybody" }
 
 local f = {}
@@ -77,6 +77,9 @@ field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a st
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
 field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
+field("near", ProtoField.uint16, "rass.near", "Distant spares: away from")
+field("custodian", ProtoField.uint16, "rass.custodian", "Distant spares: custodian")
+field("further", ProtoField.uint8, "rass.further", "Distant spares: so many more")
 field("number", ProtoField.uint32, "rass.number", "Hand-over number", base.HEX)
 field("origin", ProtoField.uint16, "rass.origin", "Datum: origin")
 field("sequence", ProtoField.uint32, "rass.sequence", "Datum: sequence")
@@ -313,6 +316,12 @@ local function blocks(r)
             local size = r:number("block_size", 1)
             local last = r.at + size
             if last > r.tvb:len() then error(CUT, 0) end
+            if kind == 2 and size >= 5 then
+                r:number("near", 2)
+                r:number("custodian", 2)
+                r:number("further", 1)
+                size = size - 5
+            end
             if kind ~= 1 then
                 if size > 0 then r:bytes("block_content", size) end
                 return

@@ -72,6 +72,7 @@ class Agent:
     __slots__ = (
         "_beats",
         "_immediate",
+        "_kind",
         "_reports",
         "_rng",
         "_said",
@@ -101,12 +102,14 @@ class Agent:
         observer: Observer | None = None,
         newborn: bool = False,
         forgiving: bool = False,
+        participant: type[Participant] | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
-        fault raises.
+        fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
+        others with it.
         """
         configured = settings
         unfit: list[str] = []
@@ -115,6 +118,7 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
+        self._kind = participant
         self.guard = Guard(self) if forgiving else Unguarded()
         """Handles every incoming frame."""
         self.node = self._make_node(now, observer, newborn)
@@ -149,7 +153,7 @@ class Agent:
     def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
-        kind = Replica if policy.replicates else Node
+        kind = self._kind or (Replica if policy.replicates else Node)
         return kind(
             settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn,

@@ -144,6 +144,7 @@ class AgentSettings(Section):
             mirror_until_receipt=until_receipt,
             copies_auto=self.custody.copies == "auto",
             overhear=self.custody.overhear and acknowledged and (self.base or (mirrored and until_receipt)),
+            distant=self.custody.distant,
             immediate=self.forward == "immediate",
             receipts=self.custody.receipts,
             digest=self.custody.digest and mirrored and until_receipt,

@@ -94,6 +94,17 @@ def register(subparsers: Subparsers) -> None:
     _add_names(ablation, "--topology", "ablation:PLACES", "which topologies (default: grid random-walk)", nargs="+")
     _add_names(ablation, "--off", "ablation:SWITCHES", "what to switch off, each in runs of its own", nargs="+")
 
+    baselines = _add(
+        names, "baselines", _baselines, "our defaults and protocols that others have published, on several airs",
+        "rass-mav experiment baselines --out results --runs 2 --place grid --air none", policies=None,
+    )  # fmt: skip
+    _add_names(baselines, "--air", "airs:AIRS", "on which airs, all by default", nargs="+")
+    _add_names(baselines, "--place", "baselines.experiment:PLACES", "in which places, all by default", nargs="+")
+    _add_names(baselines, "--baseline", "baselines:PROTOCOLS", "which protocols, all by default", nargs="+")
+    baselines.add_argument(
+        "--own-runs", type=int, metavar="N", help="runs of our defaults (default: as many as of the others)"
+    )
+
     hostile = _add(
         names, "hostile", _hostile, "attackers beside honest nodes: what arrives, what is lost, who notices, recovery",
         "rass-mav experiment hostile --out results --runs 3",
@@ -206,6 +217,20 @@ def _ablation(options: argparse.Namespace) -> int:
         _chosen("--off", options.off, ablation.SWITCHES),
     )  # fmt: skip
     return _runs(options, planned, ablation.report)
+
+
+def _baselines(options: argparse.Namespace) -> int:
+    from rass_mav.experiment.airs import AIRS
+    from rass_mav.experiment.baselines import PROTOCOLS, experiment
+
+    extent = _extent(options)
+    if options.own_runs is not None and options.own_runs < 1:
+        raise ConfigError(f"--own-runs: expected 1 or more, got {options.own_runs}")
+    planned = experiment.plan(
+        extent, _chosen("--place", options.place, experiment.PLACES), _chosen("--air", options.air, AIRS),
+        _chosen("--baseline", options.baseline, PROTOCOLS), own_runs=options.own_runs,
+    )  # fmt: skip
+    return _runs(options, planned, experiment.report)
 
 
 def _hostile(options: argparse.Namespace) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from rass_mav.swarm.blast import OLD_STEPS
+
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     """The summary of `swarm` or `replay` as lines."""
@@ -58,6 +60,12 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         yield (
             f"drones that died: {failed['died']}, landed: {failed['landed']}; reboots: {failed['rebooted']}, "
             f"stores wiped: {failed['wiped']}"
+        )
+    if "blast" in s:
+        blast = s["blast"]
+        yield (
+            f"blast: {blast['drones']} drones; of {blast['held']:,} data held that were at least {OLD_STEPS} steps "
+            f"old, {blast['lost']:,} lost"
         )
     yield f"altered data: {s['altered']}; routing loops: {s['routing']['loops']}"
     if "wall_s" in s:

@@ -15,6 +15,8 @@ from rass_mav.core.datum import Datum, DatumId
 
 #: As a target: every neighbour. Not a valid node id.
 BROADCAST = 0xFFFF
+#: What a `Distance` takes on the wire.
+DISTANT_BYTES = 7
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
@@ -152,6 +154,17 @@ class Handover(NamedTuple):
     datum: Datum
 
 
+class Distance(NamedTuple):
+    """How a distant spare keeps away from the custodian of its datum."""
+
+    near: int
+    """The sender keeps its spare for this node. A receiver that hears it refuses."""
+    custodian: int
+    """The same for this one, which has custody."""
+    further: int
+    """How many nodes still farther away should have a copy, 0..255."""
+
+
 def _on_what_is_sent(data: Data) -> Iterable[DatumId] | None:
     if any(answer.committed for answer in data.answers):
         return None
@@ -170,6 +183,8 @@ class Data(NamedTuple):
     handovers: tuple[Handover, ...]
     spare: bool = False
     """True: custody stays with the sender. The receiver should keep spare copies, and answers as to a hand-over."""
+    distance: Distance | None = None
+    """With `spare`: the sender has spares itself, and these are distant ones. None: it has custody."""
     answers: tuple[Committed, ...] = ()
     """Answers of the sender to hand-overs, each with its own target."""
 
@@ -367,6 +382,8 @@ class Word(enum.IntEnum):
     silent."""
     HERE = 5
     """Answer to WANTED: a spare is here. The node that answers first is sent AGAIN."""
+    ENCLOSED = 6
+    """From a backer: every neighbour of the sender hears the receiver, so another node would be a better backer."""
 
 
 class WordEntry(NamedTuple):

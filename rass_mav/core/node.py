@@ -104,6 +104,7 @@ class Node(Participant):
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
             self.percolation.evict(self.potential, now, out)
+        keeper.spares.spread_far(now, out)
         keeper.spares.flush(out)
         if has_turn and (note := keeper.notes.turn(self.id, self.routing.next_hop, keeper.numbers.draw)) is not None:
             out.append(note)
@@ -221,13 +222,16 @@ class Node(Participant):
 
     def _take(self, data: messages.Data) -> list[Message]:
         keeper = self.keeper
-        take = keeper.keep_spare if data.spare else keeper.take_custody
         committed: list[tuple[int, int]] = []
         refused: list[int] = []
         for number, datum in data.handovers:
             if not datum.intact:
                 keeper.corrupt_received += 1
-            elif not take(data.sender, number, datum):
+            elif not (
+                keeper.keep_spare(data.sender, number, datum, data.distance)
+                if data.spare
+                else keeper.take_custody(data.sender, number, datum)
+            ):
                 refused.append(number)
             elif number:
                 committed.append((number, datum.crc))
@@ -309,6 +313,8 @@ class Node(Participant):
             self.alarms.ring(Alarm.FORGED, f"digest {digest.serial}")
         elif self.digests.hear(digest):
             self.keeper.heed_digest(digest)
+            if self.own is not None:
+                self.own.heed_digest(digest)
         return []
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:

@@ -108,6 +108,9 @@ class CustodySettings(Section):
     overhear: bool = True
     """A drone keeps, in free memory, data that it hears neighbours hand over to each other; a base takes them all. Only
     with mode acknowledged; for drones only with spare copies until a receipt."""
+    distant: bool = True
+    """Whether a datum that rests where no base can be reached has another copy out of its holder's radio range. Only
+    with spare copies until a receipt."""
 
     def mistakes(self) -> Iterator[str]:
         """Checks across several keys, as lines."""
@@ -148,6 +151,8 @@ class NodeSettings:
     overhear: bool = False
     """Data that neighbours hand over to others are taken by a base, and kept in memory by a drone; a drone only with
     `mirror` and receipts."""
+    distant: bool = False
+    """Data that rest get a distant spare (`core.spares`); only with `mirror` and `mirror_until_receipt`."""
     immediate: bool = False
     """The driver calls `Node.forward` (`node.forward: immediate`)."""
     receipts: bool = True

@@ -23,7 +23,16 @@ def transmissions(result: Result) -> float:
 
 def ceiling(result: Result) -> float | None:
     """The share of all data that the oracle expects to keep, 0..1; None if no data are due, or nobody asked it."""
-    found = result.extra.get("ceiling")
+    return _kept(result, "ceiling")
+
+
+def bound(result: Result) -> float | None:
+    """The same for an oracle with all contacts."""
+    return _kept(result, "contacts")
+
+
+def _kept(result: Result, oracle: str) -> float | None:
+    found = result.extra.get(oracle)
     return found["kept"] / found["data"] if found and found["data"] else None
 
 
@@ -42,6 +51,8 @@ class Comparison:
     """What the oracle would keep."""
     ceiling_share: float | None
     """Reliability relative to the ceiling. With spare copies or immediate forwarding it may be above 1."""
+    bound: Estimate | None
+    """What an oracle with all contacts would keep."""
     transmission_ratio: float | None
     """Relative to the reference's."""
     memory: Estimate | None
@@ -69,6 +80,7 @@ def compare(results: Sequence[Result], reference: Sequence[Result]) -> Compariso
         loss_ratio=_ratio([(losses(a), losses(b)) for a, b in pairs]),
         ceiling=estimate([found for _, found in ceilings]),
         ceiling_share=_ratio(ceilings),
+        bound=summary_estimate(results, bound),
         transmission_ratio=_ratio([(transmissions(a), transmissions(b)) for a, b in pairs]),
         memory=summary_estimate(results, memory_used),
         copies=summary_estimate(results, lambda result: float(result.summary["copies_mean"])),

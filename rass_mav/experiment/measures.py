@@ -11,7 +11,7 @@ import msgspec
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.experiment.oracle import Ceiling
+from rass_mav.experiment.oracle import Ceiling, Contacts
 from rass_mav.swarm.world import World
 
 #: Steps between two samples of a time series, which also has the last step; the authors' curves are the same.
@@ -252,5 +252,6 @@ MEASURES: dict[str, Callable[[], Measure]] = {
     "origins": Origins,
     "basins": Basins,
     "ceiling": Ceiling,
+    "contacts": Contacts,
     "attack": Attack,
 }

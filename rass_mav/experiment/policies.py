@@ -103,6 +103,7 @@ _REASONS = tuple(fate.value for fate in LOST)
 TABLE_COLUMNS = (
     "world", "topology", "policy", "variant", "runs", "steps", *COLUMNS, *triple("over_reference"),
     *triple("delivered_over_reference"), "losses_in_references", *triple("ceiling"), "share_of_ceiling",
+    *triple("bound"),
     "transmissions_in_references", *triple("memory"), *triple("copies"), "loops",
     *(part for reason in _REASONS for part in triple(f"lost_{reason}")),
 )  # fmt: skip
@@ -140,7 +141,7 @@ def plan(
                         continue
                     keys = {**place.keys, **variant.keys, **failures}
                     planned += extent.plan(
-                        world, place.scenario, [policy], variant=name, keys=keys, measures=("ceiling",)
+                        world, place.scenario, [policy], variant=name, keys=keys, measures=("ceiling", "contacts")
                     )
                     scenario = planned[-1].scenario
                     if (scenario.topology, scenario.policy.name) != (topology, policy):
@@ -193,7 +194,8 @@ def _rows(compared: Compared) -> list[list[object]]:
         [
             *where, *what, c.standard.runs, c.standard.steps, *c.standard.columns(), *figures_of(c.gain, 6),
             *figures_of(c.delivered_gain, 6), _rounded(c.loss_ratio), *figures_of(c.ceiling),
-            _rounded(c.ceiling_share), _rounded(c.transmission_ratio), *figures_of(c.memory), *figures_of(c.copies),
+            _rounded(c.ceiling_share), *figures_of(c.bound, 6), _rounded(c.transmission_ratio), *figures_of(c.memory),
+            *figures_of(c.copies),
             c.loops,
             *(value for reason in _REASONS for value in figures_of(c.lost[reason], 6)),
         ]
@@ -219,7 +221,8 @@ def _text(groups: Groups, compared: Compared) -> str:
         "# Policies, world paper\n",
         f"{counted(len(first))} of {first[0].steps} steps. The reference is {reference}, in the same runs.\n"
         "Ceiling: what an oracle keeps that knows everything beforehand, with one copy and one hop a step. It is no\n"
-        "bound for the other variants.\n",
+        "bound for the other variants. An oracle with all contacts is one: it copies each datum to all nodes that it\n"
+        "can reach over any number of hops, in each step.\n",
         NOTE + PAIRED,
     ]
     for (world, topology), here in compared.items():
@@ -228,6 +231,9 @@ def _text(groups: Groups, compared: Compared) -> str:
         highest = here[what].ceiling
         if highest is not None:
             parts.append(f"Ceiling: {highest.text(3)}\n")
+        most = here[what].bound
+        if most is not None:
+            parts.append(f"With all contacts: {most.text(5)}\n")
         parts.append(markdown(columns, [_cells(*what, c) for what, c in here.items()]))
     return "\n".join(parts)
 

@@ -1,9 +1,10 @@
-"""Which robots fail, and when. What the nodes do has no influence: the same failures hit every policy."""
+"""Which robots fail, and when. What the nodes do has no influence: the same failures hit every policy. Only a blast is
+aimed at what they hold (`blast`)."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import inf, log1p
 from typing import NamedTuple
 
@@ -93,6 +94,14 @@ class Failures:
             self._back[node] = inf if back is None else back
             found.append(Failure(node, back, wiped))
         return found
+
+    def kill(self, drones: Iterable[int]) -> list[Failure]:
+        """The failures of these drones, except those that are off for good: they die now."""
+        dying = [node for node in drones if self._back[node] != inf]
+        for node in dying:
+            self._back[node] = inf
+        self.counts["died"] += len(dying)
+        return [Failure(node, None, False) for node in dying]
 
     def _dies(self, node: int, t: int, level: float) -> bool:
         probability = self._settings.die_rate * min(level, 1.0)

@@ -240,6 +240,7 @@ def make_mobility(
     strip_m: float = 50.0,
     speed_m: tuple[float, float] = (5.0, 15.0),
     base_speed_m: float = 0.0,
+    even_bases: bool = False,
 ) -> Mobility:
     """A mobility by name, one of `TOPOLOGIES`.
 
@@ -249,7 +250,8 @@ def make_mobility(
     `survey` (see `Survey`), whose area is the arena by default. Other names do not use these.
 
     Several bases are far apart in `grid`, `line`, `islands`, `survey` and at the start of `random-walk`
-    (`topology.spread_bases`); in the others they are where chance or the list puts them.
+    (`topology.spread_bases`), or with `even_bases` each in the middle of its share (`topology.even_bases`); in the
+    others they are where chance or the list puts them.
 
     Raises `ConfigError` for an unknown name or impossible numbers.
     """
@@ -261,6 +263,7 @@ def make_mobility(
         raise ConfigError(f"bases: expected 1..{nodes}, got {bases!r}")
     if not (math.isfinite(range_m) and range_m > 0):
         raise ConfigError(f"radio.range_m: expected a number > 0, got {range_m!r}")
+    place_bases = topology.even_bases if even_bases else topology.spread_bases
     if name == "positions":
         return Static(_listed(positions, nodes))
     if name == "survey":
@@ -271,13 +274,13 @@ def make_mobility(
         pitch = topology.LINE_PITCH * range_m if pitch_m is None else pitch_m
         if not (math.isfinite(pitch) and pitch > 0):
             raise ConfigError(f"mobility.pitch_m: expected a number > 0, got {pitch_m!r}")
-        return Static(topology.spread_bases(topology.line(nodes, pitch), bases))
+        return Static(place_bases(topology.line(nodes, pitch), bases))
     wall = topology.wall_m(arena_m)
     if name == "scale-free":
         return Static(topology.scale_free(nodes, arena_m, range_m, rng))
     if name == "lennard-jones":
         return LennardJones(topology.connected_uniform(nodes, arena_m, range_m, rng), range_m, wall, rng)
-    on_grid = topology.spread_bases(topology.grid(nodes, arena_m), bases)
+    on_grid = place_bases(topology.grid(nodes, arena_m), bases)
     if name == "random-walk":
         return RandomWalk(on_grid, wall, rng)
     if name == "islands":

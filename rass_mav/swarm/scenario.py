@@ -34,6 +34,9 @@ class NodeSection(Section):
 class MobilitySection(Section):
     """Options of the topologies."""
 
+    bases: Literal["apart", "even"] = "apart"
+    """Where several bases are in `grid`, `line`, `islands`, and at the start of `random-walk`. apart: as far from each
+    other as possible, in corners first; even: each in the middle of about as many nodes as the others."""
     pitch_m: Positive | None = None
     """Distance of neighbours in `line`, metres; null: 0.8 of the radio range."""
     split_step: Annotated[int, Meta(ge=0)] = 100
@@ -195,6 +198,9 @@ class FailureSection(Section):
     """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: without limit."""
     recharge_steps: Count | None = None
     """How long a drone that has landed is off, steps; null: for good."""
+    blast: Count | None = None
+    """At the beginning of this step, the drone that holds the most data which have not arrived dies for good, with all
+    drones within its radio range; null: never."""
     base_off: Steps = field(default_factory=list)
     """All bases are off from one step until another, at which they are on again."""
     base_wiped: bool = False
@@ -213,7 +219,16 @@ class FailureSection(Section):
     @property
     def of_robots(self) -> list[str]:
         """The keys that are set and make whole robots fail in virtual time."""
-        keys = ("die_fraction", "die_rate", "die_dose", "reboot_rate", "wipe_rate", "battery_steps", "base_off")
+        keys = (
+            "die_fraction",
+            "die_rate",
+            "die_dose",
+            "reboot_rate",
+            "wipe_rate",
+            "battery_steps",
+            "blast",
+            "base_off",
+        )
         return [key for key in keys if getattr(self, key)]
 
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from rass_mav.agent.agent import Agent
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.messages import NO_ROUTE
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
@@ -24,6 +25,7 @@ class Counted(Protocol):
     ledger: Ledger
     loops: int
     failures: Failures | None
+    blast: Blast | None
     power: Power | None
     hostile: Band | None
     air: Air
@@ -134,6 +136,8 @@ class Statistics:
             summary["load"] = self.load._asdict()
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
+        if world.blast is not None:
+            summary["blast"] = world.blast.figures()
         if world.power is not None:
             summary["power"] = world.power.figures()
         if world.hostile is not None:

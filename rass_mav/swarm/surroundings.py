@@ -99,5 +99,5 @@ def _mobility(scenario: Scenario, rng: random.Random) -> Mobility:
         arena_m=scenario.arena, rng=rng, pitch_m=about.pitch_m, split_step=about.split_step,
         rejoin_step=about.rejoin_step, gap_m=about.gap_m, positions=about.positions, area_m=about.area_m,
         strip_m=about.strip_m, speed_m=(step_s * about.speed_m_s[0], step_s * about.speed_m_s[1]),
-        base_speed_m=step_s * about.base_speed_m_s,
+        base_speed_m=step_s * about.base_speed_m_s, even_bases=about.bases == "even",
     )  # fmt: skip

@@ -18,9 +18,11 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import MOST_JITTER, jitter
 from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
+from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
 from rass_mav.store.memory import MemoryStore, flipped
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -73,6 +75,7 @@ class VirtualSwarm(ABC):
         phases: bool = False,
         strikes: int = 1,
         record: Record | None = None,
+        participant: type[Participant] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -85,8 +88,10 @@ class VirtualSwarm(ABC):
         :param phases: each node has its turns at a moment of its own; False: at the beginning of a step.
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
+        :param participant: what every node is; None: what its policy asks for.
         """
         agents = list(agents)
+        self._participant = participant
         self.seed = seed
         self.topology = topology
         self.step_s = agents[0].step_s
@@ -109,6 +114,8 @@ class VirtualSwarm(ABC):
         self.loops = 0
         """Cycles of next hops seen, one for each cycle and step."""
         self.failures = failures
+        self.blast: Blast | None = None
+        """None: there is none. The subclass that simulates the surroundings sets it, and carries it out."""
         self.off: dict[int, int | None] = {}
         """Nodes that are off, and the step in which each has its turn again (None: never)."""
         self.power = None if disk is None else Power(disk, self.ledger, seed=seed, off_steps=off_steps)
@@ -128,7 +135,9 @@ class VirtualSwarm(ABC):
                 store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
-            self.agents.append(Agent(settings, store, rng, now=0.0, observer=observer, newborn=True))
+            self.agents.append(
+                Agent(settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant)
+            )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
         self.statistics = Statistics(self, full_items)
         some = self.agents[0]
@@ -339,7 +348,10 @@ class VirtualSwarm(ABC):
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
-        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
+        agent = Agent(
+            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer,
+            participant=self._participant,
+        )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
         self.air.start(node_id, agent, start * self.step_s)

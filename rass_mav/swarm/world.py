@@ -5,7 +5,9 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 
+from rass_mav.core.participant import Participant
 from rass_mav.swarm.autopilot import MockAutopilot
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.medium.tally import Record
 from rass_mav.swarm.neighbours import Position, RangeGraph
@@ -19,8 +21,11 @@ from rass_mav.swarm.virtual import Danger, VirtualSwarm
 class World(VirtualSwarm):
     """A swarm in its surroundings, with its radio and its ledger."""
 
-    def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
-        """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
+    def __init__(
+        self, scenario: Scenario, *, record: Record | None = None, participant: type[Participant] | None = None
+    ) -> None:
+        """`record` is called with every frame put on the air, and its step. `participant`: what every node is; None:
+        what the policy asks for. Raises `ConfigError`."""
         self.surroundings = Surroundings(scenario)
         neighbours = self.surroundings.graph.neighbours
         scenario, load = loaded(scenario, max(round(sum(map(len, neighbours)) / scenario.nodes) + 1, 2))
@@ -57,8 +62,11 @@ class World(VirtualSwarm):
             phases=scenario.has_phases,
             strikes=scenario.radiation.strikes_per_step,
             record=record,
+            participant=participant,
         )
         self.statistics.load = load
+        if scenario.failures.blast is not None:
+            self.blast = Blast(self.ledger)
 
     @property
     def graph(self) -> RangeGraph:
@@ -81,6 +89,8 @@ class World(VirtualSwarm):
         if self.failures is not None:
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
+            if self.blast is not None and t == self.scenario.failures.blast:
+                self._explode(self.failures, self.blast)
         self._sense(now)
         for node_id in self._pictures.due(t):
             if node_id not in self.off:
@@ -101,6 +111,15 @@ class World(VirtualSwarm):
                 danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)
             if danger.probability:
                 yield danger
+
+    def _explode(self, failures: Failures, blast: Blast) -> None:
+        """The blast of this step."""
+        holdings = [agent.node.holdings for agent in self.agents]
+        dying = failures.kill(blast.aim(holdings, self.neighbours, self.scenario.bases))
+        blast.begins(len(dying))
+        for failure in dying:
+            self.crash(failure.node, failure.back)
+        blast.is_over()
 
     def _sense(self, now: float) -> None:
         """Each flight controller sends its position, and its sensor's reading."""

@@ -23,6 +23,7 @@ from rass_mav.core.messages import (
     Committed,
     Data,
     Digest,
+    Distance,
     Given,
     Handover,
     LossNote,
@@ -65,8 +66,11 @@ _SEAL = 37
 _BLOCK = struct.Struct("<BB")
 #: The block with answers to hand-overs.
 ANSWERS = 1
+#: The block of distant spares.
+DISTANCE = 2
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
+_DISTANCE = struct.Struct("<HHB")
 _OFFER = struct.Struct("<BHHIHIIIBBIIB")
 _ACCEPT = struct.Struct("<BHHIHH")
 _CHUNK = struct.Struct("<BHH")
@@ -89,6 +93,8 @@ _WORD = struct.Struct("<HIIB")
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
 #: Largest payload of a chunk.
 CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
+#: Largest digest.
+DIGEST_BYTES = _DIGEST.size + MARK_BYTES
 
 _POLL = 0x8000
 _SPARE = 0x80
@@ -150,20 +156,22 @@ def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
 def _encode_data(m: Data, now: float) -> list[bytes]:
     frames = []
     parts: list[bytes] = []
-    room = MAX_TUNNEL - _TO.size
+    tail = _BLOCK.pack(DISTANCE, _DISTANCE.size) + _DISTANCE.pack(*m.distance) if m.spare and m.distance else b""
+    most = room = MAX_TUNNEL - _TO.size - len(tail)
     flag = _SPARE if m.spare else 0
     for number, (id, kind, created, hops, crc, payload, at_least) in m.handovers:
         size = _DATUM.size + len(payload)
         if size > room:
-            if size > MAX_TUNNEL - _TO.size:
+            if size > most:
                 raise ValueError(f"a datum of {len(payload)} bytes does not fit one frame")
-            frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
+            head = _TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2)
+            frames.append(head + b"".join(parts) + tail)
             parts = []
-            room = MAX_TUNNEL - _TO.size
+            room = most
         parts.append(_DATUM.pack(number, *id, _age(created, now, at_least), hops, kind, crc, len(payload)))
         parts.append(payload)
         room -= size
-    frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts))
+    frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts) + tail)
     if m.answers:
         block, rest = _encode_answers(m.answers, MAX_TUNNEL - len(frames[-1]))
         frames[-1] += block
@@ -342,14 +350,15 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
-    answers = _decode_blocks(rest, _BEACON.size, fields[0])
+    answers = _decode_blocks(rest, _BEACON.size, fields[0])[0] if len(rest) > _BEACON.size else ()
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
     return tuple.__new__(Beacon, (*fields, answers))
 
 
-def _decode_blocks(p: bytes, at: int, sender: int) -> tuple[Committed, ...]:
-    """The answers in the blocks from `at` to the end; unknown blocks are ignored."""
+def _decode_blocks(p: bytes, at: int, sender: int) -> tuple[tuple[Committed, ...], Distance | None]:
+    """The blocks from `at` to the end: answers, and how a distant spare keeps away. Unknown ones are ignored."""
     answers: tuple[Committed, ...] = ()
+    distance = None
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -357,8 +366,10 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> tuple[Committed, ...]:
             raise MalformedError("truncated block")
         if kind == ANSWERS:
             answers += _decode_answers(p[at : at + size], sender)
+        elif kind == DISTANCE and size >= _DISTANCE.size:
+            distance = Distance._make(_DISTANCE.unpack_from(p, at))
         at += size
-    return answers
+    return answers, distance
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:
@@ -384,7 +395,11 @@ def _decode_data(p: bytes, now: float) -> Data:
         created = now - (age & _OLDEST) / 1000.0
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
-    return Data(sender, target, tuple(handovers), count >= _SPARE, _decode_blocks(p, at, sender))
+    spare = count >= _SPARE
+    if at == len(p):
+        return Data(sender, target, tuple(handovers), spare)
+    answers, distance = _decode_blocks(p, at, sender)
+    return Data(sender, target, tuple(handovers), spare, distance if spare else None, answers)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:

@@ -39,13 +39,17 @@ def check(holdings: Holdings, small_bytes: int) -> None:
             assert (h.pending, h.offers, h.offer_at) == (None, {}, None)
         if h.state is State.PASSED_ON:
             assert h.partner is None
+        if h.backer is not None:
+            assert h.state is State.SPARE
+            assert h.partner not in (None, h.backer)
         if h.partner is not None:
             assert holdings.partners[h.partner.id] is h.partner
     for id, partner in holdings.partners.items():
         mine = [h for h in held if h.partner is partner]
+        backed = [h for h in mine if h.state is State.CUSTODY] + [h for h in held if h.backer is partner]
         assert id == partner.id
-        assert mine, "a partner of no datum"
-        assert partner.backed == {h.id: h for h in mine if h.state is State.CUSTODY}
+        assert mine or backed, "a partner of no datum"
+        assert partner.backed == {h.id: h for h in backed}
         assert partner.spares == {h.id: h for h in mine if h.state is State.SPARE}
 
 

@@ -68,15 +68,17 @@ class Swarm(RuleBasedStateMachine):
     @initialize(
         base=st.booleans(), wander=st.booleans(), receipts=st.booleans(), mirror=st.booleans(), until=st.booleans(),
         immediate=st.booleans(), auto=st.booleans(), overhear=st.booleans(),
+        distant=st.booleans(),
     )  # fmt: skip
     def begin(
         self, base: bool, wander: bool, receipts: bool, mirror: bool, until: bool, immediate: bool, auto: bool,
-        overhear: bool,
+        overhear: bool, distant: bool,
     ) -> None:  # fmt: skip
         self.has_base = base
         self.options: dict[str, Any] = {
             "receipts": receipts, "mirror": mirror, "mirror_until_receipt": receipts and until, "immediate": immediate,
             "copies_auto": auto, "own_share": 0.2 * auto, "overhear": overhear,
+            "distant": distant,
         }  # fmt: skip
         self.struck: set[DatumId] = set()
         self.policy: Policy = Wander() if wander else PolicySettings(name="rass").make()
@@ -368,7 +370,7 @@ def weather(seed: int, swarm: Swarm) -> None:
     rng = random.Random(seed)
     swarm.begin(
         rng.random() < 0.3, rng.random() < 0.8, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.5,
-        rng.random() < 0.3, rng.random() < 0.5, seed % 2 == 1,
+        rng.random() < 0.3, rng.random() < 0.5, seed % 2 == 1, seed % 4 < 2,
     )  # fmt: skip
     for _ in range(6):
         swarm.storm(rng.getrandbits(32))

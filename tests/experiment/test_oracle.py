@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import random
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.experiment.oracle import Ceiling, Moment, is_due, survival
+from rass_mav.experiment.oracle import Ceiling, Contacts, Moment, is_due, parts, spread, survival
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.surroundings import Surroundings
 from rass_mav.swarm.world import World
@@ -101,6 +102,64 @@ def test_by_hand_with_a_drone_that_dies() -> None:
     assert [row[1] for row in table[:3]] == pytest.approx([0.9, 0.9, 0.0])
     # With two steps left 2's data get through 1; later they are better off with 2, which is struck at each step.
     assert [row[2] for row in table] == pytest.approx([0.5 * 0.9, 0.5**3, 0.5**2, 0.5, 1.0])
+
+
+# -- with all contacts -------------------------------------------------------------------------------------------------
+
+
+def test_the_parts_of_a_swarm() -> None:
+    near = [[1], [0, 2], [1], [4], [3], []]
+    assert sorted(parts(near, ())) == [0b000111, 0b011000, 0b100000]
+    assert sorted(parts(near, {1})) == [0b000001, 0b000010, 0b000100, 0b011000, 0b100000]
+
+
+def kept(moments: Sequence[Moment], node: int, draws: int = 20_000) -> float:
+    """The share of data that are kept with all contacts."""
+    swarm = [parts(moment.neighbours, moment.off) for moment in moments]
+    rng = random.Random(1)
+    return sum(spread(moments, 0, node, 1, swarm, rng) for _ in range(draws)) / draws
+
+
+def test_copies_everywhere_by_hand() -> None:
+    """Base 0; drones 1 and 2 are together at first, then apart, and then 1 meets the base."""
+    q = [0.0, 0.4, 0.5]
+    together: list[list[int]] = [[], [2], [1]]
+    apart: list[list[int]] = [[], [], []]
+    moments = [Moment(near, q) for near in (together, apart, [[1], [0], []])]
+    # It is struck in the second and third step, and lost if both copies are.
+    assert kept(moments, 1) == pytest.approx(1 - (1 - 0.6**2) * (1 - 0.5**2), abs=0.01)
+    # If they stay together, one copy that is left becomes two again.
+    moments = [Moment(together, q)] * 3
+    assert kept(moments, 2) == pytest.approx((1 - 0.4 * 0.5) ** 2, abs=0.01)
+
+
+def test_what_has_a_way_at_birth_is_never_struck() -> None:
+    near = [[1], [0, 2], [1]]
+    assert kept([Moment(near, [0.0, 1.0, 1.0])] * 3, 2, 10) == 1.0
+    assert kept([Moment(near, [0.0, 1.0, 1.0], off={1})] * 3, 2, 10) == 0.0
+
+
+def test_a_drone_that_dies_takes_its_copy_along() -> None:
+    near = [[], [2], [1]]
+    begin = Moment(near, [0.0, 0.0, 0.0])
+    one, both = (Moment(near, [0.0, 0.0, 0.0], off=dead, emptied=dead) for dead in ({1}, {1, 2}))
+    assert kept([begin, one], 1, 10) == 1.0
+    assert kept([begin, both], 1, 10) == 0.0
+
+
+@pytest.mark.parametrize("topology", ["grid", "random-walk"])
+def test_the_defaults_do_not_beat_all_contacts(topology: str) -> None:
+    options = {**SMALL, "topology": topology, "radio.range_m": 2.5, "arena_m": 12}
+    lost = least = 0.0
+    for seed in range(4):
+        world = World(load_scenario("demo", {**options, "seed": seed}))
+        measure = Contacts()
+        world.run(world.scenario.steps, after=measure.after)
+        found = measure.result()
+        assert found["data"] == world.ledger.created
+        lost += sum(world.ledger.losses().values())
+        least += found["data"] - found["kept"]
+    assert lost >= least - 3 * math.sqrt(least + 1)
 
 
 # -- in step with the mock swarm ---------------------------------------------------------------------------------------

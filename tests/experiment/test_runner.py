@@ -116,7 +116,7 @@ def test_everything_that_determines_a_run_is_in_its_key() -> None:
     runs = [
         run(), run(seed=1), run(policy="hop-count"), run(measures=["basins"]), run(options={"steps": 24}),
         run(options={"radio.loss": 0.1}), replace(run(), world="other"), replace(run(), variant="v"),
-        replace(run(), code="other"),
+        replace(run(), code="other"), replace(run(), protocol="epidemic"),
     ]  # fmt: skip
     assert len({r.key for r in runs}) == len(runs)
     assert run().key == run().key

@@ -240,6 +240,68 @@ def test_scripts_and_people_read_of_failures_where_there_can_be_any(capsys: pyte
     assert "drones that died" not in capsys.readouterr().out
 
 
+def blasted(**keys: Any) -> World:
+    """A line of six drones and a base that is off, so that nothing arrives; the data of three steps, and a blast."""
+    world = World(
+        scenario(
+            nodes=7,
+            steps=20,
+            topology="line",
+            data={"interval_steps": 1, "until_step": 3},
+            radiation={"sources": []},
+            failures={"base_off": [[0, 100]], "blast": 12},
+            **keys,
+        )
+    )
+    world.run(12)
+    return world
+
+
+def test_a_blast_kills_the_drones_around_the_fullest_store_and_counts_what_was_nowhere_else() -> None:
+    world = blasted(custody={"mirror": False}, policy={"name": "hop-count"})
+    # Without a route and without spares each drone has its own three data, and node 1 is the first of the fullest.
+    assert [len(agent.node.holdings) for agent in world.agents] == [0, 3, 3, 3, 3, 3, 3]
+    world.step()
+    assert world.off == {0: 100, 1: None, 2: None}
+    summary = world.statistics.summary()
+    assert summary["blast"] == {"drones": 2, "held": 18, "lost": 6}
+    assert (summary["failures"]["died"], summary["lost"]["died"]) == (2, 6)
+    check(world)
+
+
+def test_a_blast_finds_the_store_with_the_most_data_and_spares_what_is_elsewhere_too() -> None:
+    world = blasted()
+    full = [len(agent.node.holdings) for agent in world.agents]
+    centre = full.index(max(full))
+    copies = dict(world.ledger.copies)
+    world.step()
+    dead = [node for node, back in world.off.items() if back is None]
+    assert dead == list(range(max(centre - 1, 1), min(centre + 2, 7)))
+    gone = copies.keys() - world.ledger.copies.keys()
+    assert world.statistics.summary()["blast"] == {"drones": len(dead), "held": 18, "lost": len(gone)}
+    check(world)
+
+
+def test_a_blast_counts_neither_young_data_nor_those_that_have_arrived() -> None:
+    world = World(
+        scenario(
+            nodes=2, steps=20, topology="line", data={"interval_steps": 1}, radiation={"sources": []},
+            failures={"base_off": [[8, 100]], "blast": 12},
+        )
+    )  # fmt: skip
+    world.run(13, after=check)
+    assert world.off == {0: 100, 1: None}
+    summary = world.statistics.summary()
+    # The data of steps 8 to 11 are lost, but were not old enough.
+    assert (summary["delivered"], summary["lost"]["died"]) == (8, 4)
+    assert summary["blast"] == {"drones": 1, "held": 0, "lost": 0}
+
+
+def test_people_read_what_a_blast_did(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["swarm", "--nodes", "4", "--steps", "5", "--set", "failures.blast=3"]) == 0
+    assert "blast: 3 drones; of 0 data held that were at least 5 steps old, 0 lost" in capsys.readouterr().out
+
+
 # -- what makes no sense -----------------------------------------------------------------------------------------------
 
 
@@ -254,6 +316,7 @@ def test_scripts_and_people_read_of_failures_where_there_can_be_any(capsys: pyte
         ({"battery_steps": 7}, r"^test: failures\.battery_steps: expected a list of 2 values, got 7$"),
         ({"recharge_steps": 5}, r"^test: failures\.recharge_steps: expected null unless"),
         ({"base_wiped": True}, r"^test: failures\.base_wiped: expected false unless"),
+        ({"blast": 0}, r"^test: failures\.blast: expected a whole number >= 1, got 0$"),
         ({"base_off": [[5, 5]]}, r"^test: failures\.base_off: expected .*, got \[\[5, 5\]\]$"),
         ({"base_off": [[5, 9], [8, 12]]}, r"^test: failures\.base_off: expected .*, got \[\[5, 9\], \[8, 12\]\]$"),
         ({"reboots": 1}, r"^test: failures\.reboots: unknown key"),
@@ -272,6 +335,7 @@ def test_wrong_keys_are_named(keys: dict[str, Any], complaint: str) -> None:
         "reboot_rate=0.1",
         "wipe_rate=0.1",
         "battery_steps=[5, 9]",
+        "blast=3",
         "base_off=[[1, 2]]",
     ],
 )

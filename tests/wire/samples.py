@@ -7,12 +7,14 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
+    DISTANT_BYTES,
     Accept,
     Beacon,
     Chunk,
     Committed,
     Data,
     Digest,
+    Distance,
     Given,
     Handover,
     LossNote,
@@ -92,6 +94,8 @@ SAMPLES: dict[str, Message] = {
     "put": Put(3, 2, 4, HELLO),
     "query": Query(3, 2, (HELLO.id, WORLD.id)),
     "data-spare": Data(3, 2, (Handover(0x01020307, HELLO),), True),
+    "data-distant": Data(3, 2, (Handover(0x01020308, HELLO),), True, Distance(4, 5, 2)),
+    "words-enclosed": Words(2, 3, (WordEntry(HELLO.id, Word.ENCLOSED),)),
     "passed-on": PassedOn(2, 3, (HELLO.id, WORLD.id)),
     "words": Words(2, 3, (WordEntry(HELLO.id, Word.AGAIN), WordEntry(WORLD.id, Word.NONE))),
     "words-taken": Words(2, 3, (WordEntry(HELLO.id, Word.TAKEN),)),
@@ -137,10 +141,20 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         # So many fit.
         answers(4, 1),
     ),
-    Data: st.builds(
-        _with_answers,
-        st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans()),
-        answers(5, 20),
+    Data: st.one_of(
+        st.builds(
+            _with_answers,
+            st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans()),
+            answers(5, 20),
+        ),
+        st.builds(
+            Data,
+            u16,
+            u16,
+            st.lists(st.builds(Handover, u32, data(INLINE_BYTES - DISTANT_BYTES)), max_size=12).map(tuple),
+            st.just(True),
+            st.builds(Distance, u16, u16, u8),
+        ),
     ),
     Offer: st.builds(
         Offer,

@@ -38,11 +38,11 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
         None,
         State.CUSTODY,
     ): "created here, handed over to this node, found at the start, or overheard and lost elsewhere",
-    (None, State.SPARE): "a custodian sends a spare copy",
+    (None, State.SPARE): "a custodian sends a spare copy, or a backer a distant one",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
     (State.SPARE, State.PASSED_ON): "the partner reports that it has passed the datum on",
-    (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here",
+    (State.PASSED_ON, State.SPARE): "a custodian sends a spare copy of what is here, or a backer a distant one",
     (
         State.SPARE,
         State.CUSTODY,
@@ -95,15 +95,15 @@ class Partner:
         self.spares: dict[DatumId, Holding] = {}
         """Data in its custody of which this node has a spare."""
         self.backed: dict[DatumId, Holding] = {}
-        """Data in custody here of which it has a spare."""
+        """Data here of which it has a spare for this node, in custody or spares themselves."""
 
 
 class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "crc", "created", "given", "given_to", "id", "matched", "offer_at", "offers", "partner", "patience_s",
-        "pending", "resent", "size", "state",
+        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "id", "matched", "offer_at",
+        "offers", "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
@@ -115,7 +115,8 @@ class Holding:
         """Bytes of payload."""
         self.state = state
         self.partner: Partner | None = None
-        """In custody: the backer, which keeps a spare. Spare: the custodian."""
+        """In custody: the backer, which keeps a spare. Spare: the node that this copy is for, in most cases the
+        custodian."""
         self.pending: Pending | None = None
         """The hand-over that is under way; in custody only."""
         self.offers: dict[int, int] = {}
@@ -132,6 +133,13 @@ class Holding:
         """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
         """How long to wait for it, seconds."""
+        self.backer: Partner | None = None
+        """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
+        self.custodian: int | None = None
+        """Spare: the node with custody, as far as this one knows. In custody: the node that had it when this was a
+        spare, if the partner is a backer that keeps away from that node."""
+        self.further = 0
+        """Spare: how many nodes farther away should have a copy."""
         self.resent = 0
         """How often it was sent again for lack of a receipt."""
 
@@ -295,6 +303,8 @@ class Holdings:
     def pair(self, holding: Holding, partner: Partner, now: float) -> None:
         """From now on this is the datum's only partner. It needs no more spares."""
         self.unpair(holding)
+        if holding.backer is partner:
+            self.back(holding, None)
         self.partners[partner.id] = partner
         holding.partner = partner
         if holding.state is State.CUSTODY:
@@ -313,6 +323,17 @@ class Holdings:
         if partner is not None and holding.state is State.CUSTODY:
             self._lay_bare(holding)
         return partner
+
+    def back(self, holding: Holding, backer: Partner | None) -> None:
+        """Another node keeps a spare for a spare here; None: none does."""
+        old, holding.backer = holding.backer, backer
+        if old is not None:
+            del old.backed[holding.id]
+            self._dismiss(old)
+        if backer is not None:
+            assert holding.partner is not backer
+            self.partners[backer.id] = backer
+            backer.backed[holding.id] = holding
 
     def ask(self, holding: Holding, now: float) -> None:
         """The custodian of a spare has just reported it, or is asked for it."""
@@ -389,6 +410,7 @@ class Holdings:
         return holding
 
     def _leave(self, holding: Holding) -> None:
+        self.back(holding, None)
         self._part(holding)
         del self._all[holding.id]
         del self._of(holding.state)[holding.id]
@@ -410,9 +432,12 @@ class Holdings:
             else:
                 del partner.spares[holding.id]
                 del self.asked[holding.id]
-            if not partner.spares and not partner.backed:
-                del self.partners[partner.id]
+            self._dismiss(partner)
         return partner
+
+    def _dismiss(self, partner: Partner) -> None:
+        if not partner.spares and not partner.backed:
+            self.partners.pop(partner.id, None)
 
     def _lay_bare(self, holding: Holding) -> None:
         """In custody without a backer."""

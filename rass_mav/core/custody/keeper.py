@@ -10,7 +10,7 @@ from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
-from rass_mav.core.messages import Digest, Handover
+from rass_mav.core.messages import Digest, Distance, Handover
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.digests import NoDigests, matched
 from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
@@ -83,9 +83,10 @@ class Keeper:
             self.numbers.accept(giver, number, id, datum.crc)
         return True
 
-    def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
-        """Keep a spare copy for a neighbour that has custody. False: it cannot be kept, or not relied on."""
-        kept = not self.is_squatted(datum.id) and self.spares.keep(giver, datum)
+    def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
+        """Keep a spare copy for a neighbour that has custody, or a distant one. False: it cannot be kept, or not relied
+        on."""
+        kept = not self.is_squatted(datum.id) and self.spares.keep(giver, datum, distance)
         self.refused += not kept
         return kept
 
@@ -337,7 +338,7 @@ class Sink(Keeper):
             self._digests.arrived(datum.id)
         self.observer.delivered(datum)
 
-    def keep_spare(self, giver: int, number: int, datum: Datum) -> bool:
+    def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
         """A spare copy has arrived like any other."""
         return self.take_custody(giver, number, datum)
 

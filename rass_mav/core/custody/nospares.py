@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Committed, Digest, Handover, Message, PassedOn, Words
+from rass_mav.core.messages import Committed, Digest, Distance, Handover, Message, PassedOn, Words
 from rass_mav.core.news.table import Pair
 
 
@@ -70,8 +70,8 @@ class NoSpares:
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
-    def keep(self, giver: int, datum: Datum) -> bool:
-        """A custodian sends a spare copy. Returns whether it can rely on this node."""
+    def keep(self, giver: int, datum: Datum, distance: Distance | None) -> bool:
+        """A custodian sends a spare copy, or another node a distant one. Returns whether it can rely on this node."""
         return False
 
     def answered(self, message: Committed, now: float, out: list[Message]) -> None:
@@ -97,6 +97,9 @@ class NoSpares:
 
     def spread(self, now: float, out: list[Message]) -> None:
         """Send spares of data that rest without a backer, within the bandwidth."""
+
+    def spread_far(self, now: float, out: list[Message]) -> None:
+        """Once a turn: send distant spares, within the bandwidth that is left."""
 
     def flush(self, out: list[Message]) -> None:
         """Append the messages collected since the last call."""

@@ -25,11 +25,23 @@ from rass_mav.core.custody.holdings import Holding, Partner, State
 from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, Committed, Digest, Handover, Message, PassedOn, Word, WordEntry, Words
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    Committed,
+    Digest,
+    Distance,
+    Handover,
+    Message,
+    PassedOn,
+    Word,
+    WordEntry,
+    Words,
+)
 from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.spares.distant import DistantSpares
 from rass_mav.core.spares.offers import SpareOffers
 from rass_mav.core.spares.overheard import Overheard
 from rass_mav.core.spares.repairs import Repairs
@@ -54,8 +66,8 @@ class Mirrors(NoSpares):
     """A drone's share of mirrored custody."""
 
     __slots__ = (
-        "_again_at", "_detours", "_keeper", "_now", "_offers", "_overheard", "_passed", "_repairs", "_routing",
-        "_speech", "_unconfirmed",
+        "_again_at", "_detours", "_distant", "_keeper", "_now", "_offers", "_overheard", "_passed", "_repairs",
+        "_routing", "_speech", "_unconfirmed",
     )  # fmt: skip
 
     def __init__(
@@ -70,6 +82,8 @@ class Mirrors(NoSpares):
         """Corrupt data that another node was asked to take back."""
         self._offers = SpareOffers(keeper, routing, pace, risk, rng)
         """Which neighbours are offered spares."""
+        self._distant = DistantSpares(keeper, routing, pace, self._speech, rng)
+        """The distant spares that this node sends on."""
         self._unconfirmed = Unconfirmed(keeper, routing, pace)
         """The copies that wait for receipts."""
         self._overheard = Overheard(keeper, routing, rng)
@@ -109,10 +123,17 @@ class Mirrors(NoSpares):
     def take_back(self, holding: Holding) -> None:
         """If this is a spare, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
+            backer = holding.backer
             self._keeper.holdings.change(holding, State.CUSTODY)
             self._keeper.stirred = True
             self._keeper.notes.forget(holding.id)
             self.took(holding)
+            if backer is None:
+                holding.custodian = None
+            else:
+                # It should know that it is the first of the chain now.
+                self._pair(holding, backer.id)
+                self._speech.say(backer.id, holding.id, Word.TAKEN)
 
     def rescue(self, holding: Holding) -> None:
         """A datum was reported lost to a base, but a copy is here."""
@@ -130,12 +151,16 @@ class Mirrors(NoSpares):
         stays = id not in keeper.arrived and (not to_base or self._until_receipt)
         stays = stays and len(holdings) - len(holdings.custody) < MAX_SPARES
         if stays:
-            self._leave(holding, to)
+            # The datum goes back to the node that the backer keeps away from: nothing changes for the backer.
+            chained = None if holding.custodian != to else holding.partner
+            self._leave(holding, to if chained is None else chained.id)
             if to_base:
                 holdings.change(holding, State.PASSED_ON)
             else:
                 holdings.change(holding, State.SPARE)
                 self._pair(holding, to)
+                if chained is not None and chained.id != to:
+                    holdings.back(holding, self._partner(chained.id))
             self._unconfirmed.handed_on(holding, to, self._now)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
@@ -167,11 +192,15 @@ class Mirrors(NoSpares):
         if holding.partner is None or holding.partner.id != backer:
             self._leave(holding, backer)
             self._pair(holding, backer)
+            holding.custodian = None
 
     # -- changes of spares ---------------------------------------------------------------------------------------------
 
-    def keep(self, giver: int, datum: Datum) -> bool:
-        """A custodian sends a spare copy. Returns whether there is a good copy here now."""
+    def keep(self, giver: int, datum: Datum, distance: Distance | None) -> bool:
+        """A custodian sends a spare copy, or another node a distant one. Returns whether there is a good copy here
+        now."""
+        if distance is not None and self._distant.is_near(distance):
+            return False
         keeper = self._keeper
         holdings = keeper.holdings
         id = datum.id
@@ -179,10 +208,12 @@ class Mirrors(NoSpares):
         if holding is not None and keeper.load(holding) is not None:
             if holding.crc != datum.crc:
                 return False
+            if distance is not None and holding.state is not State.PASSED_ON:
+                return True
             if holding.state is State.PASSED_ON:
                 holdings.change(holding, State.SPARE)
             if holding.state is State.SPARE:
-                self._pair(holding, giver)
+                self._pair(holding, giver, distance)
                 # The datum has moved on to the giver from the node that took it from here.
                 self._passed.pop(id, None)
             return True
@@ -195,7 +226,7 @@ class Mirrors(NoSpares):
         self._overheard.forget(id)
         self._passed.pop(id, None)
         keeper.notes.forget(id)
-        self._pair(holding, giver)
+        self._pair(holding, giver, distance)
         keeper.observer.gained(datum)
         return True
 
@@ -204,6 +235,7 @@ class Mirrors(NoSpares):
         arrived, by what bases report."""
         if confirmed:
             self._unconfirmed.confirmed(holding, self._now)
+        self._release(holding)
         custodian = self._keeper.holdings.unpair(holding)
         if custodian is not None and missing:
             self._speech.say(custodian.id, holding.id, Word.NONE)
@@ -231,19 +263,35 @@ class Mirrors(NoSpares):
         """A base reports what has arrived lately."""
         self._overheard.heed_digest(digest)
 
+    def _retire(self, holding: Holding) -> None:
+        """Nobody counts on a spare any more."""
+        self._release(holding)
+        self._keeper.holdings.change(holding, State.PASSED_ON)
+
+    def _release(self, holding: Holding) -> None:
+        """The node that keeps a spare for a spare here is told that nobody counts on it any more."""
+        if holding.backer is not None:
+            self._speech.passed_on(holding.backer.id, holding.id)
+            self._keeper.holdings.back(holding, None)
+
     # -- partners ------------------------------------------------------------------------------------------------------
 
-    def _pair(self, holding: Holding, with_whom: int) -> None:
+    def _pair(self, holding: Holding, with_whom: int, distance: Distance | None = None) -> None:
+        """`distance`: a distant spare, for the spare of `with_whom`."""
         holdings = self._keeper.holdings
         holdings.unpair(holding)
-        partner = holdings.partners.get(with_whom)
-        if partner is None:
-            neighbour = self._routing.neighbours.get(with_whom)
-            if neighbour is None:
-                partner = Partner(with_whom, None, self._now, self._routing.longest_s)
-            else:
-                partner = Partner(with_whom, neighbour.beacon.life, self._now, neighbour.lifetime_s)
-        holdings.pair(holding, partner, self._now)
+        holdings.pair(holding, self._partner(with_whom), self._now)
+        if holding.state is State.SPARE:
+            self._distant.backs(holding, distance, self._now)
+
+    def _partner(self, id: int) -> Partner:
+        partner = self._keeper.holdings.partners.get(id)
+        if partner is not None:
+            return partner
+        neighbour = self._routing.neighbours.get(id)
+        if neighbour is None:
+            return Partner(id, None, self._now, self._routing.longest_s)
+        return Partner(id, neighbour.beacon.life, self._now, neighbour.lifetime_s)
 
     def step(self, now: float) -> None:
         """Once a step: handle partners that are gone, spares with no news for long, and repairs without an answer."""
@@ -315,10 +363,13 @@ class Mirrors(NoSpares):
                 continue
             # Gone, or its store was wiped: it has none of our data any more, or none that can be counted on.
             for holding in list(partner.spares.values()):
-                if keeper.load(holding) is not None:
+                if holding.custodian != id and routing.route is not None:
+                    # It was not the custodian, and what is in custody moves on: this copy waits for the receipt.
+                    self._retire(holding)
+                elif keeper.load(holding) is not None:
                     self.take_back(holding)
             for holding in list(partner.backed.values()):
-                keeper.holdings.unpair(holding)
+                self._unbacked(holding)
 
     # -- messages ------------------------------------------------------------------------------------------------------
 
@@ -328,10 +379,16 @@ class Mirrors(NoSpares):
 
     def answered(self, message: Committed, now: float, out: list[Message]) -> None:
         """A neighbour took spares, or refused them: then another is tried. Other numbers are ignored."""
+        keeper = self._keeper
         for number, crc in message.committed:
-            holding = self._keeper.holdings.offered(number, message.sender)
+            holding = keeper.holdings.offered(number, message.sender)
             if holding is not None and holding.crc == crc:
                 self._back(holding, message.sender)
+            backed = self._distant.answered(number, message.sender, now, kept=True)
+            if backed is not None and backed.crc == crc:
+                keeper.holdings.back(backed, self._partner(message.sender))
+        for number in message.refused:
+            self._distant.answered(number, message.sender, now, kept=False)
         if message.refused:
             self._offers.on_refused(message.refused, message.sender, now, out)
 
@@ -345,7 +402,7 @@ class Mirrors(NoSpares):
             if holding.matched:
                 keeper.drop(holding, Fate.DELIVERED)
             elif keeper.settings.mirror_until_receipt:
-                keeper.holdings.change(holding, State.PASSED_ON)
+                self._retire(holding)
             else:
                 keeper.drop(holding, Fate.PASSED_ON)
 
@@ -366,6 +423,7 @@ class Mirrors(NoSpares):
             elif word == Word.TAKEN:
                 if self._repairs.end(id):
                     self._keeper.notes.forget(id)
+                self._distant.taken(id, sender, self._now)
             elif word == Word.NONE:
                 self._on_none(id, sender)
             elif word == Word.WANTED:
@@ -374,6 +432,8 @@ class Mirrors(NoSpares):
                     self._speech.say(sender, id, Word.HERE)
             elif word == Word.HERE:
                 self._repairs.on_here(id, sender)
+            elif word == Word.ENCLOSED:
+                self._on_enclosed(id, sender)
 
     def _on_again(self, id: DatumId, custodian: int) -> None:
         """A custodian's copy is corrupt, and it asks this node to take the datum back."""
@@ -406,6 +466,8 @@ class Mirrors(NoSpares):
         if holding is not None and holding.state is State.CUSTODY:
             if holding.partner is None:
                 self._back(holding, backer)
+        elif holding is not None and holding.backer is not None and holding.backer.id == backer:
+            return
         elif not self._repairs.is_under_way(id) and (holding is not None or id in self._passed):
             self._speech.passed_on(backer, id)
         else:
@@ -413,16 +475,48 @@ class Mirrors(NoSpares):
 
     def _on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy: the backer, or another node that was asked for it."""
-        holding = self._keeper.holdings.custody.get(id)
-        if holding is not None and holding.partner is not None and holding.partner.id == sender:
-            self._keeper.holdings.unpair(holding)
+        holding = self._keeper.holdings.get(id)
+        if holding is not None and sender == _id(_backer_of(holding)):
+            self._unbacked(holding)
         else:
             self._repairs.on_none(id, sender)
+
+    def _on_enclosed(self, id: DatumId, backer: int) -> None:
+        """A backer knows no node that could have a distant spare."""
+        holding = self._keeper.holdings.get(id)
+        if holding is None or backer != _id(_backer_of(holding)):
+            return
+        custody = holding.state is State.CUSTODY
+        if self._offers.avoid(backer, self._now) if custody else self._distant.avoid(holding, backer, self._now):
+            self._unbacked(holding)
+            self._speech.passed_on(backer, id)
+
+    def _unbacked(self, holding: Holding) -> None:
+        """A copy here has no backer any more."""
+        if holding.state is State.CUSTODY:
+            self._keeper.holdings.unpair(holding)
+        else:
+            self._keeper.holdings.back(holding, None)
+            self._distant.lost(holding, self._now)
 
     def spread(self, now: float, out: list[Message]) -> None:
         """Send spares of data that rest without a backer, within the bandwidth."""
         self._offers.spread(now, out)
 
+    def spread_far(self, now: float, out: list[Message]) -> None:
+        """Send distant spares of data that rest, within the bandwidth that is left."""
+        if self._until_receipt:
+            self._distant.spread(now, out)
+
     def flush(self, out: list[Message]) -> None:
         """Append the messages collected since the last call."""
         self._speech.flush(out)
+
+
+def _backer_of(holding: Holding) -> Partner | None:
+    """The node that keeps a spare for this copy."""
+    return holding.partner if holding.state is State.CUSTODY else holding.backer
+
+
+def _id(partner: Partner | None) -> int | None:
+    return None if partner is None else partner.id

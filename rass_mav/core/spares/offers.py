@@ -32,6 +32,8 @@ from rass_mav.core.routes.table import RoutingTable
 OFFER_STEPS = 2
 #: Steps, or turns, in which a neighbour that refused a spare is offered none.
 REFUSED_STEPS = 5
+#: Steps, or turns, in which a neighbour that is enclosed is offered none.
+ENCLOSED_STEPS = 30
 #: How fast the estimated share of neighbours that fall silent follows what happens.
 GONE_GAIN = 0.05
 #: With `copies_auto`: the chance of surviving the next step that a datum should have.
@@ -43,7 +45,7 @@ DANGER = 0.05
 class SpareOffers:
     """Which spares one node offers to which neighbours. `Holdings` records the offers."""
 
-    __slots__ = ("_came", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "gone")
+    __slots__ = ("_came", "_enclosed", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "gone")
 
     def __init__(
         self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random
@@ -59,6 +61,9 @@ class SpareOffers:
         ids, because the record may have been replaced by then."""
         self.gone = 0.0
         """Recent share of the neighbours that fall silent from one step to the next; 0..1."""
+        self._enclosed: dict[int, float] = {}
+        """Neighbours that are offered spares only if there is no other, because they know no node out of this one's
+        range; and until when."""
         self._refused: dict[int, float] = {}
         """Neighbours that refused a spare, and until when they are offered none."""
 
@@ -77,6 +82,8 @@ class SpareOffers:
         self._came.clear()
         if self._keeper.settings.copies_auto:
             self._count_gone(now)
+        if self._enclosed:
+            self._enclosed = {id: until for id, until in self._enclosed.items() if until > now}
         if self._refused:
             self._refused = {id: until for id, until in self._refused.items() if until > now}
 
@@ -161,6 +168,11 @@ class SpareOffers:
             loss *= _failing(neighbour, gone)
             wanting = False
 
+    def avoid(self, neighbour: int, now: float) -> bool:
+        """Offer a neighbour no spares for some time if there is another one; returns whether there is."""
+        self._enclosed[neighbour] = now + ENCLOSED_STEPS * self._routing.longest_turn_s
+        return any(other.id not in self._enclosed for other in self._safest_first(now))
+
     def _number(self, holding: Holding, to: int, again_at: float) -> int:
         """A number for a new offer; offers of earlier steps are forgotten."""
         holdings = self._keeper.holdings
@@ -184,8 +196,11 @@ class SpareOffers:
             and refused.get(neighbour.id, now) <= now
         ]
         self._rng.shuffle(safest)
-        safest.sort(key=_risk)
+        safest.sort(key=self._standing)
         return safest
+
+    def _standing(self, neighbour: Neighbour) -> tuple[bool, int]:
+        return neighbour.id in self._enclosed, neighbour.beacon.risk
 
     def on_refused(self, numbers: Iterable[int], sender: int, now: float, out: list[Message]) -> None:
         """A neighbour refused spares: others are tried. Numbers of other offers are ignored."""
@@ -208,7 +223,3 @@ def _is_due(holding: Holding, now: float) -> bool:
 def _failing(neighbour: Neighbour | None, gone: float) -> float:
     """The chance that a spare at this neighbour does not help: f in the module's docstring."""
     return 1.0 if neighbour is None else gone + (1.0 - gone) * neighbour.beacon.risk / 65535.0
-
-
-def _risk(neighbour: Neighbour) -> int:
-    return neighbour.beacon.risk

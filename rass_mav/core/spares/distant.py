@@ -1,0 +1,222 @@
+"""Distant spares: of data that rest, copies are out of reach of whatever strikes all drones around their custodian.
+
+A custodian knows only its neighbours, so its backer is one of them, and both may be struck at once. But the backer has
+neighbours that do not hear the custodian, and these have neighbours that do not hear the backer. So where no base can
+be reached, the backer of a datum that rests has a backer of its own, and that one too: a chain of `FURTHER` spares that
+leads away from the custodian. Each node of the chain sends its spare to a neighbour, and names the node before itself
+and the custodian. A neighbour that hears one of them refuses.
+
+Within the chain each node is to the next one what a custodian is to its backer. So a spare that is lost is replaced,
+and a node whose predecessor is gone takes custody. The chain ends when the custodian passes the datum on. Its copies
+stay until the receipt, like those that data leave behind on their route.
+"""
+
+from __future__ import annotations
+
+import random
+from itertools import islice
+from typing import NamedTuple
+
+from rass_mav.core.custody.holdings import Holding
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import BEACON_BASE, DISTANT_BYTES, NO_ROUTE, Data, Distance, Handover, Message, Word
+from rass_mav.core.pace import Pace
+from rass_mav.core.routes.neighbours import Neighbour
+from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.spares.speech import Speech
+
+#: How many spares a chain has after that of the first backer. With one, a blast on the islands finds all copies of
+#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of none (docs/policies.md).
+FURTHER = 3
+#: Turns for which a datum rests before its backer begins a chain.
+REST_TURNS = 2
+#: Turns after which an unanswered offer is forgotten.
+OFFER_TURNS = 2
+#: For how many turns a node remembers which of its neighbours hear another node: they may move.
+KNOWN_TURNS = 30
+#: How many such pairs it remembers.
+MAX_KNOWN = 256
+#: How many spares without a backer are looked at in a turn.
+LOOK = 64
+
+
+class Offered(NamedTuple):
+    """An offer that has not been answered."""
+
+    holding: Holding
+    near: tuple[int, int]
+    """Nodes that the receiver must not hear."""
+    to: int
+    until: float
+    """Seconds."""
+
+
+class DistantSpares:
+    """Which neighbours are offered distant spares. `Holdings` records which of them have one."""
+
+    __slots__ = ("_due", "_hears", "_id", "_keeper", "_offers", "_pace", "_rng", "_routing", "_speech")
+
+    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, speech: Speech, rng: random.Random) -> None:
+        self._rng = rng
+        self._speech = speech
+        self._id = keeper.settings.node_id
+        self._keeper = keeper
+        self._routing = routing
+        self._pace = pace
+        self._due: dict[DatumId, float] = {}
+        """Spares here that should have a backer, and when one may be looked for, seconds."""
+        self._offers: dict[int, Offered] = {}
+        """By number."""
+        self._hears: dict[tuple[tuple[int, int], int], tuple[bool, float]] = {}
+        """(two nodes, neighbour): whether the neighbour refused, as one that hears any of them does, and until when
+        that is remembered, seconds."""
+
+    def is_near(self, distance: Distance) -> bool:
+        """Whether this node hears one that a distant spare should keep away from, or is that node."""
+        nodes = (distance.near, distance.custodian)
+        return self._id in nodes or any(node in self._routing.neighbours for node in nodes)
+
+    def backs(self, holding: Holding, distance: Distance | None, now: float) -> None:
+        """This node has become the backer of a custodian, or with `distance` that of a backer."""
+        assert holding.partner is not None
+        holding.custodian = holding.partner.id if distance is None else distance.custodian
+        settings = self._keeper.settings
+        if settings.distant and holding.size <= settings.inline_bytes - DISTANT_BYTES:
+            holding.further = FURTHER if distance is None else min(distance.further, FURTHER - 1)
+            rest = REST_TURNS - 0.5 if distance is None else 0.0
+            if holding.further and holding.backer is None:
+                self._due[holding.id] = now + rest * self._routing.longest_turn_s
+
+    def taken(self, id: DatumId, sender: int, now: float) -> None:
+        """A node has custody: if it is the one that this spare is for, this is the first of the chain."""
+        holding = self._keeper.holdings.spare.get(id)
+        if holding is not None and holding.partner is not None and holding.partner.id == sender:
+            self.backs(holding, None, now)
+
+    def avoid(self, holding: Holding, backer: int, now: float) -> bool:
+        """The backer of a spare is enclosed: send it no more for some time, if there may be another one."""
+        self._remember(self._away_from(holding), backer, now, hears=True)
+        return not self._is_enclosed(self._away_from(holding), now)
+
+    def _away_from(self, holding: Holding) -> tuple[int, int]:
+        """Which nodes the backer of a spare must not hear."""
+        assert holding.partner is not None
+        assert holding.custodian is not None
+        return holding.partner.id, holding.custodian
+
+    def lost(self, holding: Holding, now: float) -> None:
+        """The backer of a spare has no copy any more."""
+        if holding.further:
+            self._due[holding.id] = now
+
+    def spread(self, now: float, out: list[Message]) -> None:
+        """Once a turn, after all else: offer distant spares, within the bandwidth."""
+        if self._offers:
+            self._offers = {number: offer for number, offer in self._offers.items() if offer.until > now}
+        if not self._due or self._routing.route is not None:
+            # With a base in reach data do not rest for long.
+            return
+        pace, spare = self._pace, self._keeper.holdings.spare
+        until = now + (OFFER_TURNS - 0.5) * self._routing.longest_turn_s
+        under_way = {offer.holding.id for offer in self._offers.values()}
+        batches: dict[tuple[int, Distance], list[Handover]] = {}
+        for id, due in list(islice(self._due.items(), LOOK)):
+            if pace.left <= pace.kept:
+                break
+            del self._due[id]
+            holding = spare.get(id)
+            if holding is None or not self._needs(holding):
+                continue
+            # To the end: all have their turn.
+            self._due[id] = due
+            near = self._away_from(holding)
+            if due > now or id in under_way or not self._rests(holding, near[0]):
+                continue
+            distance = Distance(*near, holding.further - 1)
+            to = self._receiver(near, now, batches)
+            if to is None and self._is_enclosed(near, now):
+                self._due[id] = now + KNOWN_TURNS * self._routing.longest_turn_s
+                self._speech.say(near[0], id, Word.ENCLOSED)
+                continue
+            datum = None if to is None else self._keeper.load(holding)
+            if to is None or datum is None:
+                continue
+            number = self._keeper.numbers.draw()
+            self._offers[number] = Offered(holding, near, to, until)
+            batches.setdefault((to, distance), []).append(Handover(number, datum))
+            pace.spend()
+        for (to, distance), handovers in batches.items():
+            out.append(Data(self._id, to, tuple(handovers), True, distance))
+
+    def _needs(self, holding: Holding) -> bool:
+        return (
+            holding.further > 0
+            and holding.backer is None
+            and not (holding.matched or holding.id in self._keeper.arrived)
+        )
+
+    def _rests(self, holding: Holding, near: int) -> bool:
+        """Data rest at a custodian without a route to a base; at others they move on soon."""
+        if holding.further < FURTHER:
+            return True
+        custodian = self._routing.neighbours.get(near)
+        return custodian is not None and custodian.beacon.hops == NO_ROUTE
+
+    def _receiver(
+        self, near: tuple[int, int], now: float, batches: dict[tuple[int, Distance], list[Handover]]
+    ) -> int | None:
+        """The neighbour to offer a distant spare to: one that is known not to hear `near`, or else one that has not
+        been asked, with a single datum."""
+        sent: dict[int, int] = {}
+        for (to, distance), handovers in batches.items():
+            if distance[:2] == near:
+                sent[to] = sent.get(to, 0) + len(handovers)
+        known: list[Neighbour] = []
+        unknown: list[Neighbour] = []
+        for neighbour in self._routing.neighbours.values():
+            beacon = neighbour.beacon
+            fresh = neighbour.heard >= now - 1.5 * neighbour.turn_s
+            room = beacon.free > sent.get(neighbour.id, 0)
+            if neighbour.id in near or not fresh or not room or beacon.flags & BEACON_BASE:
+                continue
+            hears, until = self._hears.get((near, neighbour.id), (False, 0.0))
+            if until <= now:
+                unknown.append(neighbour)
+            elif not hears:
+                known.append(neighbour)
+        if known:
+            # Not always the safest one: its store would fill up.
+            return self._rng.choice(known).id
+        if not unknown or sent or any(offer.near == near for offer in self._offers.values()):
+            return None
+        return min(unknown, key=_by_risk).id
+
+    def _remember(self, near: tuple[int, int], neighbour: int, now: float, *, hears: bool) -> None:
+        self._hears.pop((near, neighbour), None)
+        if len(self._hears) >= MAX_KNOWN:
+            del self._hears[next(iter(self._hears))]
+        self._hears[near, neighbour] = (hears, now + KNOWN_TURNS * self._routing.longest_turn_s)
+
+    def _is_enclosed(self, near: tuple[int, int], now: float) -> bool:
+        """Whether all neighbours have refused distant spares because they hear one of `near`."""
+        others = [id for id in self._routing.neighbours if id not in near]
+        return all(hears and until > now for id in others for hears, until in [self._hears.get((near, id), (False, 0))])
+
+    def answered(self, number: int, sender: int, now: float, *, kept: bool) -> Holding | None:
+        """A neighbour took a distant spare, or refused it. Returns the copy here that it backs now. Other numbers are
+        ignored."""
+        offer = self._offers.get(number)
+        if offer is None or offer.to != sender:
+            return None
+        del self._offers[number]
+        self._remember(offer.near, sender, now, hears=not kept)
+        holding = self._keeper.holdings.spare.get(offer.holding.id)
+        if not kept or holding is None or holding.partner is None or holding.partner.id == sender:
+            return None
+        self._due.pop(holding.id, None)
+        return holding
+
+
+def _by_risk(neighbour: Neighbour) -> tuple[int, int]:
+    return neighbour.beacon.risk, neighbour.id
