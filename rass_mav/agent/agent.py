@@ -297,7 +297,8 @@ class Agent:
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
         if self._immediate:
-            answers = let_ride(answers, self.node.forward(now))
+            data = self.node.forward(now)
+            answers = let_ride(answers, data) if self.settings.shared_air else answers + data
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from rass_mav.core.messages import BROADCAST, KINDS, Data, Message, Target, Urgency
+from rass_mav.core.messages import BROADCAST, KINDS, Message, Target, Urgency, urgency_of
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
@@ -47,9 +47,8 @@ def frames_of(
     tunnel, unwritten = writer.tunnel, store.unwritten
     out = []
     for message in messages:
-        whose, urgency, rests = KINDS[type(message)]
-        if type(message) is Data and message.answers:
-            urgency = Urgency.ANSWER
+        whose, _, rests = KINDS[type(message)]
+        urgency = urgency_of(message)
         target = BROADCAST if whose is Target.EVERYBODY else message.target  # type: ignore[union-attr]
         promises = False
         if unwritten:

@@ -416,6 +416,16 @@ Message: TypeAlias = (
 )  # fmt: skip
 
 
+def urgency_of(message: Message) -> Urgency:
+    """What a message is queued with: the urgency of its kind, or of the answers that it carries."""
+    return Urgency.ANSWER if type(message) is Data and message.answers else KINDS[type(message)].urgency
+
+
+def sender_of(message: Message) -> int | None:
+    """The node that sent a message; None: the message does not name it."""
+    return getattr(message, "sender", None)
+
+
 def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:
     """All of them, with the answers to hand-overs on the first of the data: that takes fewer frames."""
     riding = tuple([answer for answer in answers if type(answer) is Committed])

@@ -228,7 +228,7 @@ def test_answers_that_name_nothing_pending_do_nothing(
     forged = Committed(sender, target, tuple(numbers), tuple(refused))
     node = giver.node
     if on_data:
-        answers = node.receive(Data(sender, 9, (Handover(7, datum()),), spare, (forged,)), giver.now + 0.1)
+        answers = node.receive(Data(sender, 9, (Handover(7, datum()),), spare, answers=(forged,)), giver.now + 0.1)
         assert answers == []
     else:
         giver.beacon(forged, sender=sender)
