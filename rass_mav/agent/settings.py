@@ -79,8 +79,6 @@ class AgentSettings(Section):
     """None: no ground station is answered (the mock swarm has none)."""
     own_sensor: bool = False
     """Readings come through `Agent.reading`; those of the autopilot are ignored."""
-    shared_air: bool = True
-    """All neighbours hear every frame, so answers may ride on data for other nodes."""
 
     @classmethod
     def of(
@@ -95,7 +93,6 @@ class AgentSettings(Section):
         mavlink: MavlinkSettings | None = None,
         ground: GroundSettings | None = None,
         own_sensor: bool = False,
-        shared_air: bool = True,
     ) -> AgentSettings:
         """One node's part of a configuration. `data` and `mavlink`, if given, replace its own sections."""
         return cls(
@@ -112,7 +109,6 @@ class AgentSettings(Section):
             mavlink=mavlink or sections.mavlink,
             ground=ground,
             own_sensor=own_sensor,
-            shared_air=shared_air,
         )
 
     def node_settings(self) -> NodeSettings:

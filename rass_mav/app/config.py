@@ -131,8 +131,6 @@ class RunConfig(Section):
             forward=self.node.forward,
             ground=self.ground,
             own_sensor=self.sensor.own,
-            # Where nodes have addresses, or are heard on different links, a frame for one of them reaches no other.
-            shared_air=len(self.links) == 1 and self.links[0].kind.shared,
         )
 
     def check(self) -> None:

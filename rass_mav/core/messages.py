@@ -416,9 +416,13 @@ Message: TypeAlias = (
 )  # fmt: skip
 
 
-def urgency_of(message: Message) -> Urgency:
-    """What a message is queued with: the urgency of its kind, or of the answers that it carries."""
-    return Urgency.ANSWER if type(message) is Data and message.answers else KINDS[type(message)].urgency
+def destination(message: Message) -> tuple[int, Urgency]:
+    """To which neighbour a message goes, or BROADCAST, and how urgent it is."""
+    target, urgency, _ = KINDS[type(message)]
+    if type(message) is Data and message.answers:
+        # Nodes besides the target wait for the answers on it.
+        return BROADCAST, Urgency.ANSWER
+    return BROADCAST if target is Target.EVERYBODY else message.target, urgency  # type: ignore[union-attr]
 
 
 def sender_of(message: Message) -> int | None:

@@ -90,6 +90,13 @@ VARIANTS = {
             "custody.copies": "auto", "node.forward": "immediate",
         },
     ),
+    "defaults": Variant(
+        Look("the defaults: overheard copies, queues count", "*"),
+        {
+            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
+            "custody.copies": "auto", "custody.overhear": True, "routing.queue_toll": True, "node.forward": "immediate",
+        },
+    ),
 }  # fmt: skip
 #: Stigmergy has no variants: new data are broadcast once, and kept by all nodes with space.
 EVERYWHERE = Look("copies everywhere", "X")

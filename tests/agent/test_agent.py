@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -270,7 +269,7 @@ def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
 @pytest.mark.parametrize("shared", [True, False])
 def test_answers_ride_on_data_for_others_only_where_all_hear_them(shared: bool) -> None:
     agent = make(3, forward="immediate")
-    agent.settings = replace(agent.settings, shared_air=shared)
+    agent.answers_ride = shared
     heard(agent, fit_beacon(agent, 2, 0), 0.0)
     agent.step(0.0)
     d = make_datum(DatumId(4, 5, 6), 0, 0.0, b"x")
@@ -280,8 +279,8 @@ def test_answers_ride_on_data_for_others_only_where_all_hear_them(shared: bool) 
     assert answers[0].urgency is Urgency.ANSWER
     if shared:
         assert (type(first), first.target, first.answers, others) == (Data, 2, (answer,), [])
+        assert answers[0].target == BROADCAST, "two nodes wait for it"
     else:
-        # To the giver's address.
         assert (first, answers[0].target) == (answer, 4)
         assert [(type(message), message.target, message.answers) for message in others] == [(Data, 2, ())]
 

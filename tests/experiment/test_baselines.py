@@ -25,7 +25,7 @@ from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
 from rass_mav.errors import StoreFullError
 from rass_mav.experiment.baselines import PROTOCOLS, prophet, spray
-from rass_mav.experiment.baselines.backpressure import Backpressure
+from rass_mav.experiment.baselines.backpressure import HOP_WEIGHT, Backpressure
 from rass_mav.experiment.baselines.common import MAX_TRIES, Baseline
 from rass_mav.experiment.baselines.epidemic import Epidemic
 from rass_mav.experiment.baselines.prophet import BASES, Prophet
@@ -182,6 +182,21 @@ def test_what_is_not_answered_is_sent_again_with_growing_pauses_and_then_given_u
     # One step, two and four later; after as long again it is like new, and the neighbour is still the best.
     assert sent[:MAX_TRIES] == [0, 1, 3, 7]
     assert node.holdings.get(DatumId(5, 77, 0)) is not None
+
+
+def test_a_neighbour_on_a_clean_link_is_in_contact_as_long_as_its_beacons_come_and_others_somewhat_longer() -> None:
+    def contacts(heard: list[int]) -> list[float]:
+        node, found = node_of(Epidemic), []
+        for now in range(24):
+            if now in heard:
+                hear(node, now, n7=0)
+            node.step(now)
+            node.put(b"reading", now)
+            found.append(bool(given(node.forward(now))))
+        return [now for now in range(heard[-1], 24) if found[now]]
+
+    assert contacts(list(range(20))) == [19, 20]
+    assert contacts([now for now in range(20) if now % 3]) == [19, 20, 21, 22]
 
 
 def test_a_neighbour_that_has_a_datum_is_not_sent_it() -> None:
@@ -421,7 +436,7 @@ def test_data_move_down_the_gradient_of_queues_and_stop_where_it_ends() -> None:
     assert targets == [7, 7, 7]
 
 
-def test_a_hop_counts_as_much_as_two_waiting_data() -> None:
+def test_a_hop_counts_as_much_as_some_waiting_data() -> None:
     def target(queue: int) -> int:
         node = node_of(Backpressure)
         for number in range(2):
@@ -431,7 +446,7 @@ def test_a_hop_counts_as_much_as_two_waiting_data() -> None:
         ((neighbour, _),) = given(node.step(1.0))
         return neighbour
 
-    assert [target(1), target(3)] == [7, 8]
+    assert [target(HOP_WEIGHT - 1), target(HOP_WEIGHT + 1)] == [7, 8]
 
 
 def test_a_full_queue_takes_no_more_and_there_is_one_copy() -> None:

@@ -274,7 +274,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l jobs -x -
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l dask -x -d 'use the workers of this Dask scheduler instead'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l topology -xka "grid scale-free lennard-jones random-walk islands" -d 'which topologies, all by default'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l variant -xka "plain immediate mirror mirror-immediate copies-auto" -d 'which variants, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l variant -xka "plain immediate mirror mirror-immediate copies-auto defaults" -d 'which variants, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l failures -x -d 'also repeat all runs with this share of the drones dying permanently, 0 to 1 (0.1 without a number)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a ablation -d 'What each part of the defaults is worth, where frames take time and where not.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -s h -l help -d 'show this help message and exit'

@@ -8,7 +8,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.experiment.baselines.common import Baseline
 
 #: How many waiting data outweigh one hop.
-HOP_WEIGHT = 2
+HOP_WEIGHT = 5
 
 
 class Backpressure(Baseline):

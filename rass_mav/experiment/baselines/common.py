@@ -14,7 +14,6 @@ is real: every frame goes over the mock radio in an existing kind of message, at
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -29,8 +28,9 @@ from rass_mav.core.news.voice import Serials
 from rass_mav.core.participant import Participant
 from rass_mav.core.routes.neighbours import Neighbour, is_base
 
-#: A neighbour is in contact if its last beacon is at most this old, turns.
+#: A neighbour is in contact if its last beacon is at most this old, turns; and so long where beacons get lost.
 CONTACT_TURNS = 1.5
+LOSSY_TURNS = 3.5
 #: How often a copy is sent without an answer. The wait doubles each time.
 MAX_TRIES = 4
 #: A full summary vector is sent at most once in this many steps.
@@ -122,9 +122,10 @@ class Baseline(Participant):
     def end(self, id: DatumId) -> None:
         """A datum is no longer here."""
 
-    @abstractmethod
     def choose(self, id: DatumId, contacts: list[Neighbour], now: float) -> Neighbour | None:
-        """Which of the drones in contact that are not known to have a datum receives it now; None: none."""
+        """Which of the drones in contact that are not known to have a datum receives it now; None: it waits for a
+        base."""
+        return None
 
     def mark(self, id: DatumId, neighbour: Neighbour) -> int:
         """The mark for this copy, 16 bits; 0 if the own copy goes."""
@@ -193,8 +194,9 @@ class Baseline(Participant):
     def _look_round(self, now: float) -> None:
         """Who is in contact, who is new, and who has gone."""
         neighbours = self.routing.neighbours
-        oldest = now - CONTACT_TURNS * self.routing.longest_turn_s
-        self._live = [n for n in neighbours.values() if n.heard >= oldest]
+        turn_s = self.routing.longest_turn_s
+        fresh, oldest = now - CONTACT_TURNS * turn_s, now - LOSSY_TURNS * turn_s
+        self._live = [n for n in neighbours.values() if n.heard >= fresh or (not n.clean and n.heard >= oldest)]
         met = frozenset(neighbours)
         if met != self._met:
             if gone := self._met - met:

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Data, Handover, Message
-from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.experiment.baselines.common import Baseline
 
 #: Steps after which a datum is broadcast again if a neighbour has still not reported it; doubled each time.
@@ -31,9 +30,6 @@ class Epidemic(Baseline):
 
     def end(self, id: DatumId) -> None:
         self._said.pop(id, None)
-
-    def choose(self, id: DatumId, contacts: list[Neighbour], now: float) -> Neighbour | None:
-        return contacts[0] if contacts else None
 
     def _send(self, ids: Iterable[DatumId], now: float, out: list[Message]) -> None:
         handovers = []
