@@ -71,7 +71,6 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
-        "_immediate",
         "_kind",
         "_reports",
         "_rng",
@@ -139,7 +138,6 @@ class Agent:
         """Steps done."""
         self.last_reading: Reading | None = None
         """The last reading, from the autopilot or from the node's own sensor."""
-        self._immediate = settings.forward == "immediate"
         self.answers_ride = True
         """Whether answers may share a frame with data for another node: where a frame reaches all neighbours."""
         self._beats = Heartbeats(now)
@@ -299,7 +297,7 @@ class Agent:
 
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
-        if self._immediate:
+        if self.settings.forward == "immediate":
             moves = self.node.forward(now)
             answers = let_ride(answers, moves) if self.answers_ride else answers + moves
         return self.peers.frames(answers, self.store, now) if answers else ()
@@ -337,7 +335,8 @@ class Agent:
 
     def forward(self, now: float) -> Sequence[Outgoing]:
         """With `node.forward: immediate`, forward the data that have come in or been created since the last turn."""
-        return self.peers.frames(self.node.forward(now), self.store, now) if self._immediate else ()
+        immediate = self.settings.forward == "immediate"
+        return self.peers.frames(self.node.forward(now), self.store, now) if immediate else ()
 
     def greet_vehicle(self) -> Outgoing:
         """The heartbeat to the autopilot. It must be the first frame on a port that has just been opened: an autopilot
