@@ -22,6 +22,7 @@ from rass_mav.core.messages import (
     Data,
     Handover,
     Message,
+    Offer,
     PassedOn,
     Word,
     WordEntry,
@@ -419,6 +420,18 @@ def test_fixed_retries_come_every_so_many_steps() -> None:
         giver.beacon()
         again.append(giver.turn())
     assert again == [[], [sent]] * 3
+
+
+def test_a_transfer_that_stands_still_is_probed_in_each_turn() -> None:
+    """No answer to a single frame ends the wait, so it would stand still for long where every fifth frame is lost."""
+    giver = Giver()
+    giver.hand_over(trip_s=0.1)
+    id = giver.node.put(bytes(500), giver.now)
+    for _ in range(6):
+        giver.beacon()
+        giver.now += 1.0
+        [offer] = of(Offer, giver.node.step(giver.now))
+        assert (offer.target, offer.id) == (NEXT, id)
 
 
 def test_no_second_neighbour_while_only_the_beacons_of_the_first_are_lost() -> None:

@@ -167,7 +167,8 @@ class Percolation:
         """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
         may wait for the same air."""
         settings, turn_s, again = self._keeper.settings, self._pace.turn_s, pending.tries - 1
-        if not settings.measured:
+        if not settings.measured or pending.sending is not None:
+            # A transfer stands still until it is probed.
             pending.due = now + (settings.retry_steps - 0.5) * turn_s
             return
         trips = self._trips
