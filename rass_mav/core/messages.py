@@ -126,6 +126,8 @@ class Beacon(NamedTuple):
     turn: int = 0
     """The time between the sender's beacons in tenths of a second, 16 bits, if its link cannot carry one a step; 0: one
     a step, as usual."""
+    moves: int = 0
+    """Where the sender is and how it moves, 64 bits (`rass_mav.core.routes.contacts`); 0: not told."""
 
 
 BEACON_BASE = 1

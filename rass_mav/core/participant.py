@@ -196,7 +196,7 @@ class Participant(ABC):
         return Beacon(
             self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
-            self._turn,
+            self._turn, 0 if routing.contacts is None else routing.contacts.announced(now),
         )  # fmt: skip
 
     # -- changing settings ---------------------------------------------------------------------------------------------

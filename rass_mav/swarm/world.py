@@ -24,8 +24,12 @@ class World(VirtualSwarm):
         self.scenario = scenario
         self.surroundings = Surroundings(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
+        self._places: Sequence[tuple[float, float]] | None = None
+        """Where the nodes were a step ago, if their flight controllers report velocities; else nobody asks."""
+        # A node that foresees contacts asks for a position in each step. (Twice as often, so that rounding skips none.)
+        hz = 2.0 / scenario.node.step_s if scenario.routing.contacts else 1.0
         self._autopilots = [
-            MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name)
+            MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name, position_hz=hz)
             for node_id in range(scenario.nodes)
         ]
         radiation = scenario.radiation
@@ -112,10 +116,15 @@ class World(VirtualSwarm):
         levels = self.surroundings.levels
         agents = self.agents
         off = self.off
+        before, step_s = self._places or positions, self.step_s
+        if self.scenario.routing.contacts:
+            self._places = positions
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]
+            last_x, last_y = before[node_id]
+            velocity = ((x - last_x) / step_s, (y - last_y) / step_s)
             vehicle_bytes = agents[node_id].vehicle_bytes
-            frames = autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise))
+            frames = autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise), velocity)
             if node_id in off:
                 continue
             for frame in frames:

@@ -61,6 +61,9 @@ DIGEST = 16
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
 _BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
 _SEAL = 37
+# One byte is reserved, then the sender's motion.
+_MOVES = struct.Struct("<xQ")
+_NOT_TOLD = (0,)
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _DISTANCE = struct.Struct("<HHB")
@@ -135,7 +138,9 @@ _BEACON_HEAD = _head(BEACON)
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    rest = _BEACON.pack(_BEACON_HEAD, *m)
+    rest = _BEACON.pack(_BEACON_HEAD, *m[:-1])
+    if m.moves:
+        rest += _MOVES.pack(m.moves)
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
@@ -305,7 +310,8 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, fields)
+    moves = _MOVES.unpack_from(rest, _BEACON.size) if len(rest) >= _BEACON.size + _MOVES.size else _NOT_TOLD
+    return tuple.__new__(Beacon, fields + moves)
 
 
 def _decode_data(p: bytes, now: float) -> Data:

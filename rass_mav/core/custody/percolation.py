@@ -61,9 +61,9 @@ class Percolation:
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
         keeper, transfers, pace, routing = self._keeper, self._transfers, self._pace, self._routing
         neighbours = routing.neighbours
-        # A neighbour whose last beacon is missing may have moved away: it is tried only if no other is fit.
+        # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
-            [n for n in neighbours.values() if n.heard >= now - 1.5 * n.turn_s],
+            [n for n in neighbours.values() if not n.is_missing(now)],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
             routing.distance, potential, self._risk.risk(now), pace.left - pace.kept, self._for_neighbour, self._rng,
         )  # fmt: skip

@@ -20,6 +20,8 @@ from rass_mav.core.routes.serial import newer
 _LATE_WINDOW = 32
 #: A neighbour of which recently fewer beacons than this were missed is on a clean link (`Neighbour.missed`).
 CLEAN_MISSED = 0.2
+#: A neighbour silent for more than this many of its turns may have moved away.
+RECENT_TURNS = 1.5
 #: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another,
 MOST_TURN_S = 60.0
 #: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
@@ -34,7 +36,7 @@ _ROUNDING_S = 1e-3
 class Neighbour:
     """A neighbour as its last beacon described it."""
 
-    __slots__ = ("beacon", "confirmed", "heard", "id", "late", "lifetime_s", "missed", "turn_s")
+    __slots__ = ("beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "turn_s")
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
         self.id = beacon.sender
@@ -49,8 +51,14 @@ class Neighbour:
         """Recently missed beacons: each counts a fifth less with each that is heard."""
         self.confirmed = False
         """Whether it was heard twice: two beacons of one life, in order."""
+        self.leaves = inf
+        """When it is expected to be out of range, seconds (`Contacts`)."""
         self.late: int | None = None
         """Number of the last beacon that was treated as late."""
+
+    def is_missing(self, now: float) -> bool:
+        """Whether it has probably moved away: its last beacon is missing, or it is expected to be out of range."""
+        return self.heard < now - RECENT_TURNS * self.turn_s or self.leaves <= now
 
     @property
     def clean(self) -> bool:

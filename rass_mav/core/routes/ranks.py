@@ -16,8 +16,6 @@ from rass_mav.core.routes.neighbours import Neighbour
 
 #: By hops, a node changes to another base when its own is out of reach, or this many hops farther than the other.
 CHANGE_OVER_HOPS = 3
-#: By costs, a neighbour silent for more than this many of its turns may have moved away.
-RECENT_TURNS = 1.5
 
 
 class Rank(Protocol):
@@ -106,9 +104,8 @@ class ByCost:
         """How long the present window lasts, and the least length of the next one."""
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
-        """Full: 1, because it may still be the route, but data wait there. Its last beacon is missing: 2."""
-        late = neighbour.heard < now - RECENT_TURNS * neighbour.turn_s
-        return 2 * late + (not neighbour.beacon.free)
+        """Full: 1, because it may still be the route, but data wait there. It has probably moved away: 2."""
+        return 2 * neighbour.is_missing(now) + (not neighbour.beacon.free)
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """By cost. After all of them come nodes of another policy, by hops."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 from math import inf
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Beacon, Route
+from rass_mav.core.routes.contacts import Contacts
 from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.neighbours import Neighbour, Neighbours
 from rass_mav.core.routes.ranks import Rank
@@ -37,6 +38,7 @@ class RoutingTable:
         "_feasible",
         "_max_hops",
         "base",
+        "contacts",
         "distance",
         "life",
         "lifetime_s",
@@ -74,6 +76,8 @@ class RoutingTable:
         self.longest_s = self.lifetime_s * (self.turn_s / self.step_s)
         """The longest time that this node or a neighbour is remembered after its last beacon, seconds."""
         self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing)
+        self.contacts = Contacts() if settings.contacts else None
+        """None: nobody's motion is taken into account."""
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
         self.route: Route | None = None
@@ -100,6 +104,8 @@ class RoutingTable:
         """Process a neighbour's beacon. False: it is a duplicate or late, or there is no space for a new neighbour."""
         if not self.neighbours.hear(beacon, now, self.next_hop):
             return False
+        if self.contacts is not None and (neighbour := self.neighbours.get(beacon.sender)) is not None:
+            neighbour.leaves = self.contacts.leaves(beacon.moves, now)
         if beacon.flags & BEACON_WANTED:
             self._hear_request(beacon.wanted_base, beacon.wanted_number, now)
         if self.base and (beacon.base, beacon.base_life) == (self.node_id, self.life) and beacon.hops != NO_ROUTE:

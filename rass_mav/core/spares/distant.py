@@ -176,7 +176,7 @@ class DistantSpares:
         unknown: list[Neighbour] = []
         for neighbour in self._routing.neighbours.values():
             beacon = neighbour.beacon
-            fresh = neighbour.heard >= now - 1.5 * neighbour.turn_s
+            fresh = not neighbour.is_missing(now)
             room = beacon.free > sent.get(neighbour.id, 0)
             if neighbour.id in near or not fresh or not room or beacon.flags & BEACON_BASE:
                 continue

@@ -58,7 +58,7 @@ class SpareOffers:
         """Small data that were handed over to this node since the last look: their giver is their backer. These are
         ids, because the record may have been replaced by then."""
         self.gone = 0.0
-        """Recent share of the neighbours that fall silent from one step to the next; 0..1."""
+        """Recent share of the neighbours that fall silent unexpectedly from one step to the next; 0..1."""
         self._enclosed: dict[int, float] = {}
         """Neighbours that are offered spares only if there is no other, because they know no node out of this one's
         range; and until when."""
@@ -91,7 +91,8 @@ class SpareOffers:
             age = (now - neighbour.heard) / neighbour.turn_s
             if age < 1.5:
                 here += 1
-            elif age < 2.5:
+            elif age < 2.5 and neighbour.leaves > neighbour.heard + 1.5 * neighbour.turn_s:
+                # Those that were expected to leave are given nothing.
                 silent += 1
         if silent or here:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)
@@ -184,7 +185,7 @@ class SpareOffers:
         safest = [
             neighbour
             for neighbour in self._routing.neighbours.values()
-            if neighbour.heard >= now - 1.5 * neighbour.turn_s
+            if not neighbour.is_missing(now)
             and neighbour.beacon.free
             and not neighbour.beacon.flags & BEACON_BASE
             and refused.get(neighbour.id, now) <= now
