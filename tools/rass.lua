@@ -74,6 +74,7 @@ field("potential", ProtoField.uint32, "rass.potential", "Potential (16777216 is 
 field("digest", ProtoField.uint32, "rass.digest", "Receipt digest", base.HEX)
 field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC of the beacon", base.HEX)
 field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
+field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
 field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
@@ -315,6 +316,10 @@ READ[1] = function(r)
     r:number("digest", 4)
     local crc = r:number("beacon_crc", 4)
     r:number("turn", 2)
+    if r.at + 9 <= r.tvb:len() then
+        r:need(1)
+        r.tree:add_le(f.moves, r:need(8))
+    end
     if crc ~= crc_32_around(r.tvb, 37, 4) then error(CUT, 0) end
     local way = hops == 255 and "no route" or string.format("%d hops to %d", hops, to)
     return string.format("%d: %s, risk %.3f", sender, way, risk / 65535)

@@ -229,7 +229,7 @@ class Agent:
             return
         if telemetry.system_id != latched:
             self._keep_system_id()
-        position, contacts = telemetry.position, self.node.routing.contacts
+        position, contacts = telemetry.position, self.node.routing.neighbours.contacts
         if contacts is not None and position is not None and position.at == now:
             contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
         reading = telemetry.reading

@@ -75,7 +75,7 @@ class RoutingSettings(Section):
     times as much. Only under a policy whose costs add up (survival)."""
     contacts: bool = True
     """A neighbour that has flown out of range, by its velocity and the node's own, is given no data if another is fit.
-    Nodes that move then report their places in their beacons."""
+    Nodes that move report their places and velocities in their beacons."""
 
 
 class CustodySettings(Section):

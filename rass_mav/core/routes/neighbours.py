@@ -14,6 +14,7 @@ from collections.abc import Callable
 from math import inf
 
 from rass_mav.core.messages import BEACON_BASE, Beacon
+from rass_mav.core.routes.contacts import Contacts
 from rass_mav.core.routes.serial import newer
 
 #: A beacon at most this far behind the newest one is a late or duplicated frame; otherwise the neighbour has restarted.
@@ -69,7 +70,16 @@ class Neighbour:
 class Neighbours(dict[int, Neighbour]):
     """All neighbours by node id, in the order in which they were first heard."""
 
-    __slots__ = ("_candidates", "_lifetime_s", "_longest_s", "_most", "_nobody_goes_until", "_standing", "_step_s")
+    __slots__ = (
+        "_candidates",
+        "_lifetime_s",
+        "_longest_s",
+        "_most",
+        "_nobody_goes_until",
+        "_standing",
+        "_step_s",
+        "contacts",
+    )
 
     def __init__(
         self, step_s: float, lifetime_s: float, most: int, standing: Callable[[Beacon], tuple[int, int]]
@@ -82,6 +92,8 @@ class Neighbours(dict[int, Neighbour]):
         self._lifetime_s = lifetime_s
         self._most = most
         self._standing = standing
+        self.contacts: Contacts | None = None
+        """None: nobody's motion is taken into account."""
         self._candidates: dict[int, tuple[int, int, float, float]] = {}
         """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""
@@ -114,6 +126,8 @@ class Neighbours(dict[int, Neighbour]):
         elif beacon.turn or last.turn or now < known.heard:
             self._be_patient(known, now - known.heard)
         known.heard = now
+        if self.contacts is not None:
+            known.leaves = self.contacts.leaves(beacon.moves, now)
         return True
 
     def _hear_new(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
@@ -133,6 +147,8 @@ class Neighbours(dict[int, Neighbour]):
                 return False
         elif 2 * len(self) >= self._most and not new.confirmed:
             return False
+        if self.contacts is not None:
+            new.leaves = self.contacts.leaves(beacon.moves, now)
         self[id] = new
         self._be_patient(new, now - heard)
         return True

@@ -38,7 +38,6 @@ class RoutingTable:
         "_feasible",
         "_max_hops",
         "base",
-        "contacts",
         "distance",
         "life",
         "lifetime_s",
@@ -76,8 +75,7 @@ class RoutingTable:
         self.longest_s = self.lifetime_s * (self.turn_s / self.step_s)
         """The longest time that this node or a neighbour is remembered after its last beacon, seconds."""
         self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing)
-        self.contacts = Contacts() if settings.contacts else None
-        """None: nobody's motion is taken into account."""
+        self.neighbours.contacts = Contacts() if settings.contacts else None
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
         self.route: Route | None = None
@@ -104,8 +102,6 @@ class RoutingTable:
         """Process a neighbour's beacon. False: it is a duplicate or late, or there is no space for a new neighbour."""
         if not self.neighbours.hear(beacon, now, self.next_hop):
             return False
-        if self.contacts is not None and (neighbour := self.neighbours.get(beacon.sender)) is not None:
-            neighbour.leaves = self.contacts.leaves(beacon.moves, now)
         if beacon.flags & BEACON_WANTED:
             self._hear_request(beacon.wanted_base, beacon.wanted_number, now)
         if self.base and (beacon.base, beacon.base_life) == (self.node_id, self.life) and beacon.hops != NO_ROUTE:
