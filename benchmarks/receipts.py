@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections import Counter
@@ -26,12 +27,14 @@ if __name__ == "__main__":
 
 from rass_mav.agent.peers import open_datagram
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.news.receipts import DENIAL_TURNS, Receipts
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import percentile
 from rass_mav.swarm.world import World
+from rass_mav.wire.codec import DIGEST_BYTES, MAX_TUNNEL
 
 #: Steps within which a node should know.
 WITHIN = 60
@@ -123,47 +126,101 @@ def measure(scenario: Scenario) -> dict[str, Any]:
     copies.world.run(scenario.steps, after=copies.look)
     cpu_s = time.process_time() - begun
     summary = copies.world.statistics.summary()
-    ends = copies.ends
+    agents, ends, delays = copies.world.agents, copies.ends, sorted(copies.delays)
     held = ends["known"] + ends["unknown"]
     robot_steps = scenario.nodes * max(1, scenario.steps)
+    created = max(1, summary["created"])
+    lost = sum(summary["lost"].values())
+    drone, base = bounds(scenario)
     return {
         "nodes": scenario.nodes,
         "bases": scenario.bases,
         "seed": scenario.seed,
         "steps": scenario.steps,
         "known_within": round(ends["known"] / held, 4) if held else 1.0,
-        "delay_steps": {"p50": percentile(sorted(copies.delays), 0.5), "p95": percentile(sorted(copies.delays), 0.95)},
+        "known_after_steps": {"p50": percentile(delays, 0.5), "p95": percentile(delays, 0.95)},
         "copies": dict(sorted(ends.items())),
         "false_ends": copies.false,
         "receipt_bytes": round(copies.bytes / robot_steps, 2),
-        "delivered": round(summary["delivered"] / max(1, summary["created"]), 4),
-        "reliability": summary["reliability"],
-        "loops": summary["routing"]["loops"],
-        "memory_used_percent": summary["memory_used_percent"],
-        "transmissions_per_datum": summary["transmissions_per_datum"],
-        "hops": summary["hops"],
-        "delay_of_data": summary["delay_steps"],
-        "created": summary["created"],
-        "overflow": summary["lost"]["overflow"],
-        "robot_steps_per_s": round(robot_steps / cpu_s) if cpu_s else 0,
-        "forgetful": sum(agent.node.receipts.digest == 0 for agent in copies.world.agents if agent.node.receipts.told),
-        "alarms": dict(
-            sum((Counter({a.name: 1 for a in ag.node.alarms.counts}) for ag in copies.world.agents), Counter())
+        "receipt_bytes_bounds": {"drone": round(drone, 2), "base": round(base, 2)},
+        "statements": max(
+            (len(r.statements.of) for agent in agents if isinstance(r := agent.node.receipts, Receipts)), default=0
         ),
+        "created": summary["created"],
+        "delivered": round(summary["delivered"] / created, 6),
+        "reliability": summary["reliability"],
+        "lost_per_million": round(1e6 * lost / created, 1),
+        "lost_per_million_bound": round(1e6 * most_expected(lost) / created, 1),
+        "delay_steps": summary["delay_steps"],
+        "transmissions_per_datum": summary["transmissions_per_datum"],
+        "bytes_per_node_and_s": round(summary["bytes_sent"] / robot_steps / scenario.node.step_s, 1),
+        "memory_used_percent": summary["memory_used_percent"],
+        "loops": summary["routing"]["loops"],
+        "alarms": dict(Counter(alarm.name.lower() for agent in agents for alarm in agent.node.alarms.counts)),
+        "cpu_s": round(cpu_s, 1),
     }
+
+
+def bounds(scenario: Scenario) -> tuple[float, float]:
+    """The most payload of receipts that a drone and a base send in a step, bytes."""
+    custody = scenario.custody
+    if not custody.receipts:
+        return 0.0, 0.0
+    period = custody.receipt_steps
+    receipts = (MAX_TUNNEL + 15 / DENIAL_TURNS) / period
+    if not custody.digest:
+        return receipts, receipts
+    return receipts + DIGEST_BYTES / period, receipts + DIGEST_BYTES / max(1, period // 3)
+
+
+def most_expected(events: int) -> float:
+    """The expected number below which so many events, or fewer, would be a chance of 0.05 or less (Poisson)."""
+    low, high = float(events), 2.0 * events + 10.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        chance = math.fsum(math.exp(n * math.log(middle) - middle - math.lgamma(n + 1)) for n in range(events + 1))
+        low, high = (middle, high) if chance > 0.05 else (low, middle)
+    return high
+
+
+def show(one: dict[str, Any]) -> None:
+    """Print one run."""
+    copies, after, bound, delay = (
+        one[key] for key in ("copies", "known_after_steps", "receipt_bytes_bounds", "delay_steps")
+    )
+    nodes, bases, mean = one["nodes"], one["bases"], one["receipt_bytes"]
+    counted = copies.get("known", 0) + copies.get("unknown", 0)
+    others = ", ".join(f"{count:,} {name}" for name, count in copies.items() if name not in ("known", "unknown"))
+    most = bound["drone"] * (nodes - bases) + bound["base"] * bases
+    lines = (
+        f"{nodes:,} nodes, {bases} bases, seed {one['seed']}, {one['steps']} steps, {one['cpu_s']} s of processor time",
+        f"known within {WITHIN} steps: {one['known_within']:.4f} of {counted:,} copies"
+        f" (half after {after['p50']} steps, 95 % after {after['p95']})",
+        f"copies that ended otherwise before: {others or 'none'}; before their datum arrived: {one['false_ends']:,}",
+        f"receipts: {mean} bytes of payload a node and step (at most {bound['drone']} a drone, {bound['base']} a base)",
+        f"receipts of all nodes: {mean * nodes / 1000:.1f} KB a step (at most {most / 1000:.1f})",
+        f"delivered {one['delivered']:.4f} of {one['created']:,}, reliability {one['reliability']:.6f},"
+        f" lost per million {one['lost_per_million']} (below {one['lost_per_million_bound']}), loops {one['loops']}",
+        f"delay {delay['p50']} steps (95 %: {delay['p95']}), sent per datum {one['transmissions_per_datum']},"
+        f" {one['bytes_per_node_and_s']} bytes per node and second, memory used {one['memory_used_percent']} %",
+    )
+    print("\n  ".join(lines), flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario", nargs="?", default="thousand", help="a scenario's name or file (default: thousand)")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="default: 1")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="SEED", help="default: 1")
     parser.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="a scenario key")
     parser.add_argument("--json", action="store_true", help="print one JSON object per seed")
     options = parser.parse_args(arguments)
     for seed in options.seeds:
-        result = measure(load_scenario(options.scenario, {"seed": seed}, options.keys))
-        print(json.dumps(result), flush=True)
+        one = measure(load_scenario(options.scenario, {"seed": seed}, options.keys))
+        if options.json:
+            print(json.dumps(one), flush=True)
+        else:
+            show(one)
 
 
 if __name__ == "__main__":

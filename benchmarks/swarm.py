@@ -58,7 +58,7 @@ def variants() -> dict[str, Variant]:
             small,
             {**large, "data.interval_steps": round(10 * farther)},
         ),
-        "bases in proportion": Variant(f"{bases} bases at 1,000 nodes, side by side", small, {**large, "bases": bases}),
+        "bases in proportion": Variant(f"{bases} bases at 1,000 nodes, far apart", small, {**large, "bases": bases}),
         "islands of 100": Variant(
             f"{bases} swarms of 100 nodes, out of each other's range: 1,000 nodes do what 100 do",
             {**small, **_islands(1)},

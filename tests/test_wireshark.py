@@ -106,17 +106,16 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
+        elif name in ("answers", "distance", "moves"):
+            yield from said_in_a_block(name, value)
         elif name == "marks":
-            yield "count", len(value)
-            yield "mark_bytes", len(pack_marks(value, record.bits))
-            for mark in value:
-                yield "mark", mark
+            yield from [("count", len(value)), ("mark_bytes", len(pack_marks(value, record.bits)))]
+            yield from [("mark", mark) for mark in value]
         elif name in ("committed", "refused"):
             yield name, len(value)
+            names = ("number", "crc") if name == "committed" else ("refused_number",)
             for each in value:
-                yield from (
-                    zip(("number", "crc"), each, strict=True) if name == "committed" else [("refused_number", each)]
-                )
+                yield from zip(names, each if name == "committed" else (each,), strict=True)
         elif hasattr(value, "_fields"):
             yield from said(value, now)
         elif name == "payload":
@@ -133,8 +132,21 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield NAMES.get(f"{kind}.{name}", name), value
 
 
+def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
+    if name == "distance":
+        yield from [("block", 2), ("block_size", 5), *said(value)]
+    elif name == "moves":
+        yield from [("block", 3), ("block_size", 8), (name, value)]
+    elif value:
+        yield "block", 1
+        yield "block_size", sum(4 + 8 * len(each.committed) + 4 * len(each.refused) for each in value)
+        for each in value:
+            # Their sender is the message's.
+            yield from list(said(each))[1:]
+
+
 def read(name: str, text: str) -> int | bytes:
-    if name in ("rass.payload", "rass.data", "rass.bitmap", "rass.entry_bitmap"):
+    if name in ("rass.payload", "rass.data", "rass.bitmap", "rass.entry_bitmap", "rass.block_content"):
         return bytes.fromhex(text.replace(":", ""))
     if text in ("True", "False"):
         return int(text == "True")
@@ -232,6 +244,18 @@ def test_a_swarm_with_its_own_payload_type(tmp_path: Path) -> None:
     found = shown(tmp_path, datagrams, PORT, "-o", "rass_mavlink.payload_type:40000")
     assert [fields.get("rass.type") for fields in found] == [["4"], None]
     assert found[1]["rass_mavlink.payload_type"] == ["33200"]
+
+
+def test_blocks_of_later_versions_are_shown_as_they_are(tmp_path: Path) -> None:
+    payload = GOLDEN["data"] + b"\x09\x02ab" + GOLDEN["data-answers"][len(GOLDEN["data"]) :] + b"\x0a\0"
+    (fields,) = shown(tmp_path, [frame(payload)])
+    assert fields["rass.block"] == ["9", "1", "10"]
+    assert fields["rass.block_content"] == ["61:62"]
+    for name in ("rass.block", "rass.block_size", "rass.block_content"):
+        del fields[name]
+    answer = decoded(GOLDEN["data-answers"])
+    fields |= {"rass.block": ["1"], "rass.block_size": ["16"]}
+    assert_shows(fields, answer)
 
 
 def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:

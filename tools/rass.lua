@@ -101,6 +101,9 @@ field("data", ProtoField.bytes, "rass.data", "Data of the chunk")
 field("bitmap_size", ProtoField.uint8, "rass.bitmap_size", "Bytes of bitmap")
 field("bitmap", ProtoField.bytes, "rass.bitmap", "Bitmap")
 field("committed", ProtoField.uint8, "rass.committed", "Committed pairs")
+field("block", ProtoField.uint8, "rass.block", "Kind of block")
+field("block_size", ProtoField.uint8, "rass.block_size", "Bytes in the block")
+field("block_content", ProtoField.bytes, "rass.block_content", "Content of the block")
 field("refused", ProtoField.uint8, "rass.refused", "Refused numbers")
 field("refused_number", ProtoField.uint32, "rass.refused_number", "Refused hand-over", base.HEX)
 field("serial", ProtoField.uint32, "rass.serial", "Serial of the statement")
@@ -294,6 +297,50 @@ end
 
 local READ = {}
 
+-- An answer to hand-overs, but for its sender; returns how many pairs and numbers it has.
+local function answer(r)
+    local committed = r:number("committed", 1)
+    local refused = r:number("refused", 1)
+    times(r, committed, "Committed", function()
+        r:number("number", 4)
+        r:number("crc", 4)
+    end)
+    for _ = 1, refused do r:number("refused_number", 4) end
+    return committed, refused
+end
+
+-- What follows the fields of a beacon and the hand-overs of data, up to the end.
+local function blocks(r)
+    while r.at < r.tvb:len() do
+        r:branch("Block", function()
+            local kind = r:number("block", 1)
+            local size = r:number("block_size", 1)
+            local last = r.at + size
+            if last > r.tvb:len() then error(CUT, 0) end
+            if kind == 2 and size >= 5 then
+                r:number("near", 2)
+                r:number("custodian", 2)
+                r:number("further", 1)
+                size = size - 5
+            elseif kind == 3 and size >= 8 then
+                r.tree:add_le(f.moves, r:need(8))
+                size = size - 8
+            end
+            if kind ~= 1 then
+                if size > 0 then r:bytes("block_content", size) end
+                return
+            end
+            while r.at < last do
+                r:branch("Answer", function()
+                    r:number("target", 2)
+                    answer(r)
+                end)
+            end
+            if r.at > last then error(CUT, 0) end
+        end)
+    end
+end
+
 READ[1] = function(r)
     local sender = r:number("sender", 2)
     if sender == 65535 then error(CUT, 0) end
@@ -316,11 +363,8 @@ READ[1] = function(r)
     r:number("digest", 4)
     local crc = r:number("beacon_crc", 4)
     r:number("turn", 2)
-    if r.at + 9 <= r.tvb:len() then
-        r:need(1)
-        r.tree:add_le(f.moves, r:need(8))
-    end
     if crc ~= crc_32_around(r.tvb, 37, 4) then error(CUT, 0) end
+    blocks(r)
     local way = hops == 255 and "no route" or string.format("%d hops to %d", hops, to)
     return string.format("%d: %s, risk %.3f", sender, way, risk / 65535)
 end
@@ -342,12 +386,7 @@ READ[2] = function(r)
         r:number("number", 4)
         info = info .. " " .. whole_datum(r)
     end)
-    if count:uint() >= 128 and r.at < r.tvb:len() then
-        local near = r:number("near", 2)
-        local custodian = r:number("custodian", 2)
-        r:number("further", 1)
-        info = info .. string.format(", away from %d and %d", near, custodian)
-    end
+    blocks(r)
     return info
 end
 
@@ -394,13 +433,7 @@ end
 
 READ[7] = function(r)
     local info = to_one(r)
-    local committed = r:number("committed", 1)
-    local refused = r:number("refused", 1)
-    times(r, committed, "Committed", function()
-        r:number("number", 4)
-        r:number("crc", 4)
-    end)
-    for _ = 1, refused do r:number("refused_number", 4) end
+    local committed, refused = answer(r)
     return string.format("%s, %d committed, %d refused", info, committed, refused)
 end
 

@@ -18,7 +18,7 @@ from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
-from rass_mav.core.messages import Beacon, Message
+from rass_mav.core.messages import Beacon, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
@@ -73,6 +73,7 @@ class Agent:
     __slots__ = (
         "_beats",
         "_immediate",
+        "_kind",
         "_reports",
         "_rng",
         "_said",
@@ -102,12 +103,14 @@ class Agent:
         observer: Observer | None = None,
         newborn: bool = False,
         forgiving: bool = False,
+        participant: type[Participant] | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
-        fault raises.
+        fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
+        others with it.
         """
         configured = settings
         unfit: list[str] = []
@@ -116,6 +119,7 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
+        self._kind = participant
         self.guard = Guard(self) if forgiving else Unguarded()
         """Handles every incoming frame."""
         self.node = self._make_node(now, observer, newborn)
@@ -126,6 +130,7 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         self.peers = Peers(settings.node_id, FrameWriter(system_id, mavlink.component_id), mavlink.payload_type)
+        self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
         self._said: list[Outgoing] = []
@@ -149,7 +154,7 @@ class Agent:
     def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
-        kind = Replica if policy.replicates else Node
+        kind = self._kind or (Replica if policy.replicates else Node)
         return kind(
             settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn,
@@ -195,6 +200,7 @@ class Agent:
     def _renew(self, now: float) -> None:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False)
+        self.peers.overhears = self.node.overhears
         self._observe_again()
 
     def _observe_again(self) -> None:
@@ -295,7 +301,7 @@ class Agent:
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
         if self._immediate:
-            answers += self.node.forward(now)
+            answers = let_ride(answers, self.node.forward(now))
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from rass_mav.core.messages import BROADCAST, KINDS, Message, Target, Urgency
+from rass_mav.core.messages import BROADCAST, KINDS, Data, Message, Target, Urgency
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
@@ -48,6 +48,8 @@ def frames_of(
     out = []
     for message in messages:
         whose, urgency, rests = KINDS[type(message)]
+        if type(message) is Data and message.answers:
+            urgency = Urgency.ANSWER
         target = BROADCAST if whose is Target.EVERYBODY else message.target  # type: ignore[union-attr]
         promises = False
         if unwritten:

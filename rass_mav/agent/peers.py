@@ -16,7 +16,7 @@ from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode, target_of
+from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
 
 log = logging.getLogger(__name__)
@@ -51,8 +51,8 @@ class Peers:
     """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "reader", "received", "system_ids",
-        "writer",
+        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "overhears", "reader", "received",
+        "system_ids", "writer",
     )  # fmt: skip
 
     def __init__(self, node_id: int, writer: FrameWriter, payload_type: int) -> None:
@@ -61,6 +61,8 @@ class Peers:
         self._payload_type = payload_type
         self.writer = writer
         self.reader = FrameReader()
+        self.overhears = False
+        """Whether data for other nodes are for this node too."""
         self.received = 0
         """TUNNEL frames of our payload type heard from the radio, whatever their target."""
         self.malformed = 0
@@ -92,7 +94,7 @@ class Peers:
             self.foreign += 1
             return None
         self.received += 1
-        if target != self._node_id and target != BROADCAST:
+        if target != self._node_id and target != BROADCAST and not (self.overhears and is_data(payload)):
             return None
         if (system or component) and not addressed_to(
             system, component, self.writer.system_id, self.writer.component_id

@@ -4,6 +4,15 @@ from __future__ import annotations
 
 import random
 
+#: The most by which a turn comes later than due, in steps.
+MOST_JITTER = 0.25
+
+
+def jitter(rng: random.Random) -> float:
+    """By how much a turn comes later, in steps. The beacons of two nodes that do not hear each other would otherwise
+    collide at a third every time (RFC 5148)."""
+    return MOST_JITTER * rng.random()
+
 
 class Turns:
     """Turns of whole steps. Time is an argument."""

@@ -20,6 +20,7 @@ from rass_mav.agent.commits import MAX_WAITING
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, set_pace
 from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.turns import jitter
 from rass_mav.core.datum import DatumId
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
@@ -59,9 +60,10 @@ class Driver:
     ) -> None:
         """`now`: the agent's timeline. `executor`: one thread, for the store's writes. The caller closes everything.
 
-        `rng`: determines how long a node listens before it sends on a shared radio. `sensor`: the node's own; None:
-        readings come from the autopilot. `ground`: a direct connection to a ground station. `mute`: send nothing to
-        neighbours. `lived`: the clock behind `now`, if the store keeps the time; None: it does not.
+        `rng`: determines by how much steps are late, and how long a node listens before it sends on a shared radio.
+        `sensor`: the node's own; None: readings come from the autopilot. `ground`: a direct connection to a ground
+        station. `mute`: send nothing to neighbours. `lived`: the clock behind `now`, if the store keeps the time; None:
+        it does not.
         """
         self.agent = agent
         self.vehicle = vehicle
@@ -76,7 +78,7 @@ class Driver:
         self.lived = lived
         """Stores the time with the commits."""
         self.duplicates = Duplicates()
-        rng = rng or random.Random()
+        self._rng = rng = rng or random.Random()
         self.channels = [
             Channel(
                 link,
@@ -135,13 +137,14 @@ class Driver:
             if way is not None:
                 way.start(self._wake.set)
         last = loop.time() - self.agent.settings.step_s
+        late_s = 0.0
         try:
             while not self._stopping:
                 self._take_in()
                 # The ground may have changed the length of a step.
                 step_s = self.agent.settings.step_s
                 behind = loop.time() - (last + step_s)
-                if behind >= 0:
+                if behind >= late_s:
                     self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
                     if self.lived is not None:
@@ -150,10 +153,11 @@ class Driver:
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
                     last += (missed + 1) * step_s
+                    late_s = jitter(self._rng) * step_s
                 self._tend()
                 for outgoing in self.writer.drive():
                     self._send(outgoing)
-                until = min(last + step_s, loop.time() + self._tend_at - self.now())
+                until = min(last + step_s + late_s, loop.time() + self._tend_at - self.now())
                 await self._sleep(min(until, self.notifier.alive(loop.time())))
             # The last frames, as far as the sockets take them.
             for outgoing in await self.writer.finish():

@@ -24,6 +24,7 @@ from .common import (
     progress,
     say,
     start_logging,
+    warn,
 )
 
 if TYPE_CHECKING:
@@ -85,6 +86,25 @@ def register(subparsers: Subparsers) -> None:
         help="also repeat all runs with this share of the drones dying permanently, 0 to 1 (0.1 without a number)",
     )  # fmt: skip
 
+    ablation = _add(
+        names, "ablation", _ablation, "what each part of the defaults is worth, where frames take time and where not",
+        "rass-mav experiment ablation --out results --runs 2 --air none", policies=None,
+    )  # fmt: skip
+    _add_names(ablation, "--air", "ablation:ALL_AIRS", "on which airs (default: none wifi-6m wifi-1m)", nargs="+")
+    _add_names(ablation, "--topology", "ablation:PLACES", "which topologies (default: grid random-walk)", nargs="+")
+    _add_names(ablation, "--off", "ablation:SWITCHES", "what to switch off, each in runs of its own", nargs="+")
+
+    baselines = _add(
+        names, "baselines", _baselines, "our defaults and protocols that others have published, on several airs",
+        "rass-mav experiment baselines --out results --runs 2 --place grid --air none", policies=None,
+    )  # fmt: skip
+    _add_names(baselines, "--air", "airs:AIRS", "on which airs, all by default", nargs="+")
+    _add_names(baselines, "--place", "baselines.experiment:PLACES", "in which places, all by default", nargs="+")
+    _add_names(baselines, "--baseline", "baselines:PROTOCOLS", "which protocols, all by default", nargs="+")
+    baselines.add_argument(
+        "--own-runs", type=int, metavar="N", help="runs of our defaults (default: as many as of the others)"
+    )
+
     hostile = _add(
         names, "hostile", _hostile, "attackers beside honest nodes: what arrives, what is lost, who notices, recovery",
         "rass-mav experiment hostile --out results --runs 3",
@@ -116,9 +136,10 @@ def _add(
     run: Callable[[argparse.Namespace], int],
     help: str,
     example: str,
-    policies: str = "POLICIES",
+    policies: str | None = "POLICIES",
 ) -> argparse.ArgumentParser:
-    """Add an experiment that consists of runs of the mock swarm. `policies`: the name of its policies in its module."""
+    """Add an experiment that consists of runs of the mock swarm. `policies`: the name of its policies in its module;
+    None: there is no choice."""
     parser = add_command(names, name, run, help=help, example=example)
     _add_out(parser)
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="runs of each kind (default: 30)")
@@ -126,7 +147,8 @@ def _add(
         "--first-seed", type=int, default=0, metavar="SEED", help="of the first run; the next has the next (default: 0)"
     )
     parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of Alg. 1 per run (default: 500)")
-    _add_names(parser, "--policy", f"{name.replace('-', '_')}:{policies}", "which to compare", nargs="+")
+    if policies is not None:
+        _add_names(parser, "--policy", f"{name.replace('-', '_')}:{policies}", "which to compare", nargs="+")
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes at a time (default: one per core)"
     )
@@ -186,6 +208,31 @@ def _policies(options: argparse.Namespace) -> int:
     return _runs(options, planned, policies.report)
 
 
+def _ablation(options: argparse.Namespace) -> int:
+    from rass_mav.experiment import ablation
+
+    planned = ablation.plan(
+        _extent(options), _chosen("--air", options.air or ablation.USUAL_AIRS, ablation.ALL_AIRS),
+        _chosen("--topology", options.topology or ablation.USUAL_PLACES, ablation.PLACES),
+        _chosen("--off", options.off, ablation.SWITCHES),
+    )  # fmt: skip
+    return _runs(options, planned, ablation.report)
+
+
+def _baselines(options: argparse.Namespace) -> int:
+    from rass_mav.experiment.airs import AIRS
+    from rass_mav.experiment.baselines import PROTOCOLS, experiment
+
+    extent = _extent(options)
+    if options.own_runs is not None and options.own_runs < 1:
+        raise ConfigError(f"--own-runs: expected 1 or more, got {options.own_runs}")
+    planned = experiment.plan(
+        extent, _chosen("--place", options.place, experiment.PLACES), _chosen("--air", options.air, AIRS),
+        _chosen("--baseline", options.baseline, PROTOCOLS), own_runs=options.own_runs,
+    )  # fmt: skip
+    return _runs(options, planned, experiment.report)
+
+
 def _hostile(options: argparse.Namespace) -> int:
     from rass_mav.experiment import hostile
 
@@ -238,11 +285,15 @@ def _runs(
     out = _directory(options.out)
     begin = time.perf_counter()
     runs = out / "runs"
+
+    def tell_outdated(count: int) -> None:
+        warn(f"{runs}: other keys or other code gave {count} of the results there: these runs are done again")
+
     show = partial(progress, unit="runs", quiet=options.json)
     with keeping(
         lambda: f"finished runs: {len(list(runs.glob('*.json')))}, kept in {runs}; the same command continues"
     ):
-        outcome = run_all(planned, runs, jobs=options.jobs, dask=options.dask, progress=show)
+        outcome = run_all(planned, runs, jobs=options.jobs, dask=options.dask, progress=show, outdated=tell_outdated)
     wall = time.perf_counter() - begin
     counts = {"runs": len(outcome.results), "done": outcome.done, "reused": outcome.reused, "wall_s": round(wall, 3)}
     _told(options, out, report(outcome.results, out), counts, table)

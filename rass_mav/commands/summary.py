@@ -42,6 +42,19 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         f"on the air: {frames['sent']:,} MAVLink frames, {s['bytes_sent'] / 1e6:.1f} MB; heard {frames['received']:,} "
         f"times, lost {frames['dropped']:,} times, {frames['malformed']:,} malformed"
     )
+    if "load" in s:
+        load = s["load"]
+        intervals = [
+            f"{what} every {interval} steps"
+            for what, interval in (
+                ("a measurement", load["interval_steps"]), ("a picture", load["picture_interval_steps"])
+            )
+            if interval
+        ]  # fmt: skip
+        yield (
+            f"load {load['share']:.3f} of the air's one-hop capacity of {load['capacity_bytes_s']:,} bytes/s: "
+            f"{load['created_bytes_s']:,} bytes/s created, from each drone {' and '.join(intervals)}"
+        )
     if "failures" in s:
         failed = s["failures"]
         yield (

@@ -16,7 +16,7 @@ from rass_mav.core.datum import Datum, DatumId
 #: As a target: every neighbour. Not a valid node id.
 BROADCAST = 0xFFFF
 #: What a `Distance` takes on the wire.
-DISTANT_BYTES = 5
+DISTANT_BYTES = 7
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
@@ -80,6 +80,18 @@ def _on_all_changes(message: Any) -> None:
     return None
 
 
+@_kind(Target.NAMED, Urgency.ANSWER, lambda answer: None if answer.committed else ())
+class Committed(NamedTuple):
+    """The receiver's answer: these hand-overs are on disk, custody has passed; those were refused."""
+
+    sender: int
+    target: int
+    committed: tuple[tuple[int, int], ...]
+    """(hand-over number, CRC-32 of the datum that is on disk)."""
+    refused: tuple[int, ...]
+    """Hand-over numbers that were not accepted (no space): the giver keeps custody."""
+
+
 class Route(NamedTuple):
     """A base's announcement as a node relays it (Alg. 2, with the sequence numbers of Babel, RFC 8966)."""
 
@@ -126,6 +138,8 @@ class Beacon(NamedTuple):
     turn: int = 0
     """The time between the sender's beacons in tenths of a second, 16 bits, if its link cannot carry one a step; 0: one
     a step, as usual."""
+    answers: tuple[Committed, ...] = ()
+    """Answers of the last turn once more, for neighbours that have not heard them; only to data that are on disk."""
     moves: int = 0
     """Where the sender is and how it moves, 64 bits (`rass_mav.core.routes.contacts`); 0: not told."""
 
@@ -153,9 +167,18 @@ class Distance(NamedTuple):
     """How many nodes still farther away should have a copy, 0..255."""
 
 
-@_kind(Target.NAMED, Urgency.DATA, lambda data: [handover.datum.id for handover in data.handovers])
+def _on_what_is_sent(data: Data) -> Iterable[DatumId] | None:
+    if any(answer.committed for answer in data.answers):
+        return None
+    return [handover.datum.id for handover in data.handovers]
+
+
+@_kind(Target.NAMED, Urgency.DATA, _on_what_is_sent)
 class Data(NamedTuple):
-    """Small data, whole, with their hand-over numbers; several to a frame where they fit."""
+    """Small data, whole, with their hand-over numbers; several to a frame where they fit.
+
+    Every node in range hears it, and answers to other nodes may ride on it.
+    """
 
     sender: int
     target: int
@@ -164,18 +187,8 @@ class Data(NamedTuple):
     """True: custody stays with the sender. The receiver should keep spare copies, and answers as to a hand-over."""
     distance: Distance | None = None
     """With `spare`: the sender has spares itself, and these are distant ones. None: it has custody."""
-
-
-@_kind(Target.NAMED, Urgency.ANSWER, lambda answer: None if answer.committed else ())
-class Committed(NamedTuple):
-    """The receiver's answer: these hand-overs are on disk, custody has passed; those were refused."""
-
-    sender: int
-    target: int
-    committed: tuple[tuple[int, int], ...]
-    """(hand-over number, CRC-32 of the datum that is on disk)."""
-    refused: tuple[int, ...]
-    """Hand-over numbers that were not accepted (no space): the giver keeps custody."""
+    answers: tuple[Committed, ...] = ()
+    """Answers of the sender to hand-overs, each with its own target."""
 
 
 @_kind(Target.NAMED, Urgency.DATA, lambda offer: (offer.id,))
@@ -403,3 +416,12 @@ Message: TypeAlias = (
     Beacon | Data | Committed | Offer | Accept | Chunk | Sack | Receipt | LossNote | Put | Query | PassedOn | Words
     | Given | Digest
 )  # fmt: skip
+
+
+def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:
+    """All of them, with the answers to hand-overs on the first of the data: that takes fewer frames."""
+    riding = tuple([answer for answer in answers if type(answer) is Committed])
+    if not riding or not data or type(data[0]) is not Data:
+        return answers + data
+    rest = [answer for answer in answers if type(answer) is not Committed]
+    return [data[0]._replace(answers=riding), *data[1:], *rest]

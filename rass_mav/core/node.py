@@ -13,8 +13,8 @@ from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
-from rass_mav.core.datum import MAX_PAYLOAD, Datum, Fate
-from rass_mav.core.messages import Committed, Message
+from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
+from rass_mav.core.messages import BROADCAST, KINDS, Committed, Message, Target
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
 from rass_mav.core.news.digests import Digests, Fresh, NoDigests
@@ -28,13 +28,18 @@ from rass_mav.core.settings import NodeSettings
 from rass_mav.core.spares.atbase import AtBase
 from rass_mav.core.spares.mirrors import Mirrors
 
+#: How many answers a node remembers until its next beacon, which carries eight.
+MAX_ANSWERED = 64
+
 
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("archive", "digests", "keeper", "own", "percolation", "transfers")
+    __slots__ = ("_answered", "archive", "digests", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
+        self._answered: dict[tuple[int, int], tuple[DatumId, int]] = {}
+        """Datum and checksum of what was accepted since the last turn, by giver and number, the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.digests = NoDigests()
@@ -119,7 +124,7 @@ class Node(Participant):
     def forward(self, now: float) -> list[Message]:
         """`evict_data` of Alg. 1 between two turns."""
         keeper = self.keeper
-        if not keeper.stirred:
+        if not keeper.stirred and self.percolation.due > now:
             return []
         keeper.stirred = False
         out: list[Message] = []
@@ -140,6 +145,16 @@ class Node(Participant):
 
     def _keep_own(self, datum: Datum) -> None:
         self.keeper.keep(datum)
+
+    @property
+    def overhears(self) -> bool:
+        """Whether this node handles the data that neighbours send to others."""
+        return self.settings.overhear or self.settings.measured
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory only."""
+        return self.keeper.spares.overheard
 
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
@@ -170,13 +185,42 @@ class Node(Participant):
     def receive(self, message: Message, now: float) -> list[Message]:
         """A message from a neighbour. Returns the answers; they may be sent once the store has committed."""
         if type(message) is messages.Beacon:
-            # Most messages are beacons, and they change no copies, so there is nothing to flush.
-            return self._on_beacon(message, now)
+            # Most messages are beacons. While nothing waits for answers they change no copies.
+            waiting = self.holdings.pending or self.holdings.offers
+            return self._hear_beacon(message, now) if waiting else self._on_beacon(message, now)
+        if KINDS[type(message)].target is Target.NAMED:
+            self.routing.neighbours.notice(message.sender, now)  # type: ignore[union-attr]
         answers = HANDLERS[type(message)](self, message, now)
         self.keeper.spares.flush(answers)
         return answers
 
+    def _hear_beacon(self, beacon: messages.Beacon, now: float) -> list[Message]:
+        """A beacon, while hand-overs or offers wait for answers: these may be in it."""
+        out = self._on_beacon(beacon, now)
+        for answer in beacon.answers:
+            if answer.target == self.id:
+                out += self._on_committed(answer, now)
+        self.percolation.not_answered(beacon.sender, now)
+        self.keeper.spares.flush(out)
+        return out
+
     def _on_data(self, data: messages.Data, now: float) -> list[Message]:
+        out: list[Message] = []
+        for answer in data.answers:
+            if answer.target == self.id:
+                out += self._on_committed(answer, now)
+        return out + (self._take(data) if data.target in (self.id, BROADCAST) else self._on_overheard(data, now))
+
+    def _on_overheard(self, data: messages.Data, now: float) -> list[Message]:
+        """A neighbour sends data to another node. Such a message is never answered: only its target can promise
+        anything."""
+        if self.settings.measured:
+            self.percolation.moves_on(data, now)
+        if self.settings.overhear:
+            self.keeper.overhear(data.sender, data.handovers, now)
+        return []
+
+    def _take(self, data: messages.Data) -> list[Message]:
         keeper = self.keeper
         committed: list[tuple[int, int]] = []
         refused: list[int] = []
@@ -191,7 +235,26 @@ class Node(Participant):
                 refused.append(number)
             elif number:
                 committed.append((number, datum.crc))
+                if self.settings.measured:
+                    self._answered[data.sender, number] = datum.id, datum.crc
+        while len(self._answered) > MAX_ANSWERED:
+            del self._answered[next(iter(self._answered))]
         return self._answer(data.sender, committed, [number for number in refused if number])
+
+    def _answers_again(self) -> tuple[Committed, ...]:
+        answered, self._answered = self._answered, {}
+        to: dict[int, list[tuple[int, int]]] = {}
+        for (giver, number), (id, crc) in answered.items():
+            # The giver may delete its copy because of this, so the copy here must still be good.
+            stored = self.store.get(id)
+            if stored is None or stored.crc != crc or not stored.intact:
+                continue
+            if self.store.durable(id):
+                to.setdefault(giver, []).append((number, crc))
+            else:
+                # The answer itself still waits for the disk.
+                self._answered[giver, number] = id, crc
+        return tuple([Committed(self.id, giver, tuple(done), ()) for giver, done in to.items()])
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:
         if not committed and not refused:
@@ -205,6 +268,7 @@ class Node(Participant):
             if holding is None:
                 keeper.notes.committed(number, sender)
             elif holding.crc == crc:
+                self.percolation.answered(holding, now)
                 keeper.give_away(holding, sender)
         for number in message.refused:
             holding = holdings.answered(number, sender)
@@ -247,6 +311,8 @@ class Node(Participant):
             self.alarms.ring(Alarm.FORGED, f"digest {digest.serial}")
         elif self.digests.hear(digest):
             self.keeper.heed_digest(digest)
+            if self.own is not None:
+                self.own.heed_digest(digest)
         return []
 
     def _on_given(self, given: messages.Given, now: float) -> list[Message]:

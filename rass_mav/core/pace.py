@@ -6,10 +6,16 @@ from __future__ import annotations
 KEPT_FOR_SPARES = 10
 
 
+#: The air is full while more than this share of what is sent has been sent before, in vain,
+FULL = 0.2
+#: by an average that follows each datum sent by this much.
+FULL_GAIN = 0.02
+
+
 class Pace:
     """The bandwidth of the paper: a number of data a step, retransmissions included."""
 
-    __slots__ = ("_keeps", "items", "kept", "left", "sent", "turn_s")
+    __slots__ = ("_in_vain", "_keeps", "items", "kept", "left", "queue", "sent", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool) -> None:
         """`keeps`: reserve a part for spares of new data."""
@@ -24,13 +30,22 @@ class Pace:
         """How many of them are reserved for spares."""
         self.sent = 0
         """Data, copies and chunks sent in this life, retransmissions included."""
+        self.queue = 0
+        """Frames that wait in the driver."""
+        self._in_vain = 0.0
 
     def begin_turn(self) -> None:
         """The bandwidth of a new turn."""
         self.left = self.items
         self.kept = self.items // KEPT_FOR_SPARES if self._keeps else 0
 
-    def spend(self) -> None:
-        """A datum is being sent."""
+    def spend(self, *, again: bool = False) -> None:
+        """A datum is being sent. `again`: not for the first time."""
         self.left -= 1
         self.sent += 1
+        self._in_vain += FULL_GAIN * (again - self._in_vain)
+
+    @property
+    def full(self) -> bool:
+        """Whether there is no airtime to spare: a queue waits, or much gets lost."""
+        return self.queue > 0 or self._in_vain > FULL

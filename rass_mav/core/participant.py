@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from rass_mav.core.alarms import Alarms
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import Datum, DatumId, make_datum
-from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Message
+from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.observer import Observer
 from rass_mav.core.pace import Pace
@@ -97,6 +97,16 @@ class Participant(ABC):
         """Whether data that reach this node have arrived for good. Under a replicating policy a base is an ordinary
         peer."""
         return self.base and not self.policy.replicates
+
+    @property
+    def overhears(self) -> bool:
+        """Whether this node handles the data that neighbours send to others (`Data` with another target)."""
+        return False
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory only."""
+        return {}
 
     # -- incoming messages ---------------------------------------------------------------------------------------------
 
@@ -197,8 +207,12 @@ class Participant(ABC):
         return Beacon(
             self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
-            self._turn, 0 if contacts is None else contacts.announced(now),
+            self._turn, self._answers_again(), 0 if contacts is None else contacts.announced(now),
         )  # fmt: skip
+
+    def _answers_again(self) -> tuple[Committed, ...]:
+        """The answers of the last turn."""
+        return ()
 
     # -- changing settings ---------------------------------------------------------------------------------------------
 

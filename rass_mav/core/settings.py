@@ -94,6 +94,9 @@ class CustodySettings(Section):
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: Count = 1
     """Steps after which an unanswered hand-over is sent again."""
+    retries: Literal["measured", "fixed"] = "measured"
+    """measured: an unanswered hand-over is sent again no sooner than answers usually take, later each time, and answers
+    are repeated in the next beacon; fixed: every `retry_steps`."""
     max_tries: Count = 8
     """Unanswered transmissions after which another neighbour may be chosen."""
     mirror: bool | None = None
@@ -105,6 +108,9 @@ class CustodySettings(Section):
     copies: Literal[1, "auto"] = "auto"
     """How many spare copies a datum gets besides that of the giver. 1: one, if it rests; auto: as many as its risk
     requires, also while it is handed over to a neighbour that may have gone. Only with spare copies."""
+    overhear: bool = True
+    """A drone keeps, in free memory, data that it hears neighbours hand over to each other; a base takes them all. Only
+    with mode acknowledged; for drones only with spare copies until a receipt."""
     distant: bool = True
     """Whether a datum that rests where no base can be reached has another copy out of its holder's radio range. Only
     with spare copies until a receipt."""
@@ -145,6 +151,9 @@ class NodeSettings:
     receiver has passed it on."""
     copies_auto: bool = False
     """As many spare copies as the risk requires (`core.spares`); only with `mirror`."""
+    overhear: bool = False
+    """Data that neighbours hand over to others are taken by a base, and kept in memory by a drone; a drone only with
+    `mirror` and receipts."""
     distant: bool = False
     """Data that rest get a distant spare (`core.spares`); only with `mirror` and `mirror_until_receipt`."""
     immediate: bool = False
@@ -158,6 +167,8 @@ class NodeSettings:
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
     retry_steps: int = 1
     """Steps after which an unanswered hand-over is sent again."""
+    measured: bool = True
+    """`custody.retries`."""
     max_tries: int = 8
     """Unanswered transmissions after which another neighbour may be chosen."""
     neighbour_steps: int = 3

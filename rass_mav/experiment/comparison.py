@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rass_mav.experiment.curves import memory_used
 from rass_mav.experiment.runs import Result
-from rass_mav.experiment.standard import Standard, kept, share_of_created, standard, summary_estimate
+from rass_mav.experiment.standard import Standard, delivered, kept, share_of_created, standard, summary_estimate
 from rass_mav.experiment.statistics import Estimate, estimate, estimate_difference, estimate_share
 
 
@@ -43,6 +43,8 @@ class Comparison:
     standard: Standard
     gain: Estimate | None
     """Reliability above the reference's, run by run; None without a reference."""
+    delivered_gain: Estimate | None
+    """Likewise the share that was delivered."""
     loss_ratio: float | None
     """Losses relative to the reference's."""
     ceiling: Estimate | None
@@ -74,6 +76,7 @@ def compare(results: Sequence[Result], reference: Sequence[Result]) -> Compariso
     return Comparison(
         standard=standard(results),
         gain=estimate_difference([kept(a).value - kept(b).value for a, b in pairs]),
+        delivered_gain=estimate_difference([delivered(a).value - delivered(b).value for a, b in pairs]),
         loss_ratio=_ratio([(losses(a), losses(b)) for a, b in pairs]),
         ceiling=estimate([found for _, found in ceilings]),
         ceiling_share=_ratio(ceilings),

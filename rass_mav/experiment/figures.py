@@ -46,8 +46,8 @@ LEVEL = Style("", "#555555", "")
 SHARE = (0.0, 1.0)
 #: What most other quantities can be.
 POSITIVE = (0.0, math.inf)
-#: For curves that are not policies.
-OTHERS = ("#56B4E9", "#E69F00", "#000000")
+#: For what is not a policy.
+OTHERS = ("#56B4E9", "#E69F00", "#000000", "#009E73", "#D55E00", "#CC79A7")
 
 
 def policy_style(policy: str) -> Style:

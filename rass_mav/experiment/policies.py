@@ -90,6 +90,13 @@ VARIANTS = {
             "custody.copies": "auto", "node.forward": "immediate",
         },
     ),
+    "defaults": Variant(
+        Look("the defaults: overheard copies, queues count", "*"),
+        {
+            "custody.mirror": True, "custody.mirror_until": "receipt", "custody.receipts": True,
+            "custody.copies": "auto", "custody.overhear": True, "routing.queue_toll": True, "node.forward": "immediate",
+        },
+    ),
 }  # fmt: skip
 #: Stigmergy has no variants: new data are broadcast once, and kept by all nodes with space.
 EVERYWHERE = Look("copies everywhere", "X")
@@ -102,9 +109,10 @@ WORLD, FAILING = "paper", "paper-failures"
 _REASONS = tuple(fate.value for fate in LOST)
 TABLE_COLUMNS = (
     "world", "topology", "policy", "variant", "runs", "steps", *COLUMNS, *triple("over_reference"),
-    "losses_in_references", *triple("ceiling"), "share_of_ceiling", *triple("bound"),
-    "transmissions_in_references", *triple("memory"),
-    *triple("copies"), "loops", *(part for reason in _REASONS for part in triple(f"lost_{reason}")),
+    *triple("delivered_over_reference"), "losses_in_references", *triple("ceiling"), "share_of_ceiling",
+    *triple("bound"),
+    "transmissions_in_references", *triple("memory"), *triple("copies"), "loops",
+    *(part for reason in _REASONS for part in triple(f"lost_{reason}")),
 )  # fmt: skip
 DISTANCE_COLUMNS = ("world", "topology", "policy", "variant", *distances.COLUMNS)
 
@@ -192,9 +200,10 @@ def _rows(compared: Compared) -> list[list[object]]:
     return [
         [
             *where, *what, c.standard.runs, c.standard.steps, *c.standard.columns(), *figures_of(c.gain, 6),
-            _rounded(c.loss_ratio), *figures_of(c.ceiling), _rounded(c.ceiling_share), *figures_of(c.bound, 6),
-            _rounded(c.transmission_ratio),
-            *figures_of(c.memory), *figures_of(c.copies), c.loops,
+            *figures_of(c.delivered_gain, 6), _rounded(c.loss_ratio), *figures_of(c.ceiling),
+            _rounded(c.ceiling_share), *figures_of(c.bound, 6), _rounded(c.transmission_ratio), *figures_of(c.memory),
+            *figures_of(c.copies),
+            c.loops,
             *(value for reason in _REASONS for value in figures_of(c.lost[reason], 6)),
         ]
         for where, here in compared.items()

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
@@ -22,6 +23,10 @@ from rass_mav.experiment.runs import Result, Run, code_fingerprint, execute
 
 #: Called with the number of runs to do; shows how many are done.
 Progress = Callable[[int], AbstractContextManager[Callable[[int], object]]]
+
+
+#: A draft of this age is abandoned, seconds.
+DRAFT_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,15 @@ class FinishedRuns:
         self.directory = directory
         with os_errors_as(RassError, directory):
             directory.mkdir(parents=True, exist_ok=True)
+            for draft in directory.glob("*.part"):
+                # Writing one takes a moment: its process was killed.
+                if time.time() - draft.stat().st_mtime > DRAFT_S:
+                    draft.unlink(missing_ok=True)
+
+    def outdated(self, missing: Sequence[Run]) -> int:
+        """How many of these missing runs are here with other keys or of other code."""
+        there = {path.stem.rpartition("_")[0] for path in self.directory.glob("*.json")}
+        return sum(run.name in there for run in missing)
 
     def find(self, run: Run) -> Result | None:
         """The results of an earlier run; None if it was not finished, or its file cannot be read."""
@@ -70,11 +84,18 @@ class FinishedRuns:
 
 
 def run_all(
-    runs: Sequence[Run], directory: Path, *, jobs: int = 1, dask: str | None = None, progress: Progress | None = None
+    runs: Sequence[Run],
+    directory: Path,
+    *,
+    jobs: int = 1,
+    dask: str | None = None,
+    progress: Progress | None = None,
+    outdated: Callable[[int], object] | None = None,
 ) -> Outcome:
     """Do those of `runs` that are not in `directory` yet.
 
-    `jobs`: processes at a time, at least 1. `dask`: address of a Dask scheduler to use instead. After an interruption
+    `jobs`: processes at a time, at least 1. `dask`: address of a Dask scheduler to use instead. `outdated` is called at
+    the beginning with the number of results that are there, but are of other keys or other code. After an interruption
     the same call continues where it stopped; at most `jobs` unfinished runs are done again. Raises `RassError` if a run
     or a worker fails; finished runs stay.
     """
@@ -83,6 +104,8 @@ def run_all(
     runs = [replace(run, code=code) for run in runs]
     found = {run.file_name: archive.find(run) for run in runs}
     waiting = list({run.file_name: run for run in runs if found[run.file_name] is None}.values())
+    if outdated is not None and (old := archive.outdated(waiting)):
+        outdated(old)
     show = progress or _silent
     # Closed at once when the user interrupts while a result is being written: workers then end.
     with show(len(waiting)) as advance, contextlib.closing(_execute_all(waiting, jobs, dask)) as finished:

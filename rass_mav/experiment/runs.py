@@ -15,6 +15,7 @@ import msgspec
 
 from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
+from rass_mav.experiment.baselines import PROTOCOLS
 from rass_mav.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.scenario import Scenario
@@ -25,7 +26,9 @@ FORMAT = 1
 
 _PACKAGE = Path(__file__).parents[1]
 #: What a run's outcome depends on: these packages with their data files, and this package's measuring modules.
-_ROOMS = ("config", "core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm")
+_ROOMS = (
+    "config", "core", "policy", "wire", "mavlink", "link", "store", "agent", "swarm", "experiment/baselines",
+)  # fmt: skip
 _MODULES = ("experiment/measures.py", "experiment/oracle.py", "experiment/runs.py")
 
 
@@ -53,6 +56,8 @@ class Run:
     """All keys, including the seed and the policy."""
     measures: tuple[str, ...] = ()
     """Names in `MEASURES`."""
+    protocol: str = ""
+    """What every node runs, a name in `PROTOCOLS`; empty: what the policy asks for."""
     code: str = ""
     """`code_fingerprint` of the process that requested the run; empty: do not compare."""
 
@@ -64,14 +69,21 @@ class Run:
     @property
     def key(self) -> str:
         """64 hexadecimal digits for everything that determines the outcome."""
-        what = [FORMAT, self.world, self.variant, to_plain(self.scenario), list(self.measures), self.code]
+        what = [
+            FORMAT, self.world, self.variant, to_plain(self.scenario), list(self.measures), self.protocol, self.code,
+        ]  # fmt: skip
         return hashlib.sha256(msgspec.json.encode(what, order="sorted")).hexdigest()
+
+    @property
+    def name(self) -> str:
+        """For people: what it is in its experiment."""
+        parts = (self.world, self.scenario.topology, self.policy, self.variant, str(self.scenario.seed))
+        return "_".join(part for part in parts if part)
 
     @property
     def file_name(self) -> str:
         """Where its outcome is kept: readable, and different for different keys."""
-        parts = (self.world, self.scenario.topology, self.policy, self.variant, str(self.scenario.seed), self.key[:16])
-        return "_".join(part for part in parts if part) + ".json"
+        return f"{self.name}_{self.key[:16]}.json"
 
 
 class Extent(NamedTuple):
@@ -131,7 +143,7 @@ def execute(run: Run) -> Result:
     """Do a run. Raises `RassError` if the code of this process differs from that of the requesting one."""
     if run.code and run.code != code_fingerprint():
         raise RassError("a worker has another version of rass_mav than this process: install the same one")
-    world = World(run.scenario)
+    world = World(run.scenario, participant=PROTOCOLS[run.protocol].participant if run.protocol else None)
     series, distances = SeriesMeasure(), DistanceMeasure()
     extra = {name: MEASURES[name]() for name in run.measures}
     watching: list[Watcher] = [series, distances, *extra.values()]

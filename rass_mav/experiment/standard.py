@@ -25,8 +25,8 @@ HEADINGS = (
 #: What people need to know to read them.
 NOTE = (
     "Means over runs with 95 % confidence intervals. Shares of data: after Korn and Graubard, which gives a bound\n"
-    "where nothing is lost too. Others: Student's t, shown as ±. Delay: steps from creation to arrival, within which\n"
-    "50 % and 95 % of the data came, of all that arrived in all runs. Sent: data and copies, per datum created.\n"
+    "where nothing is lost too. Others: Student's t. Delay: steps from creation to arrival, within which 50 % and\n"
+    "95 % of the data came, of all that arrived in all runs. Sent: data and copies, per datum created.\n"
 )
 #: The same of differences between runs.
 PAIRED = "Differences: run by run, of the same seeds; 95 % confidence interval by a paired bootstrap over seeds.\n"
@@ -37,6 +37,11 @@ def kept(result: Result) -> Share:
     created = result.summary["created"]
     lost = result.summary["lost"]
     return Share(created - sum(lost.values()) + lost.get(Fate.VANISHED.value, 0), created)
+
+
+def delivered(result: Result) -> Share:
+    """Created and arrived."""
+    return Share(result.summary["delivered"], result.summary["created"])
 
 
 def share_of_created(result: Result, part: int) -> Share:
@@ -105,7 +110,7 @@ def standard(results: Sequence[Result]) -> Standard:
         runs=len(results),
         steps=results[0].steps,
         reliability=estimate_share([kept(result) for result in results]),
-        delivered=estimate_share([share_of_created(result, result.summary["delivered"]) for result in results]),
+        delivered=estimate_share([delivered(result) for result in results]),
         delay=delay,
         delay_p50=percentile(delays, 0.5),
         delay_p95=percentile(delays, 0.95),

@@ -14,6 +14,18 @@ from .quota import ROW_OVERHEAD, charge
 RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
 
 
+def flipped(datum: Datum, bit: int) -> Datum:
+    """A datum with one bit of its payload flipped and its checksum unchanged. IndexError: it has no such bit.
+
+    `bit`: 0 .. 8 * size - 1; bit 0 is the least significant bit of the first byte.
+    """
+    payload = bytearray(datum.payload)
+    if not 0 <= bit < 8 * len(payload):
+        raise IndexError(f"bit {bit} of a payload of {len(payload)} bytes")
+    payload[bit >> 3] ^= 1 << (bit & 7)
+    return datum._replace(payload=bytes(payload))
+
+
 class MemoryStore:
     """A `Store` in a dict. Data are there permanently: there is nothing to commit, so `take` returns None.
 
@@ -142,13 +154,8 @@ class MemoryStore:
         `bit`: 0 .. 8 * size - 1; bit 0 is the least significant bit of the first byte. Raises KeyError if `id` is not
         held and IndexError for a bit that the payload does not have.
         """
-        id, kind, created, hops, crc, payload, at_least = self._data[id]
-        if not 0 <= bit < 8 * len(payload):
-            raise IndexError(f"bit {bit} of a payload of {len(payload)} bytes")
+        self._data[id] = flipped(self._data[id], bit)
         self._struck.add(id)
-        flipped = bytearray(payload)
-        flipped[bit >> 3] ^= 1 << (bit & 7)
-        self._data[id] = Datum(id, kind, created, hops, crc, bytes(flipped), at_least)
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter."""

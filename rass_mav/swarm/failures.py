@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from math import inf, log1p
 from typing import NamedTuple
 
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.scenario import FailureSection
 
 
@@ -28,13 +29,20 @@ class Failures:
     not shift when another kind is switched on. A higher rate hits all drones that a lower one hits, and more.
     """
 
-    def __init__(self, settings: FailureSection, *, seed: int, steps: int, nodes: int, bases: int) -> None:
-        """`steps`: length of the run, for `die_fraction`. `nodes`: bases included; they are 0 .. bases - 1."""
+    def __init__(
+        self, settings: FailureSection, *, seed: int, steps: int, nodes: int, bases: int, step_s: float
+    ) -> None:
+        """`steps`: length of the run, for `die_fraction`. `nodes`: bases included; they are 0 .. bases - 1. `step_s`:
+        length of a step, seconds."""
         self._settings = settings
+        self._hazard_per_rate = 0.0 if settings.die_dose is None else step_s / 3600.0 / settings.die_dose
+        """Of a step, for each uSv/h."""
         self._bases = range(bases)
         self._drones = range(bases, nodes)
         self.counts = {"died": 0, "rebooted": 0, "wiped": 0, "landed": 0}
         """Failures of drones so far, by kind."""
+        self.blast: Blast | None = None
+        """What the blast does; None: there is none. The swarm sets it, and carries it out."""
         self._back: list[float] = [0] * nodes
         """The step from which each node is on; inf: off for good."""
         self._reboots = random.Random(f"{seed}:failures:reboot")
@@ -59,7 +67,7 @@ class Failures:
     def due(self, t: int, levels: Sequence[float]) -> list[Failure]:
         """The failures of step `t`; call it once for each step, in order.
 
-        `levels`: the radiation at each node in this step, Eq. 1 without noise.
+        `levels`: the radiation at each node in this step without noise, Eq. 1 or the dose rate.
         """
         settings = self._settings
         found = []
@@ -100,7 +108,8 @@ class Failures:
 
     def _dies(self, node: int, t: int, level: float) -> bool:
         probability = self._settings.die_rate * min(level, 1.0)
-        self._endures[node] -= inf if probability >= 1.0 else -log1p(-probability)
+        hazard = inf if probability >= 1.0 else -log1p(-probability)
+        self._endures[node] -= hazard + level * self._hazard_per_rate
         return self._endures[node] < 0.0 or self._death.get(node) == t
 
     def _charge(self, node: int) -> float:

@@ -15,9 +15,10 @@ from rass_mav.errors import ConfigError
 
 from . import topology
 from .neighbours import Position, RangeGraph
+from .survey import Lawnmower, Perimeter, blocks
 
 #: The names `make_mobility` knows.
-TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions")
+TOPOLOGIES = ("grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions", "survey")
 
 #: Random walk: metres a robot moves in a step, and its chance to take a new heading before it does.
 WALK_M = 0.15
@@ -175,6 +176,53 @@ class Islands(Mobility):
         return self.positions is not before
 
 
+class Survey(Mobility):
+    """Drones that survey a rectangular area, each a block of its own in strips, and bases at its edge.
+
+    A drone flies at a constant speed of its own, uniform between two bounds, from a place on its way and in a direction
+    that chance decides. The bases are at equal distances along the edge, the first in the middle of the south side;
+    they drive along it, anticlockwise.
+    """
+
+    def __init__(
+        self,
+        nodes: int,
+        bases: int,
+        area_m: tuple[float, float],
+        rng: Random,
+        *,
+        strip_m: float,
+        speed_m: tuple[float, float],
+        base_speed_m: float,
+    ) -> None:
+        """:param area_m: width and height, metres.
+        :param strip_m: the most that two strips of a drone may be apart, metres.
+        :param speed_m: metres that a drone flies in a step: the least and the most.
+        :param base_speed_m: metres that a base drives in a step.
+        """
+        edge = Perimeter(*area_m)
+        self._ways: list[Perimeter | Lawnmower] = [edge] * bases
+        self._starts = [edge.length_m * base / bases for base in range(bases)]
+        self._speeds = [base_speed_m] * bases
+        if nodes > bases:
+            for block in blocks(nodes - bases, *area_m):
+                way = Lawnmower(block, strip_m)
+                self._ways.append(way)
+                # There and back again: the place decides the direction too.
+                self._starts.append(rng.uniform(0.0, 2 * way.length_m))
+                self._speeds.append(rng.uniform(*speed_m))
+        super().__init__(self._at(0))
+
+    def _at(self, t: int) -> list[Position]:
+        return [
+            way.at(start + t * speed) for way, start, speed in zip(self._ways, self._starts, self._speeds, strict=True)
+        ]
+
+    def _advance(self, t: int) -> bool:
+        before, self.positions = self.positions, self._at(t)
+        return self.positions != before
+
+
 def make_mobility(
     name: str,
     *,
@@ -188,15 +236,22 @@ def make_mobility(
     rejoin_step: int | None = None,
     gap_m: float = 2.0,
     positions: Sequence[Sequence[float]] | None = None,
+    area_m: tuple[float, float] | None = None,
+    strip_m: float = 50.0,
+    speed_m: tuple[float, float] = (5.0, 15.0),
+    base_speed_m: float = 0.0,
+    even_bases: bool = False,
 ) -> Mobility:
     """A mobility by name, one of `TOPOLOGIES`.
 
     `nodes` counts the bases, which have the ids 0 .. bases-1; `range_m` and `arena_m` (the arena's side) in metres.
     Options: `pitch_m` of `line`, metres, default 0.8 range_m; `split_step`, `rejoin_step` and `gap_m` of `islands`;
-    `positions` of `positions`, one [x, y] in metres for each node. Other names do not use these.
+    `positions` of `positions`, one [x, y] in metres for each node; `area_m`, `strip_m`, `speed_m` and `base_speed_m` of
+    `survey` (see `Survey`), whose area is the arena by default. Other names do not use these.
 
-    Several bases are far apart in `grid`, `line`, `islands` and at the start of `random-walk`
-    (`topology.spread_bases`); in the others they are where chance or the list puts them.
+    Several bases are far apart in `grid`, `line`, `islands`, `survey` and at the start of `random-walk`
+    (`topology.spread_bases`), or with `even_bases` each in the middle of its share (`topology.even_bases`); in the
+    others they are where chance or the list puts them.
 
     Raises `ConfigError` for an unknown name or impossible numbers.
     """
@@ -208,19 +263,24 @@ def make_mobility(
         raise ConfigError(f"bases: expected 1..{nodes}, got {bases!r}")
     if not (math.isfinite(range_m) and range_m > 0):
         raise ConfigError(f"radio.range_m: expected a number > 0, got {range_m!r}")
+    place_bases = topology.even_bases if even_bases else topology.spread_bases
     if name == "positions":
         return Static(_listed(positions, nodes))
+    if name == "survey":
+        return Survey(
+            nodes, bases, area_m or (arena_m, arena_m), rng, strip_m=strip_m, speed_m=speed_m, base_speed_m=base_speed_m
+        )
     if name == "line":
         pitch = topology.LINE_PITCH * range_m if pitch_m is None else pitch_m
         if not (math.isfinite(pitch) and pitch > 0):
             raise ConfigError(f"mobility.pitch_m: expected a number > 0, got {pitch_m!r}")
-        return Static(topology.spread_bases(topology.line(nodes, pitch), bases))
+        return Static(place_bases(topology.line(nodes, pitch), bases))
     wall = topology.wall_m(arena_m)
     if name == "scale-free":
         return Static(topology.scale_free(nodes, arena_m, range_m, rng))
     if name == "lennard-jones":
         return LennardJones(topology.connected_uniform(nodes, arena_m, range_m, rng), range_m, wall, rng)
-    on_grid = topology.spread_bases(topology.grid(nodes, arena_m), bases)
+    on_grid = place_bases(topology.grid(nodes, arena_m), bases)
     if name == "random-walk":
         return RandomWalk(on_grid, wall, rng)
     if name == "islands":

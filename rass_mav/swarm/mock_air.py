@@ -19,7 +19,6 @@ class MockAir(Air[Figures]):
         scenario = order.scenario
         self.surroundings = Surroundings(scenario)
         super().__init__(order, self.surroundings.graph, Figures())
-        self._noise = scenario.radiation.noise
         name = scenario.mavlink.reading_name
         self._autopilots = [MockAutopilot(system_id(node), reading_name=name) for node in range(scenario.nodes)]
 
@@ -36,7 +35,7 @@ class MockAir(Air[Figures]):
             if wire.peer is None:
                 continue
             x, y = surroundings.positions[node]
-            reading = surroundings.levels[node] + self._noise_rng.gauss(0.0, self._noise)
+            reading = surroundings.reading(node, self._noise_rng)
             for frame in self._autopilots[node].frames(now, x, y, reading):
                 wire.send(frame)
         return self.due

@@ -12,6 +12,7 @@ from rass_mav.config.sections import Meta, Section
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicyName, PolicySettings
+from rass_mav.sensor.settings import TubeName
 from rass_mav.store.settings import StoreSettings
 from rass_mav.swarm.hostile.kinds import kinds
 from rass_mav.swarm.medium.settings import RadioSection
@@ -33,6 +34,9 @@ class NodeSection(Section):
 class MobilitySection(Section):
     """Options of the topologies."""
 
+    bases: Literal["apart", "even"] = "apart"
+    """Where several bases are in `grid`, `line`, `islands`, and at the start of `random-walk`. apart: as far from each
+    other as possible, in corners first; even: each in the middle of about as many nodes as the others."""
     pitch_m: Positive | None = None
     """Distance of neighbours in `line`, metres; null: 0.8 of the radio range."""
     split_step: Annotated[int, Meta(ge=0)] = 100
@@ -46,17 +50,34 @@ class MobilitySection(Section):
     layout: Literal["own", "authors"] = "own"
     """authors: places and motion of `grid`, `scale-free`, `lennard-jones`, `random-walk` as in the authors' experiment
     (swarm/authors.py)."""
+    area_m: tuple[Positive, Positive] | None = None
+    """`survey`: width (west to east) and height of the area, metres, the arena's centre as its own; null: the arena."""
+    strip_m: Positive = 50.0
+    """`survey`: the most that two strips of a drone may be apart, metres."""
+    speed_m_s: tuple[Positive, Positive] = (5.0, 15.0)
+    """`survey`: the speed of each drone is uniform between these, m/s."""
+    base_speed_m_s: NonNegative = 0.0
+    """`survey`: how fast the bases drive along the edge of the area, m/s."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.speed_m_s[0] > self.speed_m_s[1]:
+            yield f"mobility.speed_m_s: expected two numbers in ascending order, got {list(self.speed_m_s)}"
 
 
 class RadiationSection(Section):
-    """The radiation field, Eq. 1 and 2."""
+    """The radiation field: that of the paper, Eq. 1 and 2, or dose rates (docs/field.md)."""
 
+    law: Literal["paper", "dose"] = "paper"
+    """paper: Eq. 1 and 2, levels without a unit; dose: dose rates in uSv/h, a Geiger counter's readings, and damage in
+    proportion to the dose."""
     sources: list[tuple[float, float, NonNegative]] | None = None
-    """[x, y, intensity] of each source, metres, the arena's centre as origin; null: `random_sources` by the seed."""
+    """[x, y, intensity] of each source, metres, the arena's centre as origin; null: `random_sources` by the seed. With
+    `law` dose the intensity is the dose rate 1 m from the source, uSv/h."""
     sets: list[list[tuple[float, float, NonNegative]]] | None = None
     """Sources of several runs: seed k has set k mod their number. Replaces `sources`."""
     random_sources: Annotated[int, Meta(ge=0)] = 3
-    """How many, x and y uniform in +-spread_m, intensity uniform in 0..1."""
+    """How many, x and y uniform in +-spread_m, intensity uniform in 0..1 (law dose: as `strength`)."""
     spread_m: NonNegative = 3.5
     decay: NonNegative = 1.0
     """lambda of Eq. 1, 1/m^2."""
@@ -81,6 +102,18 @@ class RadiationSection(Section):
     """Radius of the sources as cylinders that block the radio's line of sight, metres; 0: they block nothing."""
     cylinders: Literal["own", "slipped"] = "own"
     """Whose cylinders. slipped: seed k uses those of set (k mod sets - 1) mod 10, as in the authors' experiment."""
+    strength: tuple[Positive, Positive] = (1e5, 1e7)
+    """Law dose: of `random_sources`, uSv/h at 1 m. Its logarithm is uniform between these."""
+    background: NonNegative = 0.1
+    """Law dose: the dose rate without sources, uSv/h."""
+    height_m: Positive = 10.0
+    """Law dose: how high all nodes are above the sources, metres."""
+    tube: TubeName = "sbm-20"
+    """Law dose: the counter's tube. It counts for a step."""
+    page_bytes: Count = 4096
+    """Law dose: a datum occupies whole pages of this size, and is struck when one of them is lost."""
+    page_dose: Positive = 9e7
+    """Law dose: the mean dose at which a page is lost, uSv."""
 
     def sources_of(self, seed: int) -> list[tuple[float, float, float]] | None:
         """The sources of a run; None: `random_sources`."""
@@ -100,8 +133,24 @@ class RadiationSection(Section):
             yield ("radiation.sets: expected at least one set of sources, and no radiation.sources beside them")
         if self.tolerance[0] >= self.tolerance[1]:
             yield f"radiation.tolerance: expected two rising numbers, got {list(self.tolerance)}"
+        if self.strength[0] > self.strength[1]:
+            yield f"radiation.strength: expected two numbers in ascending order, got {list(self.strength)}"
+        if self.law == "dose" and self.rule != "probability":
+            yield f"radiation.rule: expected probability with radiation.law dose, got {self.rule}"
         if self.cylinder_m and (self.drift or (self.sources is None and self.sets is None)):
             yield "radiation.cylinder_m: expected 0 unless the sources are given and do not move"
+
+
+class TrafficSection(Section):
+    """Data that only a mock swarm creates, and how much of everything. For virtual time."""
+
+    load: Positive | None = None
+    """What all drones create, as a share of the one-hop capacity around all bases (docs/field.md). Sets
+    `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`; null: sets nothing."""
+    picture_bytes: Annotated[int, Meta(ge=0, le=1 << 20)] = 0
+    """Size of the pictures that each drone takes; 0: none."""
+    picture_interval_steps: Annotated[int, Meta(ge=0)] = 0
+    """Steps between two pictures of a drone; 0: none, unless `load` sets it."""
 
 
 Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
@@ -137,6 +186,8 @@ class FailureSection(Section):
     """This part of the drones, rounded to the nearest number, dies for good, each at a step uniform over the run."""
     die_rate: Fraction = 0.0
     """Probability that a drone dies for good in a step where the radiation is 1; in proportion where it is less."""
+    die_dose: Positive | None = None
+    """With `radiation.law` dose: the mean dose at which a drone dies for good, uSv; null: no dose kills."""
     reboot_rate: Fraction = 0.0
     """Probability that a drone reboots in a step: its store stays, the content of its memory is gone."""
     wipe_rate: Fraction = 0.0
@@ -168,7 +219,16 @@ class FailureSection(Section):
     @property
     def of_robots(self) -> list[str]:
         """The keys that are set and make whole robots fail in virtual time."""
-        keys = ("die_fraction", "die_rate", "reboot_rate", "wipe_rate", "battery_steps", "blast", "base_off")
+        keys = (
+            "die_fraction",
+            "die_rate",
+            "die_dose",
+            "reboot_rate",
+            "wipe_rate",
+            "battery_steps",
+            "blast",
+            "base_off",
+        )
         return [key for key in keys if getattr(self, key)]
 
 
@@ -217,9 +277,12 @@ class Scenario(Section):
     """Nodes 0 .. bases - 1 are bases."""
     steps: Annotated[int, Meta(ge=0)] = 500
     seed: int = 1
-    topology: Literal["grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions"] = "grid"
+    topology: Literal[
+        "grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions", "survey"
+    ] = "grid"
     arena_m: Positive | None = None
-    """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes."""
+    """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes; with
+    `mobility.area_m` the longer side of the area."""
     transport: Literal["loopback", "udp"] = "loopback"
     """loopback: virtual time, in one process; udp: one process a node on 127.0.0.1, real time."""
     node: NodeSection = NodeSection()
@@ -234,6 +297,7 @@ class Scenario(Section):
     radio: RadioSection = RadioSection()
     radiation: RadiationSection = RadiationSection()
     failures: FailureSection = FailureSection()
+    traffic: TrafficSection = TrafficSection()
     hostile: list[HostileSection] = field(default_factory=list)
     """Attackers beside the nodes."""
     disk: DiskSection | None = None
@@ -266,12 +330,27 @@ class Scenario(Section):
             yield "disk: expected null unless the transport is loopback; processes have the machine's disk"
         if self.disk is not None and self.radiation.corruption:
             yield ("radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk")
+        yield from self._field_mistakes()
+
+    def _field_mistakes(self) -> Iterator[str]:
+        if self.failures.die_rate and self.radiation.law == "dose":
+            yield "failures.die_rate: expected 0 with radiation.law dose; failures.die_dose is for doses"
+        if self.failures.die_dose is not None and self.radiation.law != "dose":
+            yield f"failures.die_dose: expected null with radiation.law {self.radiation.law}"
+        if self.traffic != TrafficSection() and (self.transport != "loopback" or self.disk is not None):
+            yield "traffic: expected its defaults unless the transport is loopback and there is no disk"
+        if self.traffic.load is not None and self.nodes == self.bases:
+            yield "traffic.load: expected null without drones"
+        if self.traffic.load is not None and self.radio.preset is None and not self.radio.takes_time:
+            yield "traffic.load: expected null without a radio.preset or a radio.air that takes time"
 
     @property
     def arena(self) -> float:
         """Side of the arena, metres."""
         if self.arena_m is not None:
             return self.arena_m
+        if self.topology == "survey" and self.mobility.area_m is not None:
+            return max(self.mobility.area_m)
         side = 1
         while side * side < self.nodes:
             side += 1

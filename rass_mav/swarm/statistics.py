@@ -7,12 +7,12 @@ from typing import Any, Protocol
 from rass_mav.agent.agent import Agent
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.medium.air import Air
+from rass_mav.swarm.traffic import Load
 
 
 class Counted(Protocol):
@@ -24,7 +24,6 @@ class Counted(Protocol):
     ledger: Ledger
     loops: int
     failures: Failures | None
-    blast: Blast | None
     power: Power | None
     hostile: Band | None
     air: Air
@@ -67,6 +66,8 @@ class Statistics:
         self._malformed = 0
         self._sent_data = 0
         self.max_hop_count = 0
+        self.load: Load | None = None
+        """What the drones create, where the scenario asks for a load."""
 
     def count(self) -> None:
         """Record the figures of this step."""
@@ -76,6 +77,7 @@ class Statistics:
         self._copies += ledger.waiting_copies
         self._waiting += ledger.waiting
         for agent in self._world.agents:
+            self._stored += len(agent.node.overheard)
             hops = agent.node.routing.hops
             if self.max_hop_count < hops != NO_ROUTE:
                 self.max_hop_count = hops
@@ -128,10 +130,12 @@ class Statistics:
         }
         if air := world.air.figures(self._steps * world.step_s):
             summary["air"] = air
+        if self.load is not None:
+            summary["load"] = self.load._asdict()
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
-        if world.blast is not None:
-            summary["blast"] = world.blast.figures()
+            if world.failures.blast is not None:
+                summary["blast"] = world.failures.blast.figures()
         if world.power is not None:
             summary["power"] = world.power.figures()
         if world.hostile is not None:

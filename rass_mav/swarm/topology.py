@@ -141,6 +141,34 @@ def spread_bases(positions: list[Position], bases: int) -> list[Position]:
     return places
 
 
+def even_bases(positions: list[Position], bases: int) -> list[Position]:
+    """The same places with each base (ids 0 .. bases-1) in the middle of about as many nodes as every other base.
+
+    From the places of `spread_bases`, each base moves to the middle of the nodes that it is the nearest base of, until
+    none moves (Lloyd's algorithm), at most 50 times. Then it changes places with the node nearest to that point; among
+    equals, with the one with the lowest id. All other nodes keep their ids and places.
+    """
+    middles = spread_bases(positions, bases)[:bases]
+    for _ in range(50):
+        shares: list[list[Position]] = [[] for _ in middles]
+        for place in positions:
+            # Rounded as in `spread_bases`.
+            shares[min(range(bases), key=lambda base: round(math.dist(place, middles[base]), 6))].append(place)
+        before = middles
+        middles = [
+            (math.fsum(x for x, _ in share) / len(share), math.fsum(y for _, y in share) / len(share))
+            if share else middle
+            for share, middle in zip(shares, middles, strict=True)
+        ]  # fmt: skip
+        if middles == before:
+            break
+    places = list(positions)
+    for base, middle in enumerate(middles):
+        nearest = min(range(base, len(places)), key=lambda i: (round(math.dist(places[i], middle), 6), i))
+        places[base], places[nearest] = places[nearest], places[base]
+    return places
+
+
 class _Placing:
     """Robots accepted so far, and the rule for the next: its nearest robot is MIN_SPACING_M to the range away."""
 

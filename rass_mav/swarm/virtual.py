@@ -15,12 +15,13 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.turns import MOST_JITTER, jitter
 from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
+from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.store.memory import MemoryStore
-from rass_mav.swarm.blast import Blast
+from rass_mav.store.memory import MemoryStore, flipped
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -45,9 +46,11 @@ class Danger(NamedTuple):
 
     node: int
     probability: float
-    """That a datum is struck in a step, 0..1."""
+    """That a datum, or a page of it, is struck in a step, 0..1."""
     rng: random.Random | None = None
     """The drone's own generator, if it has one for this."""
+    page_bytes: int | None = None
+    """Size of the pages; None: a datum is struck as a whole."""
 
 
 class VirtualSwarm(ABC):
@@ -71,6 +74,7 @@ class VirtualSwarm(ABC):
         phases: bool = False,
         strikes: int = 1,
         record: Record | None = None,
+        participant: type[Participant] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -83,6 +87,7 @@ class VirtualSwarm(ABC):
         :param phases: each node has its turns at a moment of its own; False: at the beginning of a step.
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
+        :param participant: what every node is; None: what its policy asks for.
         """
         agents = list(agents)
         self.seed = seed
@@ -107,8 +112,6 @@ class VirtualSwarm(ABC):
         self.loops = 0
         """Cycles of next hops seen, one for each cycle and step."""
         self.failures = failures
-        self.blast: Blast | None = None
-        """None: there is none. The subclass that simulates the surroundings sets it, and carries it out."""
         self.off: dict[int, int | None] = {}
         """Nodes that are off, and the step in which each has its turn again (None: never)."""
         self.power = None if disk is None else Power(disk, self.ledger, seed=seed, off_steps=off_steps)
@@ -128,7 +131,9 @@ class VirtualSwarm(ABC):
                 store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
-            self.agents.append(Agent(settings, store, rng, now=0.0, observer=observer, newborn=True))
+            self.agents.append(
+                Agent(settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant)
+            )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
         self.statistics = Statistics(self, full_items)
         some = self.agents[0]
@@ -141,8 +146,9 @@ class VirtualSwarm(ABC):
         self._strikes = strikes
         self._strike_rng = random.Random(f"{seed}:strikes")
         draw = random.Random(f"{seed}:phases").random
-        self._phases = [draw() * self.step_s if phases else 0.0 for _ in agents]
-        """When in a step each node has its turn, seconds."""
+        self._phases = [draw() if phases else None for _ in agents]
+        """When in a step each node has its turn, 0..1, but for the jitter; None: at its beginning."""
+        self._jitter_rng = random.Random(f"{seed}:jitter")
 
     @property
     @abstractmethod
@@ -192,7 +198,8 @@ class VirtualSwarm(ABC):
             for node_id in self.power.begin_step(t, off):
                 self._fail(node_id, None)
         for node_id, phase in enumerate(self._phases):
-            timeline.at(now + phase, Order.TURN, partial(self._take_turn, node_id))
+            delay = 0.0 if phase is None else (phase + jitter(self._jitter_rng)) / (1.0 + MOST_JITTER)
+            timeline.at(now + delay * step_s, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
             timeline.at(now, Order.TURN, self._attack)
         timeline.run((t + 1) * step_s)
@@ -225,11 +232,11 @@ class VirtualSwarm(ABC):
         """Corruption strikes the data in the drones' stores, and what waits in their radios."""
         part = 1.0 / self._strikes
         struck = {}
-        for node, probability, rng in self._dangers():
+        for node, probability, rng, page_bytes in self._dangers():
             if self._strikes > 1:
                 probability = 1.0 - (1.0 - probability) ** part
             struck[node] = probability
-            self._strike(node, probability, rng or self._strike_rng)
+            self._strike(node, probability, rng or self._strike_rng, page_bytes)
         self.air.strike(struck, now)
 
     def _hear(self, hearers: Sequence[int], frame: bytes, now: float) -> None:
@@ -337,7 +344,9 @@ class VirtualSwarm(ABC):
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
-        agent = Agent(old.settings, store, rng, now=start * self.step_s, observer=old.node.observer)
+        agent = Agent(
+            old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
+        )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
         self.air.start(node_id, agent, start * self.step_s)
@@ -345,12 +354,24 @@ class VirtualSwarm(ABC):
         self.stores[node_id], self.gates[node_id], self.agents[node_id] = store, self.make_gate(store), agent
         self.statistics.retire(old)
 
-    def _strike(self, node_id: int, probability: float, rng: random.Random) -> None:
-        """Corruption strikes each datum in a drone's store with this probability, by flipping a stored bit."""
-        store = self.stores[node_id]
+    def _strike(self, node_id: int, probability: float, rng: random.Random, page_bytes: int | None = None) -> None:
+        """Corruption strikes each datum at a drone with this probability, by flipping a bit.
+
+        `page_bytes`: it strikes each page of this size with this probability, and a datum is as many pages as it needs;
+        None: it strikes each datum.
+        """
+        store, overheard = self.stores[node_id], self.agents[node_id].node.overheard
         assert isinstance(store, MemoryStore)
+
+        def is_struck(size: int) -> bool:
+            pages = 1 if page_bytes is None else -(-size // page_bytes)
+            return rng.random() < (probability if pages == 1 else 1.0 - (1.0 - probability) ** pages)
+
         for id in list(store.ids()):
-            if rng.random() < probability:
-                datum = store.get(id)
-                assert datum is not None
+            datum = store.get(id)
+            assert datum is not None
+            if is_struck(len(datum.payload)):
                 store.flip_bit(id, rng.randrange(8 * len(datum.payload)))
+        for id, datum in overheard.items():
+            if is_struck(len(datum.payload)):
+                overheard[id] = flipped(datum, rng.randrange(8 * len(datum.payload)))

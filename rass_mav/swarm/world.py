@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 
+from rass_mav.core.participant import Participant
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.failures import Failures
@@ -13,16 +14,23 @@ from rass_mav.swarm.neighbours import Position, RangeGraph
 from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.scenario import Scenario, system_id
 from rass_mav.swarm.surroundings import Surroundings
+from rass_mav.swarm.traffic import Pictures, loaded
 from rass_mav.swarm.virtual import Danger, VirtualSwarm
 
 
 class World(VirtualSwarm):
     """A swarm in its surroundings, with its radio and its ledger."""
 
-    def __init__(self, scenario: Scenario, *, record: Record | None = None) -> None:
-        """`record` is called with every frame put on the air, and its step. Raises `ConfigError`."""
-        self.scenario = scenario
+    def __init__(
+        self, scenario: Scenario, *, record: Record | None = None, participant: type[Participant] | None = None
+    ) -> None:
+        """`record` is called with every frame put on the air, and its step. `participant`: what every node is; None:
+        what the policy asks for. Raises `ConfigError`."""
         self.surroundings = Surroundings(scenario)
+        neighbours = self.surroundings.graph.neighbours
+        scenario, load = loaded(scenario, max(round(sum(map(len, neighbours)) / scenario.nodes) + 1, 2))
+        self.scenario = scenario
+        self._pictures = Pictures(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
         self._places: Sequence[tuple[float, float]] | None = None
         """Where the nodes were a step ago, if their flight controllers report velocities; else nobody asks."""
@@ -42,8 +50,9 @@ class World(VirtualSwarm):
         failures: Failures | None = None
         if scenario.failures.of_robots:
             failures = Failures(
-                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes, bases=scenario.bases
-            )
+                scenario.failures, seed=scenario.seed, steps=scenario.steps, nodes=scenario.nodes,
+                bases=scenario.bases, step_s=scenario.node.step_s,
+            )  # fmt: skip
         super().__init__(
             (scenario.agent_settings(node_id) for node_id in range(scenario.nodes)),
             scenario.radio,
@@ -57,9 +66,11 @@ class World(VirtualSwarm):
             phases=scenario.has_phases,
             strikes=scenario.radiation.strikes_per_step,
             record=record,
+            participant=participant,
         )
-        if scenario.failures.blast is not None:
-            self.blast = Blast(self.ledger)
+        self.statistics.load = load
+        if failures is not None and scenario.failures.blast is not None:
+            failures.blast = Blast(self.ledger)
 
     @property
     def graph(self) -> RangeGraph:
@@ -82,17 +93,23 @@ class World(VirtualSwarm):
         if self.failures is not None:
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
-            if self.blast is not None and t == self.scenario.failures.blast:
-                self._explode(self.failures, self.blast)
+            if self.failures.blast is not None and t == self.scenario.failures.blast:
+                self._explode(self.failures, self.failures.blast)
         self._sense(now)
+        for node_id in self._pictures.due(t):
+            if node_id not in self.off:
+                # It leaves in the node's turn.
+                self._pictures.take(self.agents[node_id], now)
 
     def _dangers(self) -> Iterator[Danger]:
-        """The drones where radiation is, by Eq. 2 or the authors' rule."""
-        if not self.scenario.radiation.corruption:
+        """The drones where radiation is, by Eq. 2, the authors' rule, or the dose."""
+        radiation = self.scenario.radiation
+        if not radiation.corruption:
             return
+        page_bytes = radiation.page_bytes if radiation.law == "dose" else None
         for node_id in range(self.scenario.bases, self.scenario.nodes):
             if self._threshold is None:
-                danger = Danger(node_id, self.surroundings.corruption[node_id])
+                danger = Danger(node_id, self.surroundings.corruption[node_id], page_bytes=page_bytes)
             else:
                 rng = self._robot_rngs[node_id]
                 danger = Danger(node_id, self._threshold.probability(self.surroundings.levels[node_id], rng), rng)
@@ -109,11 +126,10 @@ class World(VirtualSwarm):
         blast.is_over()
 
     def _sense(self, now: float) -> None:
-        """Each flight controller sends its position, and its sensor's reading: Eq. 1 with noise."""
-        noise = self.scenario.radiation.noise
-        gauss = self._noise_rng.gauss
+        """Each flight controller sends its position, and its sensor's reading."""
+        rng = self._noise_rng
         positions = self.surroundings.positions
-        levels = self.surroundings.levels
+        reading = self.surroundings.reading
         agents = self.agents
         off = self.off
         before, step_s = self._places or positions, self.step_s
@@ -124,7 +140,7 @@ class World(VirtualSwarm):
             last_x, last_y = before[node_id]
             velocity = ((x - last_x) / step_s, (y - last_y) / step_s)
             vehicle_bytes = agents[node_id].vehicle_bytes
-            frames = autopilot.frames(now, x, y, levels[node_id] + gauss(0.0, noise), velocity)
+            frames = autopilot.frames(now, x, y, reading(node_id, rng), velocity)
             if node_id in off:
                 continue
             for frame in frames:

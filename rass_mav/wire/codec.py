@@ -61,9 +61,16 @@ DIGEST = 16
 _BEACON = struct.Struct("<BHIHBHIHBHHHHHIIH")
 _BEACON_FIELDS = struct.Struct(_BEACON.format.replace("B", "x", 1))
 _SEAL = 37
-# One byte is reserved, then the sender's motion.
-_MOVES = struct.Struct("<xQ")
-_NOT_TOLD = (0,)
+# What may follow the fields of a beacon, or the hand-overs of data: its kind and its size in bytes. Unknown kinds are
+# ignored.
+_BLOCK = struct.Struct("<BB")
+#: The block with answers to hand-overs.
+ANSWERS = 1
+#: The block of distant spares.
+DISTANCE = 2
+#: The block of a beacon with the sender's motion.
+MOTION = 3
+_MOVES = struct.Struct("<Q")
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _DISTANCE = struct.Struct("<HHB")
@@ -71,7 +78,9 @@ _OFFER = struct.Struct("<BHHIHIIIBBIIB")
 _ACCEPT = struct.Struct("<BHHIHH")
 _CHUNK = struct.Struct("<BHH")
 _SACK = struct.Struct("<BHHHHB")
-_COMMITTED = struct.Struct("<BHHBB")
+_SENDER = struct.Struct("<BH")
+# An answer without its sender, which is known where it rides on another message.
+_RIDER = struct.Struct("<HBB")
 _DONE = struct.Struct("<II")
 _NUMBER = struct.Struct("<I")
 _RECEIPT = struct.Struct("<BHIIIB")
@@ -87,6 +96,8 @@ _WORD = struct.Struct("<HIIB")
 INLINE_BYTES = MAX_TUNNEL - _TO.size - _DATUM.size
 #: Largest payload of a chunk.
 CHUNK_BYTES = MAX_TUNNEL - _CHUNK.size
+#: Largest digest.
+DIGEST_BYTES = _DIGEST.size + MARK_BYTES
 
 _POLL = 0x8000
 _SPARE = 0x80
@@ -135,19 +146,22 @@ def encode(message: Message, now: float) -> list[bytes]:
 
 
 _BEACON_HEAD = _head(BEACON)
+_DATA_HEAD = bytes([_head(DATA)])
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    rest = _BEACON.pack(_BEACON_HEAD, *m[:-1])
+    rest = _BEACON.pack(_BEACON_HEAD, *m[:-2])
     if m.moves:
-        rest += _MOVES.pack(m.moves)
+        rest += _BLOCK.pack(MOTION, _MOVES.size) + _MOVES.pack(m.moves)
+    if m.answers:
+        rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size)[0]
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
 def _encode_data(m: Data, now: float) -> list[bytes]:
     frames = []
     parts: list[bytes] = []
-    tail = _DISTANCE.pack(*m.distance) if m.spare and m.distance else b""
+    tail = _BLOCK.pack(DISTANCE, _DISTANCE.size) + _DISTANCE.pack(*m.distance) if m.spare and m.distance else b""
     most = room = MAX_TUNNEL - _TO.size - len(tail)
     flag = _SPARE if m.spare else 0
     for number, (id, kind, created, hops, crc, payload, at_least) in m.handovers:
@@ -163,7 +177,40 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
         parts.append(payload)
         room -= size
     frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts) + tail)
+    if m.answers:
+        block, rest = _encode_answers(m.answers, MAX_TUNNEL - len(frames[-1]))
+        frames[-1] += block
+        for answer in rest:
+            frames += _encode_committed(answer, now)
     return frames
+
+
+def _encode_answers(answers: tuple[Committed, ...], room: int) -> tuple[bytes, list[Committed]]:
+    """A block with as much of the answers as fits `room` bytes, and what does not fit."""
+    room -= _BLOCK.size + _MAC
+    riders = b""
+    left = []
+    for answer in answers:
+        rider, rest = _encode_answer(answer, room - len(riders))
+        riders += rider
+        if rest is not None:
+            left.append(rest)
+    return (_BLOCK.pack(ANSWERS, len(riders)) + riders if riders else b""), left
+
+
+def _encode_answer(m: Committed, room: int) -> tuple[bytes, Committed | None]:
+    """As much of an answer as fits `room` bytes, without its sender, and what does not fit."""
+    room = max(0, room - _RIDER.size)
+    done = m.committed[: room // _DONE.size]
+    no = m.refused[: (room - len(done) * _DONE.size) // _NUMBER.size]
+    if len(done) == len(m.committed) and len(no) == len(m.refused):
+        rest = None
+    else:
+        rest = m._replace(committed=m.committed[len(done) :], refused=m.refused[len(no) :])
+        if not done and not no:
+            return b"", rest
+    numbers = struct.pack(f"<{2 * len(done) + len(no)}I", *chain(*done, no))
+    return _RIDER.pack(m.target, len(done), len(no)) + numbers, rest
 
 
 def _encode_offer(m: Offer, now: float) -> list[bytes]:
@@ -191,19 +238,13 @@ def _encode_sack(m: Sack, now: float) -> list[bytes]:
 
 
 def _encode_committed(m: Committed, now: float) -> list[bytes]:
-    committed, refused = list(m.committed), list(m.refused)
+    head = _SENDER.pack(_head(COMMITTED), m.sender)
     frames = []
-    while True:
-        room = MAX_TUNNEL - _MAC - _COMMITTED.size
-        done = committed[: room // _DONE.size]
-        no = refused[: (room - len(done) * _DONE.size) // _NUMBER.size]
-        del committed[: len(done)], refused[: len(no)]
-        frames.append(
-            _COMMITTED.pack(_head(COMMITTED), m.sender, m.target, len(done), len(no))
-            + struct.pack(f"<{2 * len(done) + len(no)}I", *chain(*done, no))
-        )
-        if not committed and not refused:
-            return frames
+    rest: Committed | None = m
+    while rest is not None:
+        answer, rest = _encode_answer(rest, MAX_TUNNEL - _MAC - len(head))
+        frames.append(head + answer)
+    return frames
 
 
 def _encode_receipt(m: Receipt, now: float) -> list[bytes]:
@@ -276,6 +317,11 @@ def target_of(payload: bytes) -> int:
     return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
 
 
+def is_data(payload: bytes) -> bool:
+    """Whether a TUNNEL payload begins like a `Data` message of this version."""
+    return payload[:1] == _DATA_HEAD
+
+
 # In a mock swarm all nodes that hear a frame decode it one after the other.
 @lru_cache(maxsize=16)
 def decode(payload: bytes, now: float) -> Message:
@@ -309,9 +355,46 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
+    blocks = _decode_blocks(rest, _BEACON.size, fields[0]) if len(rest) > _BEACON.size else _NO_BLOCKS
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    moves = _MOVES.unpack_from(rest, _BEACON.size) if len(rest) >= _BEACON.size + _MOVES.size else _NOT_TOLD
-    return tuple.__new__(Beacon, fields + moves)
+    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves))
+
+
+class _Blocks(NamedTuple):
+    answers: tuple[Committed, ...] = ()
+    distance: Distance | None = None
+    """How a distant spare keeps away."""
+    moves: int = 0
+
+
+_NO_BLOCKS = _Blocks()
+
+
+def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
+    """The blocks from `at` to the end. Unknown ones are ignored."""
+    answers, distance, moves = _NO_BLOCKS
+    while at < len(p):
+        kind, size = _BLOCK.unpack_from(p, at)
+        at += _BLOCK.size
+        if at + size > len(p):
+            raise MalformedError("truncated block")
+        if kind == ANSWERS:
+            answers += _decode_answers(p[at : at + size], sender)
+        elif kind == DISTANCE and size >= _DISTANCE.size:
+            distance = Distance._make(_DISTANCE.unpack_from(p, at))
+        elif kind == MOTION and size >= _MOVES.size:
+            (moves,) = _MOVES.unpack_from(p, at)
+        at += size
+    return _Blocks(answers, distance, moves)
+
+
+def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:
+    answers = []
+    at = 0
+    while at < len(block):
+        answer, at = _decode_answer(block, at, sender)
+        answers.append(answer)
+    return tuple(answers)
 
 
 def _decode_data(p: bytes, now: float) -> Data:
@@ -328,10 +411,11 @@ def _decode_data(p: bytes, now: float) -> Data:
         created = now - (age & _OLDEST) / 1000.0
         datum = Datum(DatumId(origin, epoch, sequence), kind, created, hops, crc, data, age >= _OLDEST)
         handovers.append(Handover(number, datum))
-    distance = None
-    if count >= _SPARE and len(p) > at:
-        distance = Distance._make(_DISTANCE.unpack_from(p, at))
-    return Data(sender, target, tuple(handovers), count >= _SPARE, distance)
+    spare = count >= _SPARE
+    if at == len(p):
+        return Data(sender, target, tuple(handovers), spare)
+    answers, distance, _ = _decode_blocks(p, at, sender)
+    return Data(sender, target, tuple(handovers), spare, distance if spare else None, answers)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:
@@ -361,12 +445,17 @@ def _decode_sack(p: bytes, now: float) -> Sack:
 
 
 def _decode_committed(p: bytes, now: float) -> Committed:
-    _, sender, target, done, no = _COMMITTED.unpack_from(p)
-    at = _COMMITTED.size
+    return _decode_answer(p, _SENDER.size, _SENDER.unpack_from(p)[1])[0]
+
+
+def _decode_answer(p: bytes, at: int, sender: int) -> tuple[Committed, int]:
+    """An answer, and where it ends."""
+    target, done, no = _RIDER.unpack_from(p, at)
+    at += _RIDER.size
     end = at + done * _DONE.size
     committed = tuple([_DONE.unpack_from(p, i) for i in range(at, end, _DONE.size)])
     refused = tuple([_NUMBER.unpack_from(p, end + i * _NUMBER.size)[0] for i in range(no)])
-    return Committed(sender, target, committed, refused)
+    return Committed(sender, target, committed, refused), end + no * _NUMBER.size
 
 
 def _decode_receipt(p: bytes, now: float) -> Receipt:

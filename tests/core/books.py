@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import MAX_PASSED, MAX_SPARES, Mirrors
+from rass_mav.core.spares.overheard import Overheard
 
 
 def records(holdings: Holdings) -> list[Holding]:
@@ -40,6 +42,7 @@ def check(holdings: Holdings, small_bytes: int) -> None:
         if h.backer is not None:
             assert h.state is State.SPARE
             assert h.partner not in (None, h.backer)
+        assert h.state is State.SPARE or not h.matched
         if h.partner is not None:
             assert holdings.partners[h.partner.id] is h.partner
     for id, partner in holdings.partners.items():
@@ -56,8 +59,22 @@ def check_node(node: Node) -> None:
     check(node.holdings, node.settings.inline_bytes)
     assert all(h.partner is not None for h in node.holdings.spare.values())
     if isinstance(node.keeper.spares, Mirrors):
+        check_overheard(node, node.keeper.spares._overheard)
         assert spares(node) <= MAX_SPARES
         assert len(node.keeper.spares._passed) <= MAX_PASSED
+
+
+def check_overheard(node: Node, overheard: Overheard) -> None:
+    """Overheard data are of nothing that is held here, and have a place that nothing else needs."""
+    capacity = node.holdings.capacity_items
+    assert not any(id in node.holdings for id in overheard.data)
+    assert capacity is None or not overheard.data or len(overheard.data) + len(node.holdings) <= capacity
+    assert overheard.bytes == sum(len(d.payload) for d in overheard.data.values())
+    assert list(overheard._sources) == list(overheard.data)
+    assert overheard._senders == Counter(sender for sender, _ in overheard._sources.values())
+    assert overheard._origins == Counter(id.origin for id in overheard.data)
+    for counts in (overheard._senders, overheard._origins):
+        assert all(0 < count <= overheard._of_one for count in counts.values())
 
 
 def spares(node: Node) -> int:

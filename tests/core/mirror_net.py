@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BROADCAST, Message
+from rass_mav.core.messages import BROADCAST, Data, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
+from rass_mav.core.spares.speech import TELL_STEPS
 
 from .books import backers, check_node
 from .build import make_node
@@ -31,7 +32,8 @@ class Book(Observer):
 
 
 class Net:
-    """Nodes by id, and who hears whom. Steps are one second; a step's frames and all answers arrive at once."""
+    """Nodes by id, and who hears whom. Steps are one second; a step's frames and all answers arrive at once, after
+    what they depend on is on disk."""
 
     def __init__(
         self, risks: dict[int, float], links: Iterable[tuple[int, int]], *, base: int = -1, **settings: Any
@@ -67,11 +69,13 @@ class Net:
             self.said.append(message)
             target = getattr(message, "target", BROADCAST)
             for i, node in self.nodes.items():
-                if i in self.off or frozenset((i, sender)) not in self.links or target not in (i, BROADCAST):
+                if i in self.off or frozenset((i, sender)) not in self.links:
                     continue
-                if not self.loses(message):
-                    queue += [(i, answer) for answer in node.receive(message, self.now)]
-                    queue += [(i, more) for more in self.forwarded(node)]
+                # Data for others are heard too.
+                if (target in (i, BROADCAST) or type(message) is Data) and not self.loses(message):
+                    answers = node.receive(message, self.now)
+                    self.stores[i].commit()
+                    queue += [(i, more) for more in let_ride(answers, self.forwarded(node))]
 
     def forwarded(self, node: Node) -> list[Message]:
         return node.forward(self.now) if node.settings.immediate else []
@@ -85,6 +89,7 @@ class Net:
             for i, node in self.nodes.items():
                 if i not in self.off:
                     queue += [(i, message) for message in node.step(self.now)]
+                    self.stores[i].commit()
             self.deliver(queue)
             for node in self.nodes.values():
                 check_node(node)
@@ -133,8 +138,9 @@ def handed_over(net: Net) -> DatumId:
 
 
 def at_rest(net: Net) -> DatumId:
-    """A datum that has come from 1 over 2 to 3."""
+    """A datum that has come from 1 over 2 to 3, of which 2 has told 1 in the last step."""
     id = handed_over(net)
     net.step()
     assert net.custody(id) == [3]
+    net.step(TELL_STEPS)
     return id

@@ -182,8 +182,10 @@ def hears_beacon(
 
 
 @message
-def hears_data(world: World, sender: int, what: list[tuple[int, tuple[DatumId, int, int, bool]]], spare: bool) -> Data:
-    return Data(sender, ME, tuple(Handover(n, content(*of)) for n, of in what), spare)
+def hears_data(
+    world: World, sender: int, target: int, what: list[tuple[int, tuple[DatumId, int, int, bool]]], spare: bool
+) -> Data:
+    return Data(sender, target, tuple(Handover(n, content(*of)) for n, of in what), spare)
 
 
 @message
@@ -318,7 +320,7 @@ any_event = st.one_of(
         life=st.integers(1, 2), ahead=st.integers(0, 3), risk=st.sampled_from([0, 30000, 65535]),
     ),
     hears_data(
-        sender=any_sender, spare=any_flag,
+        sender=any_sender, target=st.sampled_from([ME, ME, 7]), spare=any_flag,
         what=st.lists(st.tuples(any_number, small_content), min_size=1, max_size=3),
     ),
     hears_words(
@@ -365,6 +367,7 @@ any_options = st.fixed_dictionaries(
         "mirror": st.sampled_from([True, True, True, False]),
         "base": st.integers(0, 9).map(lambda n: n == 0),
         "copies_auto": any_flag,
+        "overhear": any_flag,
         "immediate": any_flag,
         "mirror_until_receipt": any_flag,
         "receipts": any_flag,

@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
+from rass_mav.core.custody.percolation import MOVING_TURNS
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import (
     UNBOUNDED_FREE,
+    Beacon,
     Committed,
     Data,
     Handover,
@@ -20,6 +22,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
+from rass_mav.core.spares.speech import TELL_STEPS
 
 from .books import check_node, mirrors, spares
 from .build import beacon, data, datum, make_node, of
@@ -102,7 +105,8 @@ def test_a_lost_passed_on_is_asked_for() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
     net.loses = lambda message: type(message) is PassedOn
-    net.step()
+    net.step(1 + TELL_STEPS)
+    assert net.of(PassedOn) == [PassedOn(2, 1, (id,))]
     net.loses = lambda message: False
     assert net.custody(id) == [3]
     assert net.active(id) == [1, 2]
@@ -189,12 +193,15 @@ def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words(
     net = Net(RISKS, CHAIN)
     net.step()
     id = net.put(1)
-    net.loses = lambda message: type(message) is Committed and message.target == 1
+    # The answers to 1, and those that beacons repeat.
+    net.loses = lambda message: isinstance(message, Beacon | Committed) and message.sender == 2
     net.step(2)
     assert net.custody(id) == [1, 3]
     net.loses = lambda message: False
-    net.step()
+    # It has heard 2 hand the datum to 3, so it waits longer.
+    net.step(MOVING_TURNS + 1)
     assert net.custody(id) == [3]
+    net.step(TELL_STEPS)
     assert net.active(id) == [2]
 
 

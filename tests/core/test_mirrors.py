@@ -26,6 +26,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.spares.mirrors import ASK_STEPS
+from rass_mav.core.spares.speech import TELL_STEPS
 from tests.extent import examples
 
 from .books import mirrors, spares
@@ -69,7 +70,7 @@ def test_a_base_needs_no_backer() -> None:
     net = Net({0: 0.0, 1: 0.5, 2: 0.5}, [(0, 1), (1, 2)], base=0)
     net.step(12)
     id = net.put(2)
-    net.step(2)
+    net.step(2 + TELL_STEPS)
     assert id in net.nodes[0].keeper.arrived
     assert net.spares(id) == []
     assert not net.nodes[2].holdings.partners
@@ -199,7 +200,7 @@ def test_a_request_that_nobody_answers_ends() -> None:
     assert list(net.stores[3].losses()) == [(id, Fate.CORRUPTED)]
     # 2 still has its spare, and asks after it in the end.
     net.loses = lambda message: False
-    net.step(ASK_STEPS)
+    net.step(ASK_STEPS + 1)
     assert net.custody(id) == [3]
     assert list(net.stores[3].losses()) == []
 
@@ -318,7 +319,8 @@ def test_the_word_for_a_spare_never_ends_custody() -> None:
 
 
 def test_an_offer_that_is_not_answered_is_repeated_after_two_steps() -> None:
-    net = Net({1: 0.0, 2: 0.5}, [(1, 2)])
+    # Beacons repeat no answers.
+    net = Net({1: 0.0, 2: 0.5}, [(1, 2)], measured=False)
     net.loses = lambda message: type(message) is Committed
     id = resting(net, 1)
     offers = []
@@ -384,6 +386,7 @@ def test_large_data_rest_without_a_mirror_but_their_giver_keeps_a_copy() -> None
     assert net.active(id) == [1]
     net.step()
     assert net.custody(id) == [3]
+    net.step(TELL_STEPS)
     assert net.active(id) == [2]
     net.strike(3, id)
     net.step(2)

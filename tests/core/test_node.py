@@ -105,9 +105,13 @@ def test_the_bandwidth_bounds_what_is_sent_retransmissions_included() -> None:
     first = of(Data, node.step(1.0))
     assert sum(len(d.handovers) for d in first) == 3
     fitter(node, number=1, now=1.0)
-    again = of(Data, node.step(2.0))
+    second = of(Data, node.step(2.0))
+    assert sum(len(d.handovers) for d in second) == 3
+    assert len(node.holdings.pending) == 6
+    fitter(node, number=2, now=2.0)
+    again = of(Data, node.step(3.0))
     assert [h.number for d in again for h in d.handovers] == [h.number for d in first for h in d.handovers]
-    assert len(node.holdings.pending) == 3
+    assert len(node.holdings.pending) == 6
 
 
 def test_the_oldest_data_go_first_and_no_more_than_the_neighbour_has_room_for() -> None:
@@ -131,7 +135,7 @@ def test_after_max_tries_a_hand_over_gets_a_new_number() -> None:
     node = make_node(1, max_tries=2)
     node.put(b"x", 0.0)
     numbers = []
-    for turn in range(3):
+    for turn in range(8):
         fitter(node, number=turn, now=float(turn))
         numbers += [h.number for d in of(Data, node.step(float(turn))) for h in d.handovers]
     assert numbers[0] == numbers[1] != numbers[2]

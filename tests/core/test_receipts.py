@@ -324,6 +324,18 @@ def test_a_flood_of_invented_bases_leaves_the_named_one_alone() -> None:
     assert any(identity[:2] == (1, 9) for identity in receipts.statements.of)
 
 
+def test_a_node_knows_what_several_bases_have_of_thousands_of_origins() -> None:
+    receipts = Receipts()
+    for base in range(4):
+        for first in range(0, 2500, 8):
+            some = [id for origin in range(first, min(first + 8, 2500)) for id in ids(origin, base)]
+            receipts.learn(statement(*some, base=base, serial=first))
+    assert len(receipts.statements.of) == 4 * 313
+    assert receipts.digest == digest_of(receipts)
+    assert receipts.digest != 0, "it can be compared"
+    assert all(id in receipts for origin in range(0, 2500, 99) for id in ids(origin, 0, 1, 2, 3))
+
+
 def test_equal_changes_of_two_entries_do_not_cancel_in_the_digest() -> None:
     receipts = Receipts()
     seen = set()

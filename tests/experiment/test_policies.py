@@ -32,7 +32,7 @@ def plan(*, runs: int = 2, **options: Any) -> list[Run]:
 def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_one() -> None:
     planned = plan(die_fraction=0.25)
     found = {(run.world, run.policy, run.variant, run.scenario.seed) for run in planned}
-    assert len(found) == len(planned) == 2 * (4 * 5 + 1) * 2
+    assert len(found) == len(planned) == 2 * (4 * 6 + 1) * 2
     assert {variant for _, policy, variant, _ in found if policy == "stigmergy"} == {"plain"}
     assert {run.scenario.seed for run in planned} == {0, 1}
     for run in planned:
@@ -52,7 +52,9 @@ def test_a_variant_sets_its_keys_and_the_rest_is_the_world_paper() -> None:
         "mirror": (True, "passed-on", False, 1, "step"),
         "mirror-immediate": (True, "receipt", True, 1, "immediate"),
         "copies-auto": (True, "receipt", True, "auto", "immediate"),
+        "defaults": (True, "receipt", True, "auto", "immediate"),
     }
+    assert [name for name, s in by_variant.items() if s.custody.overhear and s.routing.queue_toll] == ["defaults"]
     for scenario in by_variant.values():
         assert (scenario.radiation.noise, scenario.store.capacity_items) == (0.05, 50)
 

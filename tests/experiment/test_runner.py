@@ -54,6 +54,30 @@ def test_processes_give_the_same_results_in_the_same_order(tmp_path: Path) -> No
     assert comparable(run_all(runs, tmp_path / "two", jobs=2)) == comparable(run_all(runs, tmp_path / "one", jobs=1))
 
 
+def test_results_of_other_keys_or_other_code_are_told_and_done_again(tmp_path: Path) -> None:
+    told: list[int] = []
+    run_all([run(0), run(1)], tmp_path, outdated=told.append)
+    # Another seed is another run, not an old one.
+    run_all([run(1), run(2)], tmp_path, outdated=told.append)
+    assert told == []
+    more = [run(seed, options={"radio.loss": 0.1}) for seed in (0, 1, 3)]
+    assert run_all(more, tmp_path, outdated=told.append).done == 3
+    assert told == [2]
+    for path in tmp_path.iterdir():
+        path.rename(path.with_name(f"{path.stem.rpartition('_')[0]}_ofothercode.json"))
+    again = run_all([run(0), run(1), run(4)], tmp_path, outdated=told.append)
+    assert (again.done, told) == (3, [2, 2])
+
+
+def test_what_a_killed_process_had_begun_to_write_goes_and_what_another_writes_stays(tmp_path: Path) -> None:
+    old, fresh = tmp_path / "a.1.part", tmp_path / "b.2.part"
+    for draft in (old, fresh):
+        draft.write_text("{")
+    os.utime(old, (0, 0))
+    run_all([], tmp_path)
+    assert (old.exists(), fresh.exists()) == (False, True)
+
+
 class Interruption:
     """Somebody presses Ctrl-C when so many runs are done."""
 
@@ -92,7 +116,7 @@ def test_everything_that_determines_a_run_is_in_its_key() -> None:
     runs = [
         run(), run(seed=1), run(policy="hop-count"), run(measures=["basins"]), run(options={"steps": 24}),
         run(options={"radio.loss": 0.1}), replace(run(), world="other"), replace(run(), variant="v"),
-        replace(run(), code="other"),
+        replace(run(), code="other"), replace(run(), protocol="epidemic"),
     ]  # fmt: skip
     assert len({r.key for r in runs}) == len(runs)
     assert run().key == run().key

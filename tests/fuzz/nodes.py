@@ -12,7 +12,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
-from rass_mav.wire import decode, encode, target_of
+from rass_mav.wire import decode, encode, is_data, target_of
 from tests.core.books import check_node
 from tests.core.build import make_node, make_replica
 from tests.core.durable import DurableStore
@@ -53,8 +53,8 @@ class Conversation:
             return make_replica(id, store=self.stores[id], capacity_items=6, lifetime_s=500.0, max_neighbours=4)
         return make_node(
             id, store=self.stores[id], base=id == BASE, policy=self.policy, risk=self.risk, now=self.now, mirror=True,
-            capacity_items=6, immediate=True, copies_auto=True, receipt_steps=1, lifetime_s=500.0, max_neighbours=4,
-            seed=self.lives,
+            overhear=True, capacity_items=6, immediate=True, copies_auto=True, receipt_steps=1, lifetime_s=500.0,
+            max_neighbours=4, seed=self.lives,
         )  # fmt: skip
 
     def receive(self, id: int, payload: bytes) -> list[Message]:
@@ -116,8 +116,12 @@ def _deliver(talk: Conversation, whom: int) -> None:
         if not talk.air:
             return
         sender, payload = talk.air.pop(0)
-        for id in talk.nodes:
-            if target_of(payload) in (id, BROADCAST) and id != sender and {id, sender} != talk.cut:
+        for id, node in talk.nodes.items():
+            if (
+                (target_of(payload) in (id, BROADCAST) or (node.overhears and is_data(payload)))
+                and id != sender
+                and {id, sender} != talk.cut
+            ):
                 talk.hear(id, payload)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import pytest
@@ -25,9 +26,9 @@ NEVER = {"base_off": [[10**6, 10**6 + 1]]}
 
 
 def plan(steps: int, nodes: int, level: float = 0.0, *, seed: int = 1, bases: int = 1, **keys: Any) -> dict[int, Any]:
-    """The failures of a run by step, with the same radiation everywhere."""
+    """The failures of a run by step, with the same radiation everywhere. A step is 0.01 hours."""
     section = convert(keys, FailureSection, "test")
-    failures = Failures(section, seed=seed, steps=steps, nodes=nodes, bases=bases)
+    failures = Failures(section, seed=seed, steps=steps, nodes=nodes, bases=bases, step_s=36.0)
     found = {t: failures.due(t, [level] * nodes) for t in range(steps)}
     return {t: due for t, due in found.items() if due}
 
@@ -63,6 +64,16 @@ def test_who_dies_of_a_smaller_fraction_dies_of_a_larger_one_too() -> None:
 def test_drones_die_in_proportion_to_the_radiation_up_to_one(level: float, effective: float) -> None:
     dead = len(nodes_of(plan(20, 5001, level, die_rate=0.05)))
     assert dead / 5000 == pytest.approx(1 - (1 - 0.05 * effective) ** 20, abs=0.02)
+
+
+def test_drones_die_of_the_dose_that_they_have_had() -> None:
+    # 200 steps of 0.01 h at 1,000 uSv/h: 2,000 uSv.
+    dead = len(nodes_of(plan(200, 5001, 1000.0, die_dose=4000.0)))
+    assert dead / 5000 == pytest.approx(1 - math.exp(-2000 / 4000), abs=0.02)
+    # The same dose in a tenth of the time kills the same drones.
+    strong = plan(20, 5001, 10_000.0, die_dose=4000.0)
+    assert len(nodes_of(strong)) == dead
+    assert plan(200, 50, 0.0, die_dose=1e-9) == {}
 
 
 def test_where_nothing_radiates_nobody_dies_of_it_and_a_certain_death_comes_at_once() -> None:

@@ -201,6 +201,7 @@ def test_fewer_vehicles_are_the_first_ones() -> None:
         ("failures.kill_autopilots=[[4, 5]]", "failures.kill_autopilots: expected drones, 1..3, got 4"),
         ("flight.speed_m_s=0", "flight.speed_m_s: expected a number > 0"),
         ("radiation.drift=1", "sources that do not move"),
+        ("radiation.law=dose", "expected paper with flying vehicles, got dose"),
         ("flight.height=3", "flight.height"),
         ("variants={rass: {node: {step_s: 1}}}", "variants"),
     ],

@@ -17,7 +17,7 @@ from tests.extent import extents
 #: What these do must not matter.
 HARMLESS = (
     "number-squatter", "request-forger", "impostor", "id-inventor", "replayer", "flooder", "bit-flipper",
-    "receipt-forger",
+    "receipt-forger", "digest-forger",
 )  # fmt: skip
 #: What these take is missing while they are there.
 THIEVES = ("sinkhole", "false-base", "black-hole", "committed-forger")

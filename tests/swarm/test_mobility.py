@@ -58,7 +58,7 @@ def test_step_0_is_the_start(name: str) -> None:
 def test_only_these_move(name: str) -> None:
     mobility = make(name, **({"split_step": 3} if name == "islands" else {}))
     taken = track(mobility, 5)
-    assert (taken[0] != taken[5]) == (name in {"lennard-jones", "random-walk", "islands"})
+    assert (taken[0] != taken[5]) == (name in {"lennard-jones", "random-walk", "islands", "survey"})
 
 
 @pytest.mark.parametrize("steps", [[1], [0, 0], [0, 2], [0, 1, 1]])

@@ -50,6 +50,29 @@ def test_all_mistakes_of_a_scenario_are_told_at_once(tmp_path: Path) -> None:
     ]
 
 
+def test_what_dose_rates_and_surveys_need(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("{mobility: {area_m: [100], strip_m: 0}, radiation: {tube: none, page_dose: 0}}")
+    assert complaints(path) == [
+        "mine.yaml: mobility.area_m: expected a list of 2 values, got [100]",
+        "mine.yaml: mobility.strip_m: expected a number > 0, got 0",
+        "mine.yaml: radiation.tube: expected one of j305, lnd-7317, m4011, safecast, sbm-20, got 'none'",
+        "mine.yaml: radiation.page_dose: expected a number > 0, got 0",
+    ]
+    path.write_text("{mobility: {speed_m_s: [9, 3]}, radiation: {law: dose, rule: threshold, strength: [2, 1]}}")
+    assert complaints(path) == [
+        "mine.yaml: mobility.speed_m_s: expected two numbers in ascending order, got [9.0, 3.0]",
+        "mine.yaml: radiation.strength: expected two numbers in ascending order, got [2.0, 1.0]",
+        "mine.yaml: radiation.rule: expected probability with radiation.law dose, got threshold",
+    ]
+    path.write_text("{failures: {die_rate: 0.1}, radiation: {law: dose}}")
+    assert complaints(path) == [
+        "mine.yaml: failures.die_rate: expected 0 with radiation.law dose; failures.die_dose is for doses"
+    ]
+    path.write_text("failures: {die_dose: 10}")
+    assert complaints(path) == ["mine.yaml: failures.die_dose: expected null with radiation.law paper"]
+
+
 def test_what_the_sections_of_a_scenario_say_of_each_other(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("{nodes: 3, bases: 4, topology: positions, disk: {}, transport: udp, policy: {alpha: -1}}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from random import Random
 
@@ -117,6 +118,19 @@ def test_two_bases_of_a_line_stand_at_its_ends() -> None:
     spread = topology.spread_bases(topology.line(7, 2.4), 2)
     assert spread[0][0] == pytest.approx(-7.2)
     assert spread[1][0] == pytest.approx(7.2)
+
+
+@pytest.mark.parametrize("bases", [1, 4, 6, 9])
+def test_even_bases_have_about_as_many_nodes_each(bases: int) -> None:
+    positions = topology.grid(900, 60.0)
+    even = topology.even_bases(positions, bases)
+    shares = Counter(min(range(bases), key=lambda base: math.dist(place, even[base])) for place in even)
+    assert len(shares) == bases
+    assert max(shares.values()) <= 1.3 * 900 / bases
+    # In the middle: a base has all eight neighbours.
+    assert all(sum(math.dist(even[base], place) < RANGE_M for place in even) == 9 for base in range(bases))
+    assert sorted(even) == sorted(positions)
+    assert topology.even_bases(positions, bases) == even
 
 
 @given(st.integers(1, 60), st.data())

@@ -66,11 +66,33 @@ SAMPLES: dict[str, Message] = {
         1 << 23,
         0,
         0,
+        (),
         pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW),
+    ),
+    "beacon-answers": Beacon(
+        3,
+        0xCAFEBABE,
+        515,
+        0,
+        1,
+        0x0BADF00D,
+        42,
+        2,
+        0,
+        0,
+        16384,
+        49,
+        0xBEEF,
+        1 << 23,
+        0,
+        answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ())),
     ),
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
     "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
     "data-at-least": Data(3, 2, (Handover(0x01020304, OLD_HELLO),)),
+    "data-answers": Data(
+        3, 2, (Handover(0x01020304, HELLO),), answers=(Committed(3, 9, ((0x01020305, WORLD.crc),), (0x01020306,)),)
+    ),
     "offer": Offer(3, 2, 0x01020305, DatumId(3, 0xCAFEBABE, 8), 2, NOW - 2.0, 0, 0xDEADBEEF, 100000, 123),
     "accept": Accept(2, 3, 0x01020305, 0xA1B2, 10),
     "chunk": Chunk(BROADCAST, 0xA1B2, 10, False, b"chunk"),
@@ -119,29 +141,55 @@ receipt_entries = st.builds(
     u16, u32, st.integers(0, (1 << 32) - 129), u32, st.integers(0, (1 << 127) - 1), st.booleans(),
 )  # fmt: skip
 handovers = st.builds(Handover, u32, data(INLINE_BYTES))
+
+
+def answers(most: int, numbers: int) -> st.SearchStrategy[tuple[tuple[int, list[tuple[int, int]], list[int]], ...]]:
+    """Up to `most` answers that tell something: targets, committed, refused; of `numbers` at most."""
+    done = st.lists(st.tuples(u32, u32), max_size=numbers)
+    told = st.tuples(u16, done, st.lists(u32, max_size=numbers))
+    return st.lists(told.filter(lambda answer: bool(answer[1] or answer[2])), max_size=most).map(tuple)
+
+
+def _with_answers(message: Data | Beacon, told: tuple[tuple[int, list[tuple[int, int]], list[int]], ...]) -> Message:
+    """They are answers of the message's sender."""
+    return message._replace(answers=tuple([Committed(message.sender, to, tuple(a), tuple(b)) for to, a, b in told]))
+
+
 by_type: dict[type, st.SearchStrategy[Message]] = {
     Beacon: st.builds(
-        Beacon,
-        node_ids,
-        u32,
-        u16,
-        u8,
-        u16,
-        u32,
-        u16,
-        u8,
-        u16,
-        u16,
-        u16,
-        u16,
-        u16,
-        u32,
-        u32,
-        u16,
-        st.integers(0, (1 << 64) - 1),
+        _with_answers,
+        st.builds(
+            Beacon,
+            node_ids,
+            u32,
+            u16,
+            u8,
+            u16,
+            u32,
+            u16,
+            u8,
+            u16,
+            u16,
+            u16,
+            u16,
+            u16,
+            u32,
+            u32,
+            u16,
+            st.just(()),
+            st.integers(0, (1 << 64) - 1),
+        ),
+        # So many fit.
+        answers(4, 1),
     ),
     Data: st.one_of(
-        st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans(), st.none()),
+        st.builds(
+            _with_answers,
+            st.builds(
+                Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans(), st.none(), st.just(())
+            ),
+            answers(5, 20),
+        ),
         st.builds(
             Data,
             u16,
@@ -149,6 +197,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             st.lists(st.builds(Handover, u32, data(INLINE_BYTES - DISTANT_BYTES)), max_size=12).map(tuple),
             st.just(True),
             st.builds(Distance, u16, u16, u8),
+            st.just(()),
         ),
     ),
     Offer: st.builds(

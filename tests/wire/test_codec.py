@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from hypothesis import strategies as st
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import (
     BROADCAST,
-    DISTANT_BYTES,
     Beacon,
     Chunk,
     Committed,
@@ -30,7 +30,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.errors import MalformedError
 from rass_mav.wire import INLINE_BYTES, MAX_TUNNEL, decode, encode, target_of
-from rass_mav.wire.codec import VERSION, ForeignError
+from rass_mav.wire.codec import ANSWERS, MOTION, VERSION, ForeignError
 
 from .samples import HELLO, NOW, SAMPLES, any_message, by_type
 from .version_1 import VERSION_1
@@ -74,12 +74,24 @@ def test_round_trip(message: Message) -> None:
     parts = [decode(frame, NOW) for frame in frames]
     if len(parts) == 1:
         assert same(message, parts[0])
+    elif isinstance(message, Data):
+        assert told(parts) == told([message])
+        assert same(message._replace(answers=()), joined([m._replace(answers=()) for m in parts if type(m) is Data]))
     else:
-        assert isinstance(message, (Data, Committed, LossNote, PassedOn, Words))
+        assert isinstance(message, (Committed, LossNote, PassedOn, Words))
         assert same(message, joined(parts))
 
 
-def joined(parts: list[Message]) -> Message:
+def told(messages: Sequence[Message]) -> list[tuple[int, ...]]:
+    """What all answers among the messages, and on them, tell: sender, target, number, and the CRC if it is
+    committed."""
+    answers = [m for m in messages if isinstance(m, Committed)]
+    answers += [answer for m in messages if isinstance(m, Data | Beacon) for answer in m.answers]
+    rows = [(a.sender, a.target, *done) for a in answers for done in a.committed]
+    return sorted([*rows, *[(a.sender, a.target, number) for a in answers for number in a.refused]])
+
+
+def joined(parts: Sequence[Message]) -> Message:
     """One message from the frames that it had to be split over."""
     first, *others = parts
     fields: list[Any] = list(first)
@@ -98,15 +110,9 @@ def test_many_hand_overs_fill_as_few_frames_as_possible() -> None:
 
 
 def test_the_beacon_is_small() -> None:
-    for message in SAMPLES.values():
-        if isinstance(message, Beacon):
-            assert len(encode(message, NOW)[0]) == (52 if message.moves else 43)
-
-
-def test_what_is_too_short_for_a_motion_is_none() -> None:
-    beacon = SAMPLES["beacon-drone"]
-    for size in range(9):
-        assert decode(sealed(encode(beacon, NOW)[0], b"x" * size), NOW) == beacon
+    beacons = [m for m in SAMPLES.values() if isinstance(m, Beacon)]
+    sizes = {43 + 10 * bool(m.moves) + 2 * bool(m.answers) + 12 * len(m.answers) for m in beacons}
+    assert {len(encode(m, NOW)[0]) for m in beacons} == sizes
 
 
 def sealed(beacon: bytes, extra: bytes = b"") -> bytes:
@@ -115,10 +121,19 @@ def sealed(beacon: bytes, extra: bytes = b"") -> bytes:
     return beacon[:37] + zlib.crc32(end, zlib.crc32(beacon[:37])).to_bytes(4, "little") + end
 
 
-@given(by_type[Beacon], st.binary(min_size=1, max_size=85))
-def test_what_is_appended_to_a_beacon_is_ignored_but_belongs_to_its_checksum(beacon: Message, extra: bytes) -> None:
-    assert isinstance(beacon, Beacon)
-    beacon = beacon._replace(moves=beacon.moves or 1)
+def block(kind: int, content: bytes) -> bytes:
+    return bytes((kind, len(content))) + content
+
+
+#: Blocks of kinds that this version does not know: a later one may append them.
+unknown_blocks = st.builds(
+    block, st.integers(0, 255).filter(lambda kind: kind not in (ANSWERS, MOTION)), st.binary(max_size=30)
+)
+later = st.lists(unknown_blocks, min_size=1, max_size=2).map(b"".join)
+
+
+@given(by_type[Beacon], later)
+def test_unknown_blocks_of_a_beacon_are_ignored_but_belong_to_its_checksum(beacon: Message, extra: bytes) -> None:
     [payload] = encode(beacon, NOW)
     assert sealed(payload) == payload
     assert decode(sealed(payload, extra), NOW) == beacon
@@ -126,7 +141,62 @@ def test_what_is_appended_to_a_beacon_is_ignored_but_belongs_to_its_checksum(bea
         decode(payload + extra, NOW)
 
 
-@given(by_type[Beacon], st.binary(max_size=85), st.data())
+@given(by_type[Data], later)
+def test_unknown_blocks_of_data_are_ignored(data: Message, extra: bytes) -> None:
+    for frame in encode(data, NOW):
+        if frame[0] == SAMPLE_DATA[0]:
+            assert decode(frame + extra, NOW) == decode(frame, NOW)
+
+
+SAMPLE_DATA = encode(SAMPLES["data"], NOW)[0]
+SAMPLE_BEACON = encode(SAMPLES["beacon-drone"], NOW)[0]
+
+
+@pytest.mark.parametrize("extra", [b"\x09", b"\x09\x01", block(9, b"four")[:-1], block(ANSWERS, b"\x02\x00\x01"),
+                                   block(ANSWERS, b"\x02\x00\x01\x00\x04\x03\x02\x01"),
+                                   block(ANSWERS, b"\x02\x00\xff\xff") + block(9, bytes(80))])  # fmt: skip
+def test_a_truncated_block_is_malformed(extra: bytes) -> None:
+    """So is an answer that does not end where its block does: it reads nothing behind it."""
+    for payload in (SAMPLE_DATA + extra, sealed(SAMPLE_BEACON, extra)):
+        with pytest.raises(MalformedError):
+            decode(payload, NOW)
+
+
+@given(st.sampled_from(["data-answers", "beacon-answers"]), later)
+def test_answers_are_found_among_other_blocks(name: str, other: bytes) -> None:
+    message = SAMPLES[name]
+    assert isinstance(message, Data | Beacon)
+    [payload], [bare] = encode(message, NOW), encode(message._replace(answers=()), NOW)
+    moved = payload[: len(bare)] + other + payload[len(bare) :]
+    assert same(decode(sealed(moved) if isinstance(message, Beacon) else moved, NOW), message)
+
+
+@pytest.mark.parametrize("givers", [1, 2, 9])
+def test_a_beacon_repeats_as_many_answers_as_fit(givers: int) -> None:
+    """Also if they are all for one neighbour. The others are left out: it is one frame."""
+    beacon = SAMPLES["beacon-drone"]
+    assert isinstance(beacon, Beacon)
+    answers = tuple([Committed(3, to, tuple((10 * to + n, n) for n in range(10)), ()) for to in range(givers)])
+    [payload] = encode(beacon._replace(answers=answers), NOW)
+    assert MAX_TUNNEL - 12 - 12 < len(payload) <= MAX_TUNNEL - 12, "a message authentication code fits behind it"
+    heard = decode(payload, NOW)
+    repeated = told([heard])
+    assert len(repeated) == 8
+    assert set(repeated) < set(told(answers))
+
+
+@given(by_type[Data])
+def test_answers_take_no_frames_as_long_as_they_fit(data: Message) -> None:
+    assert isinstance(data, Data)
+    *_, last = bare = encode(data._replace(answers=()), NOW)
+    room = MAX_TUNNEL - 12 - 2 - len(last)
+    needed = sum(4 + 8 * len(answer.committed) + 4 * len(answer.refused) for answer in data.answers)
+    frames = encode(data, NOW)
+    assert [decode(frame, NOW) for frame in frames[: len(bare) - 1]] == [decode(frame, NOW) for frame in bare[:-1]]
+    assert (len(frames) == len(bare)) == (needed <= room or not data.answers)
+
+
+@given(by_type[Beacon], later, st.data())
 def test_no_flipped_bit_in_a_beacon_goes_unseen(beacon: Message, extra: bytes, draw: st.DataObject) -> None:
     payload = bytearray(sealed(encode(beacon, NOW)[0], extra))
     bit = draw.draw(st.integers(0, len(payload) * 8 - 1))
@@ -143,7 +213,7 @@ def test_no_flipped_bit_in_a_beacon_goes_unseen(beacon: Message, extra: bytes, d
 def test_a_beacon_whose_end_is_zeros_is_none(beacon: Message, size: int) -> None:
     """As when the length in the frame is damaged, and zeros are restored that never were there."""
     [payload] = encode(beacon, NOW)
-    damaged = payload[:size].ljust(43, b"\0")
+    damaged = payload[:size].ljust(len(payload), b"\0")
     if damaged != payload:
         with pytest.raises(MalformedError):
             decode(damaged, NOW)
@@ -166,10 +236,8 @@ def test_where_custody_ends_there_is_room_for_a_code_that_proves_who_said_so(mes
 
 @given(any_message, st.binary(min_size=1, max_size=20))
 def test_appended_fields_are_ignored(message: Message, extra: bytes) -> None:
-    if isinstance(message, Chunk | Beacon):
-        return  # A chunk's data reach to the end of the frame; a beacon's checksum covers what is behind it.
-    if isinstance(message, Data) and message.spare:
-        message = message._replace(handovers=message.handovers[:0], distance=Distance(1, 2, 3))
+    if isinstance(message, Chunk | Beacon | Data):
+        return  # A chunk's data reach to the end of the frame; what is behind the other two has a form.
     for frame in encode(message, NOW):
         assert decode(frame + extra, NOW) == decode(frame, NOW)
 
@@ -213,9 +281,10 @@ def test_truncated_messages_are_malformed(name: str) -> None:
     frame = encode(SAMPLES[name], NOW)[0]
     # A chunk may be cut anywhere behind its head and only gets shorter: its receiver knows how long it must be.
     end = 5 if isinstance(SAMPLES[name], Chunk) else len(frame)
-    for size in range(end):
-        if name == "data-distant" and size == end - DISTANT_BYTES:
-            continue  # The spare of a custodian.
+    # And data without their block are data without answers, or spares of a custodian.
+    sample = SAMPLES[name]
+    bare = encode(sample._replace(answers=(), distance=None), NOW)[0] if isinstance(sample, Data) else frame
+    for size in {*range(end)} - {len(bare)}:
         with pytest.raises(MalformedError):
             decode(frame[:size], NOW)
 

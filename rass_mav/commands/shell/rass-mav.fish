@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --arena --attacker --base --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --first-seed --for --group --jobs --keep --line --live --loss --name --nodes --out --output --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --air --arena --attacker --base --baseline --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --first-seed --for --group --jobs --keep --line --live --loss --name --nodes --off --out --output --own-runs --place --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -163,7 +163,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l nodes -x -d 'number of 
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l steps -x -d 'steps of Alg. 1'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l seed -x -d 'seed of all random choices'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l policy -xka "hop-count rass rass-literal stigmergy survival" -d 'which node is fit, and which data go where'
-complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l topology -xka "grid islands lennard-jones line positions random-walk scale-free" -d 'where the nodes are, and how they move'
+complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l topology -xka "grid islands lennard-jones line positions random-walk scale-free survey" -d 'where the nodes are, and how they move'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l range -x -d 'radio range'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l arena -x -d 'side of the arena'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l loss -x -d 'probability that a receiver loses a frame'
@@ -175,7 +175,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l record -xka "(__fish_co
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l keep -xka "(__fish_complete_directories)" -d 'udp: keep configurations, stores and logs here'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l check -d 'check all invariants in full after every step'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
-complete -c rass-mav -n '_shtab_rass_mav_using swarm; and test $_shtab_rass_mav_npos -eq 0' -ka "(string split ' ' 'demo five-drones hostile islands paper-grid paper-lennard-jones paper-random-walk paper-scale-free power-cuts reference-grid reference-lennard-jones reference-random-walk reference-scale-free udp-line'; __fish_complete_path (commandline -ct))" -d 'a YAML file, or one of these'
+complete -c rass-mav -n '_shtab_rass_mav_using swarm; and test $_shtab_rass_mav_npos -eq 0' -ka "(string split ' ' 'demo field-lora field-sik-250k field-sik-64k field-wifi-1m field-wifi-6m five-drones hostile islands paper-grid paper-lennard-jones paper-random-walk paper-scale-free power-cuts reference-grid reference-lennard-jones reference-random-walk reference-scale-free thousand udp-line'; __fish_complete_path (commandline -ct))" -d 'a YAML file, or one of these'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a sitl -d 'Fly simulated vehicles (ArduCopter, PX4 or mock ones), each with a node.'
 complete -c rass-mav -n '_shtab_rass_mav_using sitl' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using sitl' -s v -l verbose -d 'logs on stderr; -vv for more'
@@ -274,8 +274,37 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l jobs -x -
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l dask -x -d 'use the workers of this Dask scheduler instead'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l topology -xka "grid scale-free lennard-jones random-walk islands" -d 'which topologies, all by default'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l variant -xka "plain immediate mirror mirror-immediate copies-auto" -d 'which variants, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l variant -xka "plain immediate mirror mirror-immediate copies-auto defaults" -d 'which variants, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment policies' -l failures -x -d 'also repeat all runs with this share of the drones dying permanently, 0 to 1 (0.1 without a number)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a ablation -d 'What each part of the defaults is worth, where frames take time and where not.'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l jobs -x -d 'processes at a time (default: one per core)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l dask -x -d 'use the workers of this Dask scheduler instead'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l air -xka "none wifi-6m wifi-1m sik-250k sik-64k lora" -d 'on which airs (default: none wifi-6m wifi-1m)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l topology -xka "grid scale-free lennard-jones random-walk islands" -d 'which topologies (default: grid random-walk)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment ablation' -l off -xka "nothing policy immediate mirror receipts copies everything" -d 'what to switch off, each in runs of its own'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a baselines -d 'Our defaults and protocols that others have published, on several airs.'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l out -xka "(__fish_complete_directories)" -d 'directory for the results'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l runs -x -d 'runs of each kind (default: 30)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l first-seed -x -d 'of the first run; the next has the next (default: 0)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l steps -x -d 'steps of Alg. 1 per run (default: 500)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l jobs -x -d 'processes at a time (default: one per core)'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l dask -x -d 'use the workers of this Dask scheduler instead'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l air -xka "none wifi-6m wifi-1m" -d 'on which airs, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l place -xka "grid walk field dying" -d 'in which places, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l baseline -xka "default hop-count epidemic spray-and-wait spray-and-focus prophet rapid backpressure" -d 'which protocols, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l own-runs -x -d 'runs of our defaults (default: as many as of the others)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a hostile -d 'Attackers beside honest nodes: what arrives, what is lost, who notices, recovery.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s v -l verbose -d 'logs on stderr; -vv for more'
@@ -288,7 +317,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l policy -xk
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l jobs -x -d 'processes at a time (default: one per core)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l dask -x -d 'use the workers of this Dask scheduler instead'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l attacker -xka "nobody sinkhole false-base black-hole committed-forger receipt-forger number-squatter request-forger impostor id-inventor replayer junk-custody flooder bit-flipper" -d 'which attackers, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l attacker -xka "nobody sinkhole false-base black-hole committed-forger receipt-forger digest-forger number-squatter request-forger impostor id-inventor replayer junk-custody flooder bit-flipper" -d 'which attackers, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a counting-to-infinity -d 'What Alg. 2 as published does when the base vanishes, and what sequence numbers change.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment counting-to-infinity' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment counting-to-infinity' -s v -l verbose -d 'logs on stderr; -vv for more'

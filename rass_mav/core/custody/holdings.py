@@ -34,7 +34,10 @@ class State(enum.Enum):
 
 #: The possible changes of a copy's state, and their causes; None: there is no copy. docs/protocol.md draws it.
 CHANGES: dict[tuple[State | None, State | None], str] = {
-    (None, State.CUSTODY): "created here, handed over to this node, or found at the start",
+    (
+        None,
+        State.CUSTODY,
+    ): "created here, handed over to this node, found at the start, or overheard and lost elsewhere",
     (None, State.SPARE): "a custodian sends a spare copy, or a backer a distant one",
     (State.CUSTODY, State.SPARE): "handed over to a drone, which is the partner now",
     (State.CUSTODY, State.PASSED_ON): "handed over to a base (`mirror_until: receipt`)",
@@ -60,7 +63,7 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
 class Pending:
     """A hand-over that has not been answered."""
 
-    __slots__ = ("neighbour", "number", "sending", "sent", "tries")
+    __slots__ = ("due", "moves_on", "neighbour", "number", "sending", "sent", "tries")
 
     def __init__(self, number: int, neighbour: int, now: float, sending: Sending | None = None) -> None:
         self.number = number
@@ -69,7 +72,11 @@ class Pending:
         """The transfer, if the datum is sent in chunks."""
         self.sent = now
         """When it was last sent, seconds."""
+        self.due = now
+        """When it is sent again without an answer, seconds."""
         self.tries = 1
+        self.moves_on = False
+        """Whether the neighbour was heard to hand the datum over: it has it, and its answer was lost."""
 
 
 class Partner:
@@ -225,13 +232,26 @@ class Holdings:
         """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
         return self._capacity_bytes is None or self.custody_bytes + growth <= self._capacity_bytes
 
-    def crowded(self, size: int) -> bool:
-        """Whether a datum of `size` bytes of payload does not fit beside all copies here, spares included."""
-        if self.capacity_items is not None and len(self._all) + self.reserved >= self.capacity_items:
+    def crowded(self, size: int, others: int = 0) -> bool:
+        """Whether a datum does not fit beside all copies here, spares included, and `others`, which are kept elsewhere.
+
+        `size`: bytes of payload, those of the others included.
+        """
+        if self.capacity_items is not None and len(self._all) + others + self.reserved >= self.capacity_items:
             return True
         if self._capacity_bytes is not None and self.custody_bytes + self.spare_bytes + size > self._capacity_bytes:
             return True
         return not self._store.room_for(size)
+
+    def free_part(self, others: int, size: int) -> float:
+        """The part of the capacity that is left beside all copies here and `others` of `size` bytes of payload, which
+        are kept elsewhere; 0..1."""
+        used = 0.0
+        if self.capacity_items is not None:
+            used = (len(self._all) + others) / max(self.capacity_items, 1)
+        if self._capacity_bytes is not None:
+            used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(self._capacity_bytes, 1))
+        return max(0.0, 1.0 - used)
 
     def yielding(self, *, counted_on: bool) -> Holding | None:
         """The spare to drop first: the oldest that no node counts on; then, with `counted_on`, the oldest other."""

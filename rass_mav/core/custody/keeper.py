@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import replace
 
 from rass_mav.core.alarms import Alarm, Alarms
@@ -10,7 +10,7 @@ from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
-from rass_mav.core.messages import Digest, Distance
+from rass_mav.core.messages import Digest, Distance, Handover
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.digests import NoDigests, matched
 from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
@@ -89,6 +89,10 @@ class Keeper:
         kept = not self.is_squatted(datum.id) and self.spares.keep(giver, datum, distance)
         self.refused += not kept
         return kept
+
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        self.spares.overhear(sender, handovers, now)
 
     def is_squatted(self, id: DatumId) -> bool:
         """Whether another node created a datum under a number that this node has not assigned yet; this raises an
@@ -220,6 +224,7 @@ class Keeper:
                 elif receipts.told_lost(id):
                     # The node that had custody believed it was the last copy.
                     self.spares.rescue(spares[id])
+        self.spares.heed(changed)
 
     def heed_digest(self, digest: Digest) -> None:
         """What a digest matches has probably arrived. That ends the spares that no custodian counts on, now or as soon
@@ -229,6 +234,7 @@ class Keeper:
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
         for id in matched(digest, holdings.spare):
             holdings.spare[id].matched = True
+        self.spares.heed_digest(digest)
 
     @property
     def takes_notes(self) -> bool:
@@ -241,12 +247,17 @@ class Keeper:
             # A note about a datum that was never created is not relayed. If it were refused, it would be offered
             # indefinitely.
             return True
-        holding = None if fate_of(note.reason) in WOUNDS else self.holdings.get(id)
-        if holding is not None and self.load(holding) is not None:
-            # It is not lost: a good copy is here.
-            self.spares.take_back(holding)
+        if fate_of(note.reason) not in WOUNDS and self._has_good_copy(id):
             return True
         return self.notes.take(id, note)
+
+    def _has_good_copy(self, id: DatumId) -> bool:
+        """Whether a datum that was reported lost is here. Then it is in custody now."""
+        holding = self.holdings.get(id)
+        if holding is None or self.load(holding) is None:
+            return self.spares.recover(id) is not None
+        self.spares.take_back(holding)
+        return True
 
     # -- checking data -------------------------------------------------------------------------------------------------
 
@@ -330,6 +341,16 @@ class Sink(Keeper):
     def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
         """A spare copy has arrived like any other."""
         return self.take_custody(giver, number, datum)
+
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """Data have arrived that were meant for another node. Only receipts say so: sender and receiver keep custody
+        until there is an answer to a hand-over of their own."""
+        for _, datum in handovers:
+            id = datum.id
+            if id in self.archive or not datum.intact or self.is_squatted(id):
+                continue
+            if self.may_accept(len(datum.payload)):
+                self.keep(datum.arrived())
 
     def heed(self, changed: set[Pair]) -> None:
         """Nothing that receipts are about is held here."""

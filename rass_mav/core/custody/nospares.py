@@ -3,9 +3,12 @@ other."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rass_mav.core.custody.holdings import Holding
 from rass_mav.core.datum import Datum, DatumId
-from rass_mav.core.messages import Committed, Distance, Message, PassedOn, Words
+from rass_mav.core.messages import Committed, Digest, Distance, Handover, Message, PassedOn, Words
+from rass_mav.core.news.table import Pair
 
 
 class NoSpares:
@@ -44,6 +47,26 @@ class NoSpares:
     def let_go(self, holding: Holding, *, missing: bool, confirmed: bool) -> None:
         """A spare is about to go. `missing`: tell the custodian that counts on it. `confirmed`: because its datum has
         arrived, by what bases report."""
+
+    # -- overheard data ------------------------------------------------------------------------------------------------
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
+        return {}
+
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+
+    def recover(self, id: DatumId) -> Holding | None:
+        """A datum was reported lost that is not held here: take custody of it, if it was overheard."""
+        return None
+
+    def heed(self, changed: set[Pair]) -> None:
+        """Receipts brought news about these (origin, epoch) pairs."""
+
+    def heed_digest(self, digest: Digest) -> None:
+        """A base reports what has arrived lately."""
 
     # -- messages ------------------------------------------------------------------------------------------------------
 

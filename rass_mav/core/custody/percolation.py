@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from math import inf
 
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.custody.roundtrips import RoundTrips
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import Data, Handover, Message
@@ -15,12 +17,31 @@ from rass_mav.core.policy import Policy, View
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
 
+#: A hand-over without an answer waits twice as long each time, up to this many times.
+MOST_DOUBLINGS = 3
+#: From this risk on a hand-over is sent again as soon as its answer is late: what stays here may be gone in a turn.
+DANGER = 0.05
+#: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
+MOVING_TURNS = 4
+
 
 class Percolation:
     """The order is: retransmissions, data that take another route than before, the policy's plan, spares of resting
     data."""
 
-    __slots__ = ("_batches", "_id", "_keeper", "_pace", "_risk", "_rng", "_routing", "_transfers", "policy")
+    __slots__ = (
+        "_batches",
+        "_id",
+        "_keeper",
+        "_pace",
+        "_risk",
+        "_rng",
+        "_routing",
+        "_transfers",
+        "_trips",
+        "due",
+        "policy",
+    )
 
     def __init__(
         self, keeper: Keeper, transfers: Transfers, routing: RoutingTable, pace: Pace, policy: Policy,
@@ -36,6 +57,9 @@ class Percolation:
         self._rng = rng
         self._batches: dict[int, list[Handover]] = {}
         """The hand-overs to each neighbour, until they are sent."""
+        self._trips = RoundTrips()
+        self.due = inf
+        """When the next hand-over is sent again, or before, seconds."""
 
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
@@ -48,8 +72,10 @@ class Percolation:
         self.forward(potential, now, out)
 
     def forward(self, potential: int, now: float, out: list[Message]) -> None:
-        """The same without the retransmissions."""
+        """The same between two turns."""
         pace = self._pace
+        if self.due <= now:
+            self._retry(now, out)
         if pace.left > 0 and self._routing.neighbours:
             if pace.left > pace.kept:
                 self._percolate(potential, now, out)
@@ -89,13 +115,15 @@ class Percolation:
         number = 0
         if keeper.settings.acknowledged:
             number = keeper.numbers.draw()
-            keeper.holdings.give(holding, Pending(number, target, now))
+            pending = Pending(number, target, now)
+            self._wait(pending, now)
+            keeper.holdings.give(holding, pending)
         else:
             keeper.drop(holding, Fate.PASSED_ON)
         self._send(target, number, datum)
 
-    def _send(self, target: int, number: int, datum: Datum) -> None:
-        self._pace.spend()
+    def _send(self, target: int, number: int, datum: Datum, *, again: bool = False) -> None:
+        self._pace.spend(again=again)
         self._batches.setdefault(target, []).append(Handover(number, datum))
 
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
@@ -114,14 +142,17 @@ class Percolation:
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
         keeper, pace = self._keeper, self._pace
-        due = now - (keeper.settings.retry_steps - 0.5) * pace.turn_s
+        self._trips.keep(self._routing.neighbours)
+        self.due = inf
         for holding in list(keeper.holdings.pending.values()):
             pending = holding.pending
             assert pending is not None
             if self._is_hopeless(pending, now):
                 keeper.holdings.cancel(holding)
-            elif pending.sent <= due and pace.left > 0:
+            elif pending.due <= now and pace.left > 0:
                 self._send_again(holding, pending, now, out)
+            elif pending.due < now + pace.turn_s and self._risk.risk(now) >= DANGER:
+                self.due = min(self.due, pending.due)
 
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
         """Whether to try another neighbour: this one is gone, or silent."""
@@ -130,14 +161,65 @@ class Percolation:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.
-        return neighbour.heard < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+        return neighbour.noticed < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+
+    def _wait(self, pending: Pending, now: float) -> None:
+        """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
+        may wait for the same air."""
+        settings, turn_s, again = self._keeper.settings, self._pace.turn_s, pending.tries - 1
+        if not settings.measured:
+            pending.due = now + (settings.retry_steps - 0.5) * turn_s
+            return
+        trips = self._trips
+        wait_s = trips.usual_s(pending.neighbour) if again else trips.wait_s(pending.neighbour)
+        urgent = wait_s > 0.0 and self._risk.risk(now) >= DANGER
+        if not urgent:
+            # The neighbour repeats its answer in its next beacon.
+            wait_s = max(wait_s, (settings.retry_steps + 0.5) * turn_s)
+        if again or urgent:
+            wait_s *= (1 << min(again, MOST_DOUBLINGS)) * (0.75 + 0.5 * self._rng.random())
+        pending.due = now + wait_s
+        if urgent:
+            self.due = min(self.due, pending.due)
+
+    def not_answered(self, neighbour: int, now: float) -> None:
+        """A neighbour repeated its answers of the last turn: what it has not answered by now it has not got."""
+        if self._keeper.settings.measured:
+            wait_s = self._trips.wait_s(neighbour)
+            for holding in self._keeper.holdings.pending.values():
+                pending = holding.pending
+                assert pending is not None
+                if pending.neighbour == neighbour and 0.0 < wait_s <= now - pending.sent and not pending.moves_on:
+                    # In the next turn: many have heard this beacon.
+                    pending.due = min(pending.due, now)
+
+    def answered(self, holding: Holding, now: float) -> None:
+        """A neighbour has taken a datum that was handed over to it."""
+        pending = holding.pending
+        assert pending is not None
+        if pending.tries == 1 and pending.sending is None:
+            self._trips.measure(pending.neighbour, now - pending.sent)
+
+    def moves_on(self, data: Data, now: float) -> None:
+        """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at
+        once, but its answer is still needed. The copy that moves may be a spare, or have come from elsewhere."""
+        for _, datum in data.handovers:
+            holding = self._keeper.holdings.custody.get(datum.id)
+            pending = None if holding is None else holding.pending
+            if pending is not None and pending.neighbour == data.sender and not pending.moves_on:
+                pending.moves_on = True
+                pending.due = max(pending.due, now) + MOVING_TURNS * self._pace.turn_s
 
     def _send_again(self, holding: Holding, pending: Pending, now: float, out: list[Message]) -> None:
         if pending.sending is not None:
             self._transfers.probe(pending, pending.sending, now, out)
+            self._wait(pending, now)
             return
         datum = self._keeper.load(holding)
         if datum is not None:
+            most_s = (1 << MOST_DOUBLINGS) * (self._keeper.settings.retry_steps + 0.5) * self._pace.turn_s
+            self._trips.missed(pending.neighbour, now - pending.sent, most_s)
             pending.tries += 1
             pending.sent = now
-            self._send(pending.neighbour, pending.number, datum)
+            self._wait(pending, now)
+            self._send(pending.neighbour, pending.number, datum, again=True)

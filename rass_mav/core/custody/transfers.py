@@ -48,7 +48,9 @@ class Transfers:
         keeper = self._keeper
         number = keeper.numbers.draw()
         sending = Sending(datum, neighbour, number, keeper.settings.chunk_bytes)
-        keeper.holdings.give(holding, Pending(number, neighbour, now, sending))
+        pending = Pending(number, neighbour, now, sending)
+        pending.due = now + (keeper.settings.retry_steps - 0.5) * self._pace.turn_s
+        keeper.holdings.give(holding, pending)
         out.append(sending.offer(self._id))
 
     def probe(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:

@@ -33,7 +33,8 @@ WAITING_TURNS = 10
 ENOUGH = 3
 #: Arrivals that wait at a base for a digest, at most.
 MAX_FRESH = 1024
-#: With so many arrivals a digest is well filled, and its marks still have twelve bits.
+#: With so many arrivals a digest is well filled, and its marks still have twelve bits. It has more only while more wait
+#: than one can hold.
 WELL_FILLED = 50
 
 
@@ -101,7 +102,7 @@ class Fresh:
         if not count or self._since < wait:
             return None
         self._since = 0
-        ids = [self._ids.popleft() for _ in range(min(count, MAX_MARKS))]
+        ids = [self._ids.popleft() for _ in range(MAX_MARKS if full else min(count, WELL_FILLED))]
         serial, bits = self._serials.draw(), bits_for(len(ids))
         digest = make_digest(*self.source, serial, bits, marks_of(ids, *self.source, serial, len(ids) << bits))
         self._sent.append((serial, digest.crc))

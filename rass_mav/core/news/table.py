@@ -22,7 +22,7 @@ from rass_mav.core.news.ranges import Ranges
 from rass_mav.core.news.statements import covers, last_of, ranges_of
 
 #: How many statements a node keeps, and of how many base lives.
-MAX_STATEMENTS = 1024
+MAX_STATEMENTS = 4096
 MAX_BASES = 16
 #: How many entries a node remembers that their origin has denied.
 MAX_DENIED = 256
@@ -33,6 +33,8 @@ EMPTY = 1
 Pair = tuple[int, int]
 #: Node id and life of a base.
 Source = tuple[int, int]
+#: Base, its life, origin, epoch, and whether it reports losses.
+_Place = tuple[int, int, int, int, bool]
 #: What identifies a statement: base, its life, serial, checksum.
 Identity = tuple[int, int, int, int]
 
@@ -49,12 +51,14 @@ def mark(identity: Identity) -> int:
 class Kept:
     """A statement, and what still lives of it."""
 
-    __slots__ = ("identity", "live", "receipt")
+    __slots__ = ("identity", "live", "places", "receipt")
 
     def __init__(self, receipt: Receipt) -> None:
         self.receipt = receipt
         self.identity: Identity = receipt[:4]
         self.live: set[ReceiptEntry] = set()
+        self.places: list[_Place] = []
+        """Where entries of it have been live: a flipped bit in an entry does not change this."""
 
 
 class Sum:
@@ -94,8 +98,8 @@ class Statements:
         """All of them, the latest heard last."""
         self._sources: dict[Source, dict[Identity, Kept]] = {}
         """The same by base life."""
-        self._live: dict[tuple[int, int, int, int, bool], dict[ReceiptEntry, Kept]] = {}
-        """Live entries by base, its life, origin, epoch, and whether they report losses."""
+        self._live: dict[_Place, dict[ReceiptEntry, Kept]] = {}
+        """Live entries."""
         self._sums: dict[Pair, Sum] = {}
         """Computed on request."""
         self._denied: dict[tuple[Identity, Pair], Given] = {}
@@ -221,6 +225,7 @@ class Statements:
         live = self._live.setdefault(key, {})
         dead = [other for other in live if covers(entry, other)]
         kept.live.add(entry)
+        kept.places.append(key)
         for other in dead:
             self._end(live.pop(other), other)
         live[entry] = kept
@@ -252,12 +257,12 @@ class Statements:
     def forget(self, kept: Kept) -> None:
         """Drop a statement, even if some of it lives."""
         # By identity: nothing else in a damaged statement can be relied on.
-        for key in [key for key, live in self._live.items() if key[:2] == kept.identity[:2] and kept in live.values()]:
-            live = self._live[key]
+        for key in kept.places:
+            live = self._live.get(key, {})
             for entry in [entry for entry, other in live.items() if other is kept]:
                 del live[entry]
             if not live:
-                del self._live[key]
+                self._live.pop(key, None)
             self._sums.pop(key[2:4], None)
         kept.live.clear()
         if kept.identity in self.of:

@@ -37,13 +37,17 @@ _ROUNDING_S = 1e-3
 class Neighbour:
     """A neighbour as its last beacon described it."""
 
-    __slots__ = ("beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "turn_s")
+    __slots__ = (
+        "beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "turn_s",
+    )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
         self.id = beacon.sender
         self.beacon = beacon
         self.heard = heard
         """When the beacon was heard, seconds."""
+        self.noticed = heard
+        """When any frame of it was heard, seconds."""
         self.turn_s = turn_s
         """The time between its beacons, seconds."""
         self.lifetime_s = lifetime_s
@@ -58,8 +62,8 @@ class Neighbour:
         """Number of the last beacon that was treated as late."""
 
     def is_missing(self, now: float) -> bool:
-        """Whether it has probably moved away: its last beacon is missing, or it is expected to be out of range."""
-        return self.heard < now - RECENT_TURNS * self.turn_s or self.leaves <= now
+        """Whether it has probably moved away: it has been silent for a turn, or it is expected to be out of range."""
+        return self.noticed < now - RECENT_TURNS * self.turn_s or self.leaves <= now
 
     @property
     def clean(self) -> bool:
@@ -125,10 +129,16 @@ class Neighbours(dict[int, Neighbour]):
             self._be_patient(known, now - known.heard)
         elif beacon.turn or last.turn or now < known.heard:
             self._be_patient(known, now - known.heard)
-        known.heard = now
+        known.heard = known.noticed = now
         if self.contacts is not None:
             known.leaves = self.contacts.leaves(beacon.moves, now)
         return True
+
+    def notice(self, id: int, now: float) -> None:
+        """A frame of a node was heard that is not a beacon."""
+        neighbour = self.get(id)
+        if neighbour is not None:
+            neighbour.noticed = now
 
     def _hear_new(self, beacon: Beacon, now: float, next_hop: int | None) -> bool:
         """A node that is not in the table: heard for the first time, or for the second."""

@@ -25,18 +25,31 @@ from rass_mav.core.custody.holdings import Holding, Partner, State
 from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.nospares import NoSpares
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, Committed, Distance, Message, PassedOn, Word, WordEntry, Words
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    Committed,
+    Digest,
+    Distance,
+    Handover,
+    Message,
+    PassedOn,
+    Word,
+    WordEntry,
+    Words,
+)
+from rass_mav.core.news.table import Pair
 from rass_mav.core.pace import Pace
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.spares.distant import DistantSpares
 from rass_mav.core.spares.offers import SpareOffers
+from rass_mav.core.spares.overheard import Overheard
 from rass_mav.core.spares.repairs import Repairs
 from rass_mav.core.spares.speech import Speech
 from rass_mav.core.spares.unconfirmed import Unconfirmed
 
 #: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
-ASK_STEPS = 10
+ASK_STEPS = 30
 #: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
@@ -53,8 +66,8 @@ class Mirrors(NoSpares):
     """A drone's share of mirrored custody."""
 
     __slots__ = (
-        "_again_at", "_detours", "_distant", "_keeper", "_now", "_offers", "_passed", "_repairs", "_routing", "_speech",
-        "_unconfirmed",
+        "_again_at", "_detours", "_distant", "_keeper", "_now", "_offers", "_overheard", "_passed", "_repairs",
+        "_routing", "_speech", "_unconfirmed",
     )  # fmt: skip
 
     def __init__(
@@ -73,6 +86,8 @@ class Mirrors(NoSpares):
         """The distant spares that this node sends on."""
         self._unconfirmed = Unconfirmed(keeper, routing, pace)
         """The copies that wait for receipts."""
+        self._overheard = Overheard(keeper, routing, rng)
+        """What neighbours handed over to others."""
         self._detours: dict[DatumId, int] = {}
         """Data that are back in custody because no receipt came, and the neighbours they go to."""
         self._again_at = now
@@ -87,6 +102,7 @@ class Mirrors(NoSpares):
         self._make_way(size, counted_on=True)
 
     def _make_way(self, size: int, *, counted_on: bool) -> bool:
+        self._overheard.make_way(size)
         holdings = self._keeper.holdings
         while holdings.crowded(size):
             spare = holdings.yielding(counted_on=counted_on)
@@ -98,6 +114,7 @@ class Mirrors(NoSpares):
     def took(self, holding: Holding, giver: int | None = None) -> None:
         """A datum is now in custody. `giver`: the node that handed it over, and keeps its copy as a spare."""
         self._repairs.end(holding.id)
+        self._overheard.forget(holding.id)
         self._passed.pop(holding.id, None)
         if giver is not None:
             self._back(holding, giver)
@@ -143,7 +160,7 @@ class Mirrors(NoSpares):
                 holdings.change(holding, State.SPARE)
                 self._pair(holding, to)
                 if chained is not None and chained.id != to:
-                    holdings.back(holding, self._partner(chained.id))
+                    self._chain(holding, chained.id)
             self._unconfirmed.handed_on(holding, to, self._now)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
@@ -206,6 +223,7 @@ class Mirrors(NoSpares):
         holding = holdings.add(datum.arrived(), State.SPARE)
         self._unconfirmed.handed_on(holding, giver, self._now)
         self._repairs.end(id)
+        self._overheard.forget(id)
         self._passed.pop(id, None)
         keeper.notes.forget(id)
         self._pair(holding, giver, distance)
@@ -221,6 +239,29 @@ class Mirrors(NoSpares):
         custodian = self._keeper.holdings.unpair(holding)
         if custodian is not None and missing:
             self._speech.say(custodian.id, holding.id, Word.NONE)
+
+    # -- overheard data ------------------------------------------------------------------------------------------------
+
+    @property
+    def overheard(self) -> dict[DatumId, Datum]:
+        """Data that others handed over to each other, and that are kept here in memory; the oldest first."""
+        return self._overheard.data
+
+    def overhear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        self._overheard.hear(sender, handovers, now)
+
+    def recover(self, id: DatumId) -> Holding | None:
+        """A datum was reported lost that is not held here: take custody of it, if it was overheard."""
+        return self._overheard.recover(id)
+
+    def heed(self, changed: set[Pair]) -> None:
+        """Receipts brought news about these (origin, epoch) pairs."""
+        self._overheard.heed(changed)
+
+    def heed_digest(self, digest: Digest) -> None:
+        """A base reports what has arrived lately."""
+        self._overheard.heed_digest(digest)
 
     def _retire(self, holding: Holding) -> None:
         """Nobody counts on a spare any more."""
@@ -240,8 +281,14 @@ class Mirrors(NoSpares):
         holdings = self._keeper.holdings
         holdings.unpair(holding)
         holdings.pair(holding, self._partner(with_whom), self._now)
+        self._speech.counts_on(with_whom, holding.id)
         if holding.state is State.SPARE:
             self._distant.backs(holding, distance, self._now)
+
+    def _chain(self, holding: Holding, backer: int) -> None:
+        """Another node keeps a spare for a spare here."""
+        self._keeper.holdings.back(holding, self._partner(backer))
+        self._speech.counts_on(backer, holding.id)
 
     def _partner(self, id: int) -> Partner:
         partner = self._keeper.holdings.partners.get(id)
@@ -255,6 +302,7 @@ class Mirrors(NoSpares):
     def step(self, now: float) -> None:
         """Once a step: handle partners that are gone, spares with no news for long, and repairs without an answer."""
         self._now = now
+        self._speech.step()
         holdings = self._keeper.holdings
         if holdings.partners:
             self._look_after_partners(now)
@@ -269,6 +317,7 @@ class Mirrors(NoSpares):
         if now >= self._again_at:
             self._again_at = now + turn_s - 0.5 * self._keeper.settings.step_s
             self._repairs.step(WORDS_A_STEP)
+        self._overheard.step(now, turn_s)
         self._offers.step(now)
         self._detours.clear()
         if self._until_receipt:
@@ -298,7 +347,7 @@ class Mirrors(NoSpares):
 
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
-        return {"sent_again_unconfirmed": self._unconfirmed.sent_again}
+        return {"sent_again_unconfirmed": self._unconfirmed.sent_again, "overheard": len(self.overheard)}
 
     def _look_after_partners(self, now: float) -> None:
         keeper, routing = self._keeper, self._routing
@@ -343,7 +392,7 @@ class Mirrors(NoSpares):
                 self._back(holding, message.sender)
             backed = self._distant.answered(number, message.sender, now, kept=True)
             if backed is not None and backed.crc == crc:
-                keeper.holdings.back(backed, self._partner(message.sender))
+                self._chain(backed, message.sender)
         for number in message.refused:
             self._distant.answered(number, message.sender, now, kept=False)
         if message.refused:
@@ -385,6 +434,8 @@ class Mirrors(NoSpares):
                 self._on_none(id, sender)
             elif word == Word.WANTED:
                 self._repairs.on_wanted(id, sender)
+                if self._overheard.good(id) is not None:
+                    self._speech.say(sender, id, Word.HERE)
             elif word == Word.HERE:
                 self._repairs.on_here(id, sender)
             elif word == Word.ENCLOSED:
@@ -405,6 +456,8 @@ class Mirrors(NoSpares):
             # Even if the spare is for another custodian: that one may have passed the datum on to the asker.
             self.take_back(holding)
             keeper.holdings.vouch(holding, asker)
+            return True
+        if self._overheard.recover(id) is not None:
             return True
         # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
         # id answers for the datum, or each would believe that the other has it. Otherwise the receiver has it, unless

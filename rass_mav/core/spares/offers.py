@@ -38,6 +38,8 @@ ENCLOSED_STEPS = 30
 GONE_GAIN = 0.05
 #: With `copies_auto`: the chance of surviving the next step that a datum should have.
 TARGET = 0.999
+#: The chance of loss in the next step from which a datum gets a spare even while the air is full.
+DANGER = 0.05
 
 
 class SpareOffers:
@@ -88,7 +90,7 @@ class SpareOffers:
     def _count_gone(self, now: float) -> None:
         here = silent = 0
         for neighbour in self._routing.neighbours.values():
-            age = (now - neighbour.heard) / neighbour.turn_s
+            age = (now - neighbour.noticed) / neighbour.turn_s
             if age < 1.5:
                 here += 1
             elif age < 2.5 and neighbour.leaves > neighbour.heard + 1.5 * neighbour.turn_s:
@@ -148,8 +150,12 @@ class SpareOffers:
         kept = 0 if backer is None else pace.kept
         # A datum that rests alone gets one spare, however safe it is here.
         wanting = way is None and backer is None
+        bearable = 1.0 - TARGET
+        if pace.full:
+            # Spares would take airtime from the data themselves: only for what is in danger.
+            wanting, bearable = False, DANGER
         for neighbour in safest:
-            if not wanting and (not auto or loss <= 1.0 - TARGET):
+            if not wanting and (not auto or loss <= bearable):
                 return
             to = neighbour.id
             if not room[to] or to in (backer, way):

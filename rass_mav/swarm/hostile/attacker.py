@@ -57,7 +57,7 @@ class Attacker:
         """A beacon of its own, like another one except for some fields."""
         self._number = (self._number + 1) & 0xFFFF
         own = {"sender": self.id, "life": self.id, "number": self._number, "flags": 0, "wanted_base": 0}
-        return template._replace(**{**own, "wanted_number": 0, **changes})
+        return template._replace(answers=(), **{**own, "wanted_number": 0, **changes})
 
     def take(self, message: Message) -> Iterable[Said]:
         """Confirm whatever is handed over to it."""

@@ -19,7 +19,8 @@ from rass_mav.core.messages import (
     Offer,
     ReceiptEntry,
 )
-from rass_mav.core.news.checksums import make_receipt, note_crc
+from rass_mav.core.news.checksums import make_digest, make_receipt, note_crc
+from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.wire.codec import VERSION
 
@@ -97,6 +98,18 @@ class ReceiptForger(Attacker):
             entries = [ReceiptEntry(*id, 1, 0, False) for id in dict.fromkeys(some)]
             self._serial += 1
             yield make_receipt(base.base, base.base_life, self._serial, entries)
+
+
+class DigestForger(ReceiptForger):
+    """The same, but in digests, each of as many data as one holds."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base = self.base()
+        while base is not None and self._ids:
+            ids = [self._ids.pop() for _ in range(min(MAX_MARKS, len(self._ids)))]
+            self._serial += 1
+            source, bits = (base.base, base.base_life, self._serial), bits_for(len(ids))
+            yield make_digest(*source, bits, marks_of(ids, *source, len(ids) << bits))
 
 
 class NumberSquatter(Attacker):
@@ -243,6 +256,7 @@ KINDS: dict[str, type[Attacker]] = {
     "black-hole": BlackHole,
     "committed-forger": CommittedForger,
     "receipt-forger": ReceiptForger,
+    "digest-forger": DigestForger,
     "number-squatter": NumberSquatter,
     "request-forger": RequestForger,
     "impostor": Impostor,

@@ -37,7 +37,7 @@ class Flight:
 class Station:
     """The radio of a node."""
 
-    __slots__ = ("heard", "sends", "waiting", "waiting_bytes")
+    __slots__ = ("busy", "busy_since", "heard", "sends", "waiting", "waiting_bytes")
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[bytes, float]] = deque()
@@ -47,6 +47,10 @@ class Station:
         """Its own frame on the air."""
         self.heard: list[Flight] = []
         """Frames on the air that reach it."""
+        self.busy = 0
+        """Frames on the air that it sends or notices."""
+        self.busy_since = 0.0
+        """When the first of them began, seconds."""
 
 
 class Medium(Tally):
@@ -76,7 +80,7 @@ class Medium(Tally):
         self.overflow = 0
         """Frames dropped because too much waited in the radio."""
         self.busy_s = 0.0
-        """Time for which radios noticed a frame on the air, summed over all of them, seconds."""
+        """Time for which a frame was on the air that a radio sent or noticed, summed over all radios, seconds."""
         self.stations = [Station() for _ in range(stations)]
         self._timeline = timeline
         self._hear = hear
@@ -150,7 +154,11 @@ class Medium(Tally):
                 self._overlap(flight, there.heard, hearer)
             there.heard.append(flight)
         airtime = self.channel.airtime(len(frame))
-        self.busy_s += airtime * (1 + len(flight.noticed))
+        for node in (sender, *flight.noticed):
+            there = stations[node]
+            if not there.busy:
+                there.busy_since = now
+            there.busy += 1
         self._begun(flight, now)
         self._timeline.at(now + airtime, Order.AIR, lambda now: self._end(flight, now))
 
@@ -172,6 +180,11 @@ class Medium(Tally):
         stations[sender].sends = None
         for hearer in flight.hearers:
             stations[hearer].heard.remove(flight)
+        for node in (sender, *flight.noticed):
+            there = stations[node]
+            there.busy -= 1
+            if not there.busy:
+                self.busy_s += now - there.busy_since
         self._ended(flight, now)
         hearers = flight.hearers
         if lost:

@@ -23,7 +23,7 @@ from rass_mav.mavlink.mission import (
 from rass_mav.swarm.autopilot import METRES_PER_DEGREE, ORIGIN, to_earth
 from rass_mav.swarm.catalogue import find, read_scenario
 from rass_mav.swarm.neighbours import Position
-from rass_mav.swarm.scenario import FailureSection, Scenario
+from rass_mav.swarm.scenario import FailureSection, Scenario, TrafficSection
 
 # Metres in a degree of longitude at the origin.
 _METRES_EAST = METRES_PER_DEGREE * math.cos(math.radians(ORIGIN[0]))
@@ -68,6 +68,10 @@ class FlightScenario(Scenario):
             yield f"flight.missions: expected at most one for each of {drones} drones"
         if self.radiation.drift or self.radiation.cylinder_m:
             yield "radiation: expected sources that do not move, and no cylinders"
+        if self.traffic != TrafficSection():
+            yield "traffic: expected its defaults with flying vehicles"
+        if self.radiation.law != "paper":
+            yield f"radiation.law: expected paper with flying vehicles, got {self.radiation.law}"
 
     @property
     def places(self) -> list[Position]:

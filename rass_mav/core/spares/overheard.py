@@ -1,0 +1,153 @@
+"""Overheard data: copies that no node knows of, and that cost no airtime.
+
+On a radio all nodes in range hear a hand-over. A node keeps the data that others hand over to each other, as long as it
+has much free space, and some of them if it has little. They are in memory only: after a restart they are gone, and no
+disk is worn by them.
+They give way to all other copies. Nobody counts on them. An overheard copy ends when its datum has arrived, comes to
+this node in another way, or has been kept for `KEPT_TURNS`. It comes into custody when a custodian asks for the datum,
+or when the datum is reported lost.
+
+Anybody can send a frame, so nothing that is held here otherwise changes because of one. One neighbour, and the data of
+one origin, get only a part of the places.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Iterable
+
+from rass_mav.core.custody.holdings import Holding
+from rass_mav.core.custody.keeper import Keeper
+from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.messages import Digest, Handover
+from rass_mav.core.news.digests import matched
+from rass_mav.core.news.table import Pair
+from rass_mav.core.routes.table import RoutingTable
+
+#: Data a node keeps at most, if its capacity allows more.
+MAX_OVERHEARD = 1024
+#: The chance that a datum is kept is so many times the free part of the capacity: certain, as long as a third is free.
+EAGER = 3
+#: One neighbour may fill one place in this many, and so may the data of one origin.
+PART = 4
+#: Turns after which a copy is forgotten: twice as long as a node waits for a receipt before it sends data again.
+KEPT_TURNS = 240
+
+
+class Overheard:
+    """The overheard data of one node."""
+
+    __slots__ = ("_keeper", "_neighbours", "_of_one", "_origins", "_rng", "_senders", "_sources", "bytes", "data")
+
+    def __init__(self, keeper: Keeper, routing: RoutingTable, rng: random.Random) -> None:
+        self._keeper = keeper
+        self._neighbours = routing.neighbours
+        self._rng = rng
+        self.data: dict[DatumId, Datum] = {}
+        """The oldest first; radiation may strike them, so the checksum is verified before use."""
+        self.bytes = 0
+        """Their payloads together."""
+        self._sources: dict[DatumId, tuple[int, float]] = {}
+        """Who sent each, and when, seconds."""
+        self._senders: Counter[int] = Counter()
+        self._origins: Counter[int] = Counter()
+        most = min(keeper.settings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
+        self._of_one = max(1, most // PART)
+        """How many may come from one neighbour, and how many from one origin."""
+
+    def hear(self, sender: int, handovers: Iterable[Handover], now: float) -> None:
+        """A neighbour sends data to another node."""
+        data, holdings = self.data, self._keeper.holdings
+        if sender not in self._neighbours:
+            return
+        free = min(holdings.free_part(len(data), self.bytes), 1.0 - len(data) / MAX_OVERHEARD)
+        for _, datum in handovers:
+            id = datum.id
+            if (
+                id not in data
+                and id not in holdings
+                and self._rng.random() < EAGER * free
+                and self._is_wanted(sender, datum)
+            ):
+                data[id] = datum
+                self.bytes += len(datum.payload)
+                self._sources[id] = sender, now
+                self._senders[sender] += 1
+                self._origins[id.origin] += 1
+
+    def _is_wanted(self, sender: int, datum: Datum) -> bool:
+        keeper, id = self._keeper, datum.id
+        return (
+            self._senders[sender] < self._of_one
+            and self._origins[id.origin] < self._of_one
+            and id not in keeper.arrived
+            and not keeper.holdings.crowded(self.bytes + len(datum.payload), len(self.data))
+            and not keeper.is_squatted(id)
+            and datum.intact
+        )
+
+    def forget(self, id: DatumId) -> None:
+        """A copy is not needed any more. Unknown ids are ignored."""
+        datum = self.data.pop(id, None)
+        if datum is None:
+            return
+        self.bytes -= len(datum.payload)
+        sender, _ = self._sources.pop(id)
+        for counts, name in ((self._senders, sender), (self._origins, id.origin)):
+            counts[name] -= 1
+            if not counts[name]:
+                del counts[name]
+
+    def make_way(self, size: int) -> None:
+        """Another copy of `size` bytes of payload is about to be stored: forget the oldest until it fits beside the
+        rest."""
+        crowded, data = self._keeper.holdings.crowded, self.data
+        while data and crowded(self.bytes + size, len(data)):
+            self.forget(next(iter(data)))
+
+    def step(self, now: float, turn_s: float) -> None:
+        """Once a turn: forget what has been kept for too long, or has expired."""
+        before = now - KEPT_TURNS * turn_s
+        while self._sources:
+            id, (_, heard) = next(iter(self._sources.items()))
+            if heard >= before:
+                break
+            self.forget(id)
+        lifetime_s = self._keeper.settings.lifetime_s
+        if lifetime_s is not None:
+            for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
+                self.forget(id)
+
+    def good(self, id: DatumId) -> Datum | None:
+        """An overheard datum of which custody can be taken; None: there is none, or no space for it."""
+        datum = self.data.get(id)
+        if datum is None or not self._keeper.may_accept(len(datum.payload)):
+            return None
+        if datum.intact:
+            return datum
+        self.forget(id)
+        return None
+
+    def recover(self, id: DatumId) -> Holding | None:
+        """A node believes that a datum is lost: take custody of it, if it was overheard."""
+        datum = self.good(id)
+        if datum is None:
+            return None
+        self.forget(id)
+        self._keeper.keep(datum.arrived())
+        return self._keeper.holdings.get(id)
+
+    def heed(self, changed: set[Pair]) -> None:
+        """Receipts brought news about these (origin, epoch) pairs."""
+        receipts = self._keeper.receipts
+        for id in [id for id in self.data if id[:2] in changed]:
+            if id in receipts:
+                self.forget(id)
+            elif receipts.told_lost(id):
+                self.recover(id)
+
+    def heed_digest(self, digest: Digest) -> None:
+        """What a digest matches has probably arrived."""
+        for id in matched(digest, self.data):
+            self.forget(id)
