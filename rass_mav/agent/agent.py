@@ -23,6 +23,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
+from rass_mav.core.routes.contacts import Motion
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -235,6 +236,9 @@ class Agent:
             return
         if telemetry.system_id != latched:
             self._keep_system_id()
+        position, contacts = telemetry.position, self.node.routing.neighbours.contacts
+        if contacts is not None and position is not None and position.at == now:
+            contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
         reading = telemetry.reading
         if reading is not None and reading is not self.last_reading and not self.settings.own_sensor:
             self._observe(reading)

@@ -160,7 +160,7 @@ class Mirrors(NoSpares):
                 holdings.change(holding, State.SPARE)
                 self._pair(holding, to)
                 if chained is not None and chained.id != to:
-                    holdings.back(holding, self._partner(chained.id))
+                    self._chain(holding, chained.id)
             self._unconfirmed.handed_on(holding, to, self._now)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
@@ -281,8 +281,14 @@ class Mirrors(NoSpares):
         holdings = self._keeper.holdings
         holdings.unpair(holding)
         holdings.pair(holding, self._partner(with_whom), self._now)
+        self._speech.counts_on(with_whom, holding.id)
         if holding.state is State.SPARE:
             self._distant.backs(holding, distance, self._now)
+
+    def _chain(self, holding: Holding, backer: int) -> None:
+        """Another node keeps a spare for a spare here."""
+        self._keeper.holdings.back(holding, self._partner(backer))
+        self._speech.counts_on(backer, holding.id)
 
     def _partner(self, id: int) -> Partner:
         partner = self._keeper.holdings.partners.get(id)
@@ -386,7 +392,7 @@ class Mirrors(NoSpares):
                 self._back(holding, message.sender)
             backed = self._distant.answered(number, message.sender, now, kept=True)
             if backed is not None and backed.crc == crc:
-                keeper.holdings.back(backed, self._partner(message.sender))
+                self._chain(backed, message.sender)
         for number in message.refused:
             self._distant.answered(number, message.sender, now, kept=False)
         if message.refused:
