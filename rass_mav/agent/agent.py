@@ -303,7 +303,9 @@ class Agent:
         answers = self.node.receive(message, now)
         if self.settings.forward == "immediate":
             moves = self.node.forward(now)
-            answers = let_ride(answers, moves) if self.answers_ride else answers + moves
+            # A swarm in which nodes do not read what is for others would not find them.
+            rides = self.answers_ride and self.node.overhears
+            answers = let_ride(answers, moves) if rides else answers + moves
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

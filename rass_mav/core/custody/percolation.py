@@ -167,7 +167,7 @@ class Percolation:
         """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
         may wait for the same air."""
         settings, turn_s, again = self._keeper.settings, self._pace.turn_s, pending.tries - 1
-        if not settings.measured:
+        if not settings.measured or pending.sending is not None:
             pending.due = now + (settings.retry_steps - 0.5) * turn_s
             return
         trips = self._trips
@@ -189,7 +189,9 @@ class Percolation:
             for holding in self._keeper.holdings.pending.values():
                 pending = holding.pending
                 assert pending is not None
-                if pending.neighbour == neighbour and 0.0 < wait_s <= now - pending.sent and not pending.moves_on:
+                if pending.neighbour != neighbour or pending.sending is not None or pending.moves_on:
+                    continue
+                if 0.0 < wait_s <= now - pending.sent:
                     # In the next turn: many have heard this beacon.
                     pending.due = min(pending.due, now)
 

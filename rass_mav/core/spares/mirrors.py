@@ -49,7 +49,7 @@ from rass_mav.core.spares.speech import Speech
 from rass_mav.core.spares.unconfirmed import Unconfirmed
 
 #: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
-ASK_STEPS = 30
+ASK_STEPS = 20
 #: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
