@@ -117,6 +117,8 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             for each in value:
                 yield from zip(names, each if name == "committed" else (each,), strict=True)
         elif hasattr(value, "_fields"):
+            if name == "distance":
+                yield from [("block", 2), ("block_size", 5)]
             yield from said(value, now)
         elif name == "payload":
             yield "size", len(value)
@@ -126,8 +128,6 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "bitmap_size" if kind == "Sack" else "entry_size", size
             if size:
                 yield name if kind == "Sack" else "entry_bitmap", value.to_bytes(size, "little")
-        elif name == "lost":
-            yield name, int(value)
         else:
             yield NAMES.get(f"{kind}.{name}", name), value
 

@@ -72,13 +72,13 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
-        "_immediate",
         "_kind",
         "_reports",
         "_rng",
         "_said",
         "_text_id",
         "_turns",
+        "answers_ride",
         "ground",
         "guard",
         "last_reading",
@@ -139,7 +139,8 @@ class Agent:
         """Steps done."""
         self.last_reading: Reading | None = None
         """The last reading, from the autopilot or from the node's own sensor."""
-        self._immediate = settings.forward == "immediate"
+        self.answers_ride = True
+        """Whether answers may share a frame with data for another node: where a frame reaches all neighbours."""
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._reports = Reports(now)
@@ -300,8 +301,9 @@ class Agent:
 
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
-        if self._immediate:
-            answers = let_ride(answers, self.node.forward(now))
+        if self.settings.forward == "immediate":
+            moves = self.node.forward(now)
+            answers = let_ride(answers, moves) if self.answers_ride else answers + moves
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------
@@ -337,7 +339,8 @@ class Agent:
 
     def forward(self, now: float) -> Sequence[Outgoing]:
         """With `node.forward: immediate`, forward the data that have come in or been created since the last turn."""
-        return self.peers.frames(self.node.forward(now), self.store, now) if self._immediate else ()
+        immediate = self.settings.forward == "immediate"
+        return self.peers.frames(self.node.forward(now), self.store, now) if immediate else ()
 
     def greet_vehicle(self) -> Outgoing:
         """The heartbeat to the autopilot. It must be the first frame on a port that has just been opened: an autopilot

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from rass_mav.core.messages import BROADCAST, KINDS, Data, Message, Target, Urgency
+from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire import encode
@@ -47,13 +47,10 @@ def frames_of(
     tunnel, unwritten = writer.tunnel, store.unwritten
     out = []
     for message in messages:
-        whose, urgency, rests = KINDS[type(message)]
-        if type(message) is Data and message.answers:
-            urgency = Urgency.ANSWER
-        target = BROADCAST if whose is Target.EVERYBODY else message.target  # type: ignore[union-attr]
+        target, urgency = destination(message)
         promises = False
         if unwritten:
-            data = rests(message)
+            data = KINDS[type(message)].rests(message)
             # Data that are on disk leave at once, so a node whose disk is full can still hand over its data.
             promises = data is None or not all(map(store.durable, data))
         for payload in encode(message, now):

@@ -90,6 +90,7 @@ class Driver:
             )
             for link in links
         ]  # fmt: skip
+        agent.answers_ride = all(link.broadcasts for link in links)
         self._through = next((c for c in self.channels if isinstance(c.link, AutopilotLink)), None)
         if self._through is not None:
             agent.share_port()

@@ -418,6 +418,20 @@ Message: TypeAlias = (
 )  # fmt: skip
 
 
+def destination(message: Message) -> tuple[int, Urgency]:
+    """To which neighbour a message goes, or BROADCAST, and how urgent it is."""
+    target, urgency, _ = KINDS[type(message)]
+    if type(message) is Data and message.answers:
+        # Nodes besides the target wait for the answers on it.
+        return BROADCAST, Urgency.ANSWER
+    return BROADCAST if target is Target.EVERYBODY else message.target, urgency  # type: ignore[union-attr]
+
+
+def sender_of(message: Message) -> int | None:
+    """The node that sent a message; None: the message does not name it."""
+    return getattr(message, "sender", None)
+
+
 def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:
     """All of them, with the answers to hand-overs on the first of the data: that takes fewer frames."""
     riding = tuple([answer for answer in answers if type(answer) is Committed])

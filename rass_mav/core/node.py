@@ -14,7 +14,7 @@ from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Fate
-from rass_mav.core.messages import BROADCAST, KINDS, Committed, Message, Target
+from rass_mav.core.messages import BROADCAST, Committed, Message, sender_of
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import is_sound_note, make_given
 from rass_mav.core.news.digests import Digests, Fresh, NoDigests
@@ -188,8 +188,9 @@ class Node(Participant):
             # Most messages are beacons. While nothing waits for answers they change no copies.
             waiting = self.holdings.pending or self.holdings.offers
             return self._hear_beacon(message, now) if waiting else self._on_beacon(message, now)
-        if KINDS[type(message)].target is Target.NAMED:
-            self.routing.neighbours.notice(message.sender, now)  # type: ignore[union-attr]
+        sender = sender_of(message)
+        if sender is not None:
+            self.routing.neighbours.notice(sender, now)
         answers = HANDLERS[type(message)](self, message, now)
         self.keeper.spares.flush(answers)
         return answers
@@ -199,7 +200,7 @@ class Node(Participant):
         out = self._on_beacon(beacon, now)
         for answer in beacon.answers:
             if answer.target == self.id:
-                out += self._on_committed(answer, now)
+                out += self._on_committed(answer, now, again=True)
         self.percolation.not_answered(beacon.sender, now)
         self.keeper.spares.flush(out)
         return out
@@ -261,14 +262,16 @@ class Node(Participant):
             return []
         return [Committed(self.id, to, tuple(committed), tuple(refused))]
 
-    def _on_committed(self, message: Committed, now: float) -> list[Message]:
+    def _on_committed(self, message: Committed, now: float, *, again: bool = False) -> list[Message]:
+        """`again`: the answer waited for a beacon, so it says nothing of how long answers take."""
         keeper, holdings, sender = self.keeper, self.holdings, message.sender
         for number, crc in message.committed:
             holding = holdings.answered(number, sender)
             if holding is None:
                 keeper.notes.committed(number, sender)
             elif holding.crc == crc:
-                self.percolation.answered(holding, now)
+                if not again:
+                    self.percolation.answered(holding, now)
                 keeper.give_away(holding, sender)
         for number in message.refused:
             holding = holdings.answered(number, sender)

@@ -137,6 +137,8 @@ class Link(Port):
 
     budget: Budget | None = None
     """What may be sent; None: no limit."""
+    broadcasts = True
+    """Whether a frame for all neighbours is sent once; False: once for each."""
     one_hop = True
     """Whether nodes that are heard are one hop away. False: frames may be forwarded on the way."""
     only: frozenset[int] | None = None

@@ -81,6 +81,7 @@ class UdpLink(Link):
         self._broadcast = None if broadcast is None else self._everybody[-1][0]
         if multicast is not None:
             self._everybody.append(multicast)
+        self.broadcasts = len(self._everybody) == 1
         self._learned: OrderedDict[int, Address] = OrderedDict()
         self._local: dict[str, bool] = {}
         self._local_until = 0.0

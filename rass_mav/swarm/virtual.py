@@ -15,7 +15,6 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.turns import MOST_JITTER, jitter
 from rass_mav.core.datum import Fate
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
@@ -35,6 +34,7 @@ from rass_mav.swarm.medium.settings import RadioSection
 from rass_mav.swarm.medium.tally import Record
 from rass_mav.swarm.medium.timeline import Order, Timeline
 from rass_mav.swarm.neighbours import Position
+from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
 
@@ -145,10 +145,7 @@ class VirtualSwarm(ABC):
         self.ledger.lies = bool(hostile)
         self._strikes = strikes
         self._strike_rng = random.Random(f"{seed}:strikes")
-        draw = random.Random(f"{seed}:phases").random
-        self._phases = [draw() if phases else None for _ in agents]
-        """When in a step each node has its turn, 0..1, but for the jitter; None: at its beginning."""
-        self._jitter_rng = random.Random(f"{seed}:jitter")
+        self._phases = Phases(len(agents), apart=phases, seed=seed)
 
     @property
     @abstractmethod
@@ -197,8 +194,7 @@ class VirtualSwarm(ABC):
         if self.power is not None:
             for node_id in self.power.begin_step(t, off):
                 self._fail(node_id, None)
-        for node_id, phase in enumerate(self._phases):
-            delay = 0.0 if phase is None else (phase + jitter(self._jitter_rng)) / (1.0 + MOST_JITTER)
+        for node_id, delay in enumerate(self._phases.delays()):
             timeline.at(now + delay * step_s, Order.TURN, partial(self._take_turn, node_id))
         if self.hostile is not None:
             timeline.at(now, Order.TURN, self._attack)

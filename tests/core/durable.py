@@ -79,7 +79,10 @@ class DurableStore:
         return [id for id in ids if not self._live.data[id].intact]
 
     def durable(self, id: DatumId) -> bool:
-        return id in self.disk.data
+        # One that was removed and came again is not: the batch that is under way may be from between.
+        datum = self._live.data.get(id)
+        written = self.disk.data.get(id) is datum and (self._out is None or self._out.data.get(id) is datum)
+        return datum is not None and written
 
     def put(self, datum: Datum) -> None:
         data = self._live.data

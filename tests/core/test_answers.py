@@ -525,6 +525,17 @@ def test_an_attacker_who_repeats_such_frames_holds_nothing_back_for_good() -> No
     assert OTHER in targets, "after so many tries another one gets it"
 
 
+def test_an_answer_that_had_to_be_repeated_says_nothing_of_how_long_answers_take() -> None:
+    giver = Giver()
+    giver.hand_over(trip_s=0.1)
+    giver.beacon()
+    for _ in range(9):
+        giver.beacon(giver.answer(giver.hand_over()))
+    sent = giver.hand_over()
+    giver.beacon()
+    assert giver.turn() == [sent]
+
+
 # -- round trips -------------------------------------------------------------------------------------------------------
 
 
@@ -543,27 +554,37 @@ def test_the_time_to_wait_follows_rfc_6298() -> None:
     assert trips.wait_s(OTHER) == 0.0
 
 
-def test_a_missed_answer_doubles_the_time_until_the_next_measurement() -> None:
+def test_missed_answers_double_the_time_until_the_next_measurement() -> None:
     trips = RoundTrips()
+    # Of this one it is not known how long it takes.
+    trips.missed(OTHER, 5.0, 1.5, 12.0)
+    assert (trips.usual_s(OTHER), trips.wait_s(OTHER)) == (0.0, 3.0)
     trips.measure(NEXT, 0.1)
     usual = trips.usual_s(NEXT)
-    trips.missed(NEXT, 1.5, 12.0)
-    trips.missed(NEXT, 1.5, 12.0)
+    # A frame with three data was lost.
+    for _ in range(3):
+        trips.missed(NEXT, 5.0, 1.5, 12.0)
+    assert trips.wait_s(NEXT) == usual
+    for _ in range(2):
+        trips.missed(NEXT, 6.0, 1.5, 12.0)
     assert (trips.usual_s(NEXT), trips.wait_s(NEXT)) == (usual, 3.0)
-    for _ in range(9):
-        trips.missed(NEXT, trips.wait_s(NEXT), 12.0)
+    for t in range(7, 16):
+        trips.missed(NEXT, float(t), trips.wait_s(NEXT), 12.0)
     assert trips.wait_s(NEXT) == 12.0
     trips.measure(NEXT, 0.1)
     assert trips.wait_s(NEXT) == trips.usual_s(NEXT) < 1.0
+    trips.missed(NEXT, 17.0, 1.5, 12.0)
+    assert trips.wait_s(NEXT) == trips.usual_s(NEXT)
 
 
 def test_the_round_trips_of_nodes_that_are_gone_are_forgotten() -> None:
     trips = RoundTrips()
     for id in range(1000):
         trips.measure(id, 1.0)
-        trips.missed(id, 1.0, 9.0)
-        trips.keep(range(id - 3, id + 1))
-        assert len(trips._trips) + len(trips._least) <= 4 * 4
+        trips.missed(id, 1.0, 1.0, 9.0)
+        trips.missed(id, 2.0, 1.0, 9.0)
+        trips.keep(set(range(id - 3, id + 1)))
+        assert max(len(table) for table in (trips._trips, trips._least, trips._missed)) <= 4 * 4
     assert trips.usual_s(999) > 0.0
 
 

@@ -170,7 +170,7 @@ class Swarm(RuleBasedStateMachine):
 
             def tell(error: RassError | None) -> None:
                 if error is None:
-                    assert id in self.stores[i].disk.data
+                    assert id in self.stores[i].disk.data, "accepted, and in custody on no disk"
                     self.created.add(id)
                 elif id in self.stores[i].ids():
                     self.gates[i].ask(tell)

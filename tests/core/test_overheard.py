@@ -23,7 +23,7 @@ GIVER, TAKER = 5, 6
 
 def bystander(**settings: Any) -> Node:
     """A drone that hears node 5 hand data over to node 6, and has much space, so that it keeps them."""
-    node = make_node(1, mirror=True, overhear=True, **{"capacity_items": 1000, **settings})
+    node = make_node(1, mirror=True, **{"overhear": True, "capacity_items": 1000, **settings})
     for sender in (GIVER, TAKER):
         node.receive(beacon(sender), 0.0)
     return node
@@ -62,8 +62,11 @@ def test_an_overheard_datum_is_kept_in_memory_only() -> None:
 
 def test_without_the_setting_nothing_is_kept() -> None:
     assert bystander().overhears
-    assert not make_node(1, mirror=True).overhears
-    assert not make_node(0, base=True).overhears
+    node, base = bystander(overhear=False), make_node(0, base=True)
+    for hearer in (node, base):
+        pass_by(hearer, datum())
+        assert not hearer.overheard
+        assert list(hearer.store.ids()) == []
 
 
 def test_a_drone_without_spares_keeps_nothing() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import subprocess
 import sys
 from typing import Any
@@ -140,3 +141,17 @@ def test_the_papers_worlds_have_one_copy_and_one_hop_a_step() -> None:
         scenario = load_scenario(f"paper-{topology}")
         assert not scenario.custody.mirror
         assert scenario.node.forward == "step"
+
+
+@pytest.mark.parametrize("overhear", [True, False])
+def test_drones_overhear_each_other_unless_it_is_turned_off(overhear: bool) -> None:
+    keys = ["nodes=16", "arena_m=8", f"custody.overhear={str(overhear).lower()}", "radiation.corruption=false"]
+    world = World(load_scenario("demo", {}, keys))
+    world.run(12)
+    kept = [datum for agent in world.agents for datum in agent.node.overheard.values()]
+    assert bool(kept) == overhear
+    assert all(datum.intact for datum in kept)
+    # Radiation strikes them like data in a store.
+    for node_id in range(1, 16):
+        world._strike(node_id, 1.0, random.Random(1))
+    assert not any(datum.intact for agent in world.agents for datum in agent.node.overheard.values())

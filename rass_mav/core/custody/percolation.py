@@ -142,7 +142,7 @@ class Percolation:
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
         keeper, pace = self._keeper, self._pace
-        self._trips.keep(self._routing.neighbours)
+        self._trips.keep(self._routing.neighbours.keys())
         self.due = inf
         for holding in list(keeper.holdings.pending.values()):
             pending = holding.pending
@@ -161,7 +161,7 @@ class Percolation:
             return True
         # It has probably moved away, so another is tried before the routing table gives it up. Where beacons get lost,
         # two must be missing: it may have the datum already, and another neighbour would create a second copy.
-        return neighbour.noticed < now - (1.5 if neighbour.clean else 2.5) * neighbour.turn_s
+        return neighbour.noticed < now - max(neighbour.patience, 1.5 if neighbour.clean else 2.5) * neighbour.turn_s
 
     def _wait(self, pending: Pending, now: float) -> None:
         """Set when a hand-over that is sent now is sent again: twice as late each time, and at random, because others
@@ -218,7 +218,7 @@ class Percolation:
         datum = self._keeper.load(holding)
         if datum is not None:
             most_s = (1 << MOST_DOUBLINGS) * (self._keeper.settings.retry_steps + 0.5) * self._pace.turn_s
-            self._trips.missed(pending.neighbour, now - pending.sent, most_s)
+            self._trips.missed(pending.neighbour, now, now - pending.sent, most_s)
             pending.tries += 1
             pending.sent = now
             self._wait(pending, now)

@@ -30,6 +30,11 @@ CREDIT = 4
 #: One place in this many is reserved for bases. There cannot be more: anybody can claim to be a base.
 _BASES_PART = 4
 _MOST_MISSED = 8
+#: A neighbour silent for more than this many of its turns has probably moved away,
+RECENT_TURNS = 1.5
+#: and for more than this many where beacons get lost: more than this share of them.
+LOSSY_TURNS, LOSSY = 2.5, 0.02
+_LOSS_GAIN = 0.02
 #: More than the rounding errors of sums of times, seconds.
 _ROUNDING_S = 1e-3
 
@@ -38,7 +43,7 @@ class Neighbour:
     """A neighbour as its last beacon described it."""
 
     __slots__ = (
-        "beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "turn_s",
+        "beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "patience", "turn_s",
     )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
@@ -52,6 +57,8 @@ class Neighbour:
         """The time between its beacons, seconds."""
         self.lifetime_s = lifetime_s
         """If it is silent for longer, it is gone."""
+        self.patience = RECENT_TURNS
+        """If it is silent for more than this many of its turns, it has probably moved away."""
         self.missed = 1.0
         """Recently missed beacons: each counts a fifth less with each that is heard."""
         self.confirmed = False
@@ -62,8 +69,8 @@ class Neighbour:
         """Number of the last beacon that was treated as late."""
 
     def is_missing(self, now: float) -> bool:
-        """Whether it has probably moved away: it has been silent for a turn, or it is expected to be out of range."""
-        return self.noticed < now - RECENT_TURNS * self.turn_s or self.leaves <= now
+        """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
+        return self.noticed < now - self.patience * self.turn_s or self.leaves <= now
 
     @property
     def clean(self) -> bool:
@@ -75,22 +82,22 @@ class Neighbours(dict[int, Neighbour]):
     """All neighbours by node id, in the order in which they were first heard."""
 
     __slots__ = (
-        "_candidates",
-        "_lifetime_s",
-        "_longest_s",
-        "_most",
-        "_nobody_goes_until",
-        "_standing",
-        "_step_s",
-        "contacts",
-    )
+        "_candidates", "_expects_loss", "_lifetime_s", "_longest_s", "_loss", "_most", "_nobody_goes_until",
+        "_standing", "_step_s", "contacts",
+    )  # fmt: skip
 
     def __init__(
-        self, step_s: float, lifetime_s: float, most: int, standing: Callable[[Beacon], tuple[int, int]]
+        self,
+        step_s: float,
+        lifetime_s: float,
+        most: int,
+        standing: Callable[[Beacon], tuple[int, int]],
+        *,
+        expects_loss: bool = True,
     ) -> None:
         """`step_s`: the usual time between beacons. A neighbour silent for more than `lifetime_s` is gone; one whose
         beacons are farther apart lives longer accordingly. `standing`: if there is not enough space, the neighbour with
-        the greater value is given up."""
+        the greater value is given up. `expects_loss`: where beacons get lost, one that is missing means little."""
         super().__init__()
         self._step_s = step_s
         self._lifetime_s = lifetime_s
@@ -102,6 +109,9 @@ class Neighbours(dict[int, Neighbour]):
         """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""
         # `age` checks no neighbour before that, unless one is new or changes its turn.
+        self._expects_loss = expects_loss
+        self._loss = 0.0
+        """Recent share of the beacons that were missed of neighbours that are still there."""
         self._nobody_goes_until = -inf
         self._longest_s = 0.0
 
@@ -123,6 +133,9 @@ class Neighbours(dict[int, Neighbour]):
         known.late = None
         missed = (ahead - 1) & 0xFFFF
         known.missed = 0.8 * known.missed + (missed if missed < _MOST_MISSED else _MOST_MISSED)
+        if self._expects_loss:
+            self._loss += _LOSS_GAIN * ((missed < _MOST_MISSED) * missed / (missed + 1.0) - self._loss)
+            known.patience = LOSSY_TURNS if self._loss > LOSSY else RECENT_TURNS
         known.beacon = beacon
         if not known.confirmed:
             known.confirmed = last.life == beacon.life and newer(beacon.number, last.number)

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from rass_mav.core.messages import NO_ROUTE, Beacon
 from rass_mav.core.routes.costs import NO_COST, CostRules
-from rass_mav.core.routes.neighbours import RECENT_TURNS, Neighbour
+from rass_mav.core.routes.neighbours import Neighbour
 
 #: By hops, a node changes to another base when its own is out of reach, or this many hops farther than the other.
 CHANGE_OVER_HOPS = 3
@@ -105,8 +105,7 @@ class ByCost:
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
         """Full: 1, because it may still be the route, but data wait there. It has probably moved away: 2."""
-        late = neighbour.heard < now - RECENT_TURNS * neighbour.turn_s or neighbour.leaves <= now
-        return 2 * late + (not neighbour.beacon.free)
+        return 2 * neighbour.is_missing(now) + (not neighbour.beacon.free)
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """By cost. After all of them come nodes of another policy, by hops."""

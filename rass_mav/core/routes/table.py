@@ -74,7 +74,9 @@ class RoutingTable:
         """A neighbour silent for longer is gone, unless its turns are longer; no frame travels for longer."""
         self.longest_s = self.lifetime_s * (self.turn_s / self.step_s)
         """The longest time that this node or a neighbour is remembered after its last beacon, seconds."""
-        self.neighbours = Neighbours(self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing)
+        self.neighbours = Neighbours(
+            self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing, expects_loss=settings.measured
+        )
         self.neighbours.contacts = Contacts() if settings.contacts else None
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None

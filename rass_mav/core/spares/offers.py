@@ -90,10 +90,10 @@ class SpareOffers:
     def _count_gone(self, now: float) -> None:
         here = silent = 0
         for neighbour in self._routing.neighbours.values():
-            age = (now - neighbour.noticed) / neighbour.turn_s
-            if age < 1.5:
+            late = (now - neighbour.noticed) / neighbour.turn_s - neighbour.patience
+            if late < 0.0:
                 here += 1
-            elif age < 2.5 and neighbour.leaves > neighbour.heard + 1.5 * neighbour.turn_s:
+            elif late < 1.0 and neighbour.leaves > neighbour.heard + neighbour.patience * neighbour.turn_s:
                 # Those that were expected to leave are given nothing.
                 silent += 1
         if silent or here:
