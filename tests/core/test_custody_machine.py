@@ -21,7 +21,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, frames_of
 from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Message, Words
+from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, Message, Words, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
 from rass_mav.errors import RassError, StoreError, StoreFullError
@@ -68,17 +68,17 @@ class Swarm(RuleBasedStateMachine):
     @initialize(
         base=st.booleans(), wander=st.booleans(), receipts=st.booleans(), mirror=st.booleans(), until=st.booleans(),
         immediate=st.booleans(), auto=st.booleans(), overhear=st.booleans(),
-        distant=st.booleans(),
+        distant=st.booleans(), measured=st.booleans(),
     )  # fmt: skip
     def begin(
         self, base: bool, wander: bool, receipts: bool, mirror: bool, until: bool, immediate: bool, auto: bool,
-        overhear: bool, distant: bool,
+        overhear: bool, distant: bool, measured: bool,
     ) -> None:  # fmt: skip
         self.has_base = base
         self.options: dict[str, Any] = {
             "receipts": receipts, "mirror": mirror, "mirror_until_receipt": receipts and until, "immediate": immediate,
             "copies_auto": auto, "own_share": 0.2 * auto, "overhear": overhear,
-            "distant": distant,
+            "distant": distant, "measured": measured,
         }  # fmt: skip
         self.struck: set[DatumId] = set()
         self.policy: Policy = Wander() if wander else PolicySettings(name="rass").make()
@@ -150,12 +150,11 @@ class Swarm(RuleBasedStateMachine):
         if i in self.nodes:
             node = self.nodes[i]
             if target_of(payload) in (i, BROADCAST) or (node.overhears and is_data(payload)):
-                self._say(i, node.receive(decode(payload, self.now), self.now))
-                self._forward(i)
+                answers = node.receive(decode(payload, self.now), self.now)
+                self._say(i, let_ride(answers, self._forward(i)))
 
-    def _forward(self, i: int) -> None:
-        if self.options["immediate"]:
-            self._say(i, self.nodes[i].forward(self.now))
+    def _forward(self, i: int) -> list[Message]:
+        return self.nodes[i].forward(self.now) if self.options["immediate"] else []
 
     @rule(i=IDS, size=st.integers(1, 60))
     def put(self, i: int, size: int) -> None:
@@ -176,7 +175,7 @@ class Swarm(RuleBasedStateMachine):
                     self.gates[i].ask(tell)
 
             self.gates[i].ask(tell)
-            self._forward(i)
+            self._say(i, self._forward(i))
 
     @rule(i=IDS)
     def step(self, i: int) -> None:
@@ -370,7 +369,7 @@ def weather(seed: int, swarm: Swarm) -> None:
     rng = random.Random(seed)
     swarm.begin(
         rng.random() < 0.3, rng.random() < 0.8, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.5,
-        rng.random() < 0.3, rng.random() < 0.5, seed % 2 == 1, seed % 4 < 2,
+        rng.random() < 0.3, rng.random() < 0.5, seed % 2 == 1, seed % 4 < 2, seed % 8 > 0,
     )  # fmt: skip
     for _ in range(6):
         swarm.storm(rng.getrandbits(32))
@@ -424,4 +423,21 @@ def test_if_taken_left_before_the_commit_the_storms_would_find_a_loss_that_nobod
     monkeypatch.setitem(KINDS, Words, KINDS[Words]._replace(rests=KINDS[Beacon].rests))
     with pytest.raises(AssertionError, match="nobody knows"):  # noqa: PT012
         for seed in range(3000):
+            weather(seed, Swarm())
+
+
+def test_if_beacons_repeated_answers_before_the_commit_the_storms_would_find_a_loss(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No beacon waits for the disk."""
+    repeat = Node._answers_again
+
+    def at_once(node: Node) -> tuple[Committed, ...]:
+        with monkeypatch.context() as patched:
+            patched.setattr(DurableStore, "durable", lambda store, id: True)
+            return repeat(node)
+
+    monkeypatch.setattr(Node, "_answers_again", at_once)
+    with pytest.raises(AssertionError, match="in custody on no disk"):  # noqa: PT012
+        for seed in range(1000):
             weather(seed, Swarm())
