@@ -16,7 +16,7 @@ import platform
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks import frames, handover, node, policies, swarm
+from benchmarks import air, frames, handover, node, policies, swarm
 
 #: Path of a figure in the results, what it is, its bound, and whether that is the most or the least it may be.
 AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
@@ -31,6 +31,9 @@ AIMS: tuple[tuple[tuple[str, ...], str, float, bool], ...] = (
     (("swarm", "bases in proportion", "ratio"), "the same, bases in proportion", 1.5, True),
     (("swarm", "islands of 100", "ratio"), "the same, ten swarms of 100", 1.5, True),
     (("swarm", "no data", "ratio"), "the same, beacons only", 1.5, True),
+    (("air", "wifi-6m", "ratio_a_frame"), "a frame on wifi-6m / on the air that takes no time", 1.5, True),
+    (("air", "wifi-1m", "ratio_a_frame"), "a frame on wifi-1m / on the air that takes no time", 1.5, True),
+    (("air", "sik-64k", "ratio_a_frame"), "a frame on sik-64k / on the air that takes no time", 1.5, True),
     (("handover", "scrub all", "fsyncs_drone"), "fsyncs a datum, drone", 0.1, True),
     (("handover", "scrub all", "fsyncs_base"), "fsyncs a datum, base", 0.1, True),
     (("node", "node - bare", "rss"), "drone node over bare Python, MiB", 24.0, True),
@@ -58,6 +61,7 @@ def measure() -> dict[str, Any]:
         },
         "swarm": swarm.measure(5, 10_000, 50),
         "policies": policies.measure(7, 10_000, 50),
+        "air": air.measure(5, 5000, 50),
         "handover": handover.measure(5, 2000),
         "node": node.measure(5, 2.0),
     }
@@ -93,6 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         (frames.show, "frames"),
         (swarm.show, "swarm"),
         (policies.show, "policies"),
+        (air.show, "air"),
         (handover.show, "handover"),
         (node.show, "node"),
     ):

@@ -44,6 +44,13 @@ def measure(rounds: int, robot_steps: int, warm_up: int) -> dict[str, dict[str, 
     return {name: {key: round(value, 3) for key, value in result.items()} for name, result in results.items()}
 
 
+def show(results: dict[str, dict[str, float]]) -> None:
+    """Print the table."""
+    print(f"{'air, 100 nodes':<16}{'robot-step':>12}{'frames heard':>14}{'frame':>8}")
+    for name, result in results.items():
+        print(f"{name:<16}{result['ratio']:>12.2f}{result['heard']:>14.1f}{result['ratio_a_frame']:>8.2f}")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The program."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -55,10 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results = measure(options.rounds, options.robot_steps, options.warm_up)
     if options.json:
         print(json.dumps(results))
-        return 0
-    print(f"{'air':<16}{'robot-step':>12}{'frames heard':>14}{'frame':>8}")
-    for name, result in results.items():
-        print(f"{name:<16}{result['ratio']:>12.2f}{result['heard']:>14.1f}{result['ratio_a_frame']:>8.2f}")
+    else:
+        show(results)
     return 0
 
 

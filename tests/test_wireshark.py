@@ -17,7 +17,6 @@ from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import (
     Accept,
     Chunk,
-    Committed,
     Data,
     Handover,
     Message,
@@ -99,7 +98,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
     """All fields of a message as the dissector names them. `created` is an age on the wire."""
     kind = type(record).__name__
     for name, value in zip(record._fields, record, strict=True):
-        if (kind, name) == ("Chunk", "target") or value is None:
+        if (kind, name) == ("Chunk", "target") or value is None or (name == "moves" and not value):
             continue  # not on the wire
         if name == "created":
             yield "age", round((now - value) * 1000)
@@ -107,8 +106,8 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
-        elif name == "answers":
-            yield from said_in_a_block(value)
+        elif name in ("answers", "distance", "moves"):
+            yield from said_in_a_block(name, value)
         elif name == "marks":
             yield from [("count", len(value)), ("mark_bytes", len(pack_marks(value, record.bits)))]
             yield from [("mark", mark) for mark in value]
@@ -133,13 +132,17 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield NAMES.get(f"{kind}.{name}", name), value
 
 
-def said_in_a_block(answers: Sequence[Committed]) -> Iterator[tuple[str, int | bytes]]:
-    if answers:
+def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
+    if name == "distance":
+        yield from [("block", 2), ("block_size", 5), *said(value)]
+    elif name == "moves":
+        yield from [("block", 3), ("block_size", 8), (name, value)]
+    elif value:
         yield "block", 1
-        yield "block_size", sum(4 + 8 * len(each.committed) + 4 * len(each.refused) for each in answers)
-    for each in answers:
-        # Their sender is the message's.
-        yield from list(said(each))[1:]
+        yield "block_size", sum(4 + 8 * len(each.committed) + 4 * len(each.refused) for each in value)
+        for each in value:
+            # Their sender is the message's.
+            yield from list(said(each))[1:]
 
 
 def read(name: str, text: str) -> int | bytes:

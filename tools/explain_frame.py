@@ -26,6 +26,7 @@ from rass_mav.core.messages import (
     Message,
     Word,
 )
+from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
@@ -58,7 +59,17 @@ _WORDS = {
     Word.ENCLOSED: "all my neighbours hear you, choose another backer",
 }
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
-_HEX = {"epoch": 8, "life": 8, "base_life": 8, "crc": 8, "digest": 8, "number": 8, "handle": 4, "policy": 4}
+_HEX = {
+    "epoch": 8,
+    "life": 8,
+    "base_life": 8,
+    "crc": 8,
+    "digest": 8,
+    "number": 8,
+    "handle": 4,
+    "policy": 4,
+    "moves": 16,
+}
 
 
 class UnreadableError(Exception):
@@ -256,6 +267,15 @@ def _potential(value: int) -> str:
     return f"fitness {value / (1 << 24):.6f}" if value else "no room"
 
 
+def _motion(moves: int) -> str:
+    *place, north, east = unpack(moves)
+    latitude, longitude = (part * UNIT_DEGREES for part in place)
+    circle = (1 << 20) * UNIT_DEGREES
+    return (
+        f"{latitude:.6f}, {longitude:.6f} degrees and multiples of {circle:.6f}; {north:.2f} m/s north, {east:.2f} east"
+    )
+
+
 def _bits(bitmap: int, first: int) -> str:
     """The numbers that a bitmap names, whose lowest bit means `first`."""
     return ", ".join(str(first + i) for i in range(bitmap.bit_length()) if bitmap >> i & 1)
@@ -293,6 +313,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "Handover.number": lambda _, value: "hand-over" if value else "no custody offered",
     "size": lambda _, value: "bytes",
     "chunk_size": lambda _, value: "bytes",
+    "moves": lambda _, value: _motion(value) if value else "not told",
     "run": lambda entry, value: f"up to {entry.first + value - 1}",
     "lost": lambda _, value: "told lost" if value else "arrived",
     "bits": lambda _, value: f"it matches one in {1 << value} of the data that have not arrived",

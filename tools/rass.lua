@@ -74,6 +74,7 @@ field("potential", ProtoField.uint32, "rass.potential", "Potential (16777216 is 
 field("digest", ProtoField.uint32, "rass.digest", "Receipt digest", base.HEX)
 field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC of the beacon", base.HEX)
 field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
+field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
 field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
@@ -321,6 +322,9 @@ local function blocks(r)
                 r:number("custodian", 2)
                 r:number("further", 1)
                 size = size - 5
+            elseif kind == 3 and size >= 8 then
+                r.tree:add_le(f.moves, r:need(8))
+                size = size - 8
             end
             if kind ~= 1 then
                 if size > 0 then r:bytes("block_content", size) end

@@ -23,6 +23,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
+from rass_mav.core.routes.contacts import Motion
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -235,6 +236,9 @@ class Agent:
             return
         if telemetry.system_id != latched:
             self._keep_system_id()
+        position, contacts = telemetry.position, self.node.routing.neighbours.contacts
+        if contacts is not None and position is not None and position.at == now:
+            contacts.observe(Motion(position.latitude, position.longitude, position.north, position.east, now))
         reading = telemetry.reading
         if reading is not None and reading is not self.last_reading and not self.settings.own_sensor:
             self._observe(reading)
@@ -299,7 +303,9 @@ class Agent:
         answers = self.node.receive(message, now)
         if self.settings.forward == "immediate":
             moves = self.node.forward(now)
-            answers = let_ride(answers, moves) if self.answers_ride else answers + moves
+            # A swarm in which nodes do not read what is for others would not find them.
+            rides = self.answers_ride and self.node.overhears
+            answers = let_ride(answers, moves) if rides else answers + moves
         return self.peers.frames(answers, self.store, now) if answers else ()
 
     # -- what goes out -------------------------------------------------------------------------------------------------

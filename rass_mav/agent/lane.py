@@ -141,11 +141,13 @@ class Lane:
         return told
 
 
-def set_pace(agent: Agent, lanes: Sequence[Lane], now: float) -> None:
-    """Let a node send as many beacons and data as its links can carry with the present neighbours."""
+def set_pace(agent: Agent, lanes: Sequence[Lane], now: float, waiting: int = 0) -> None:
+    """Let a node send as many beacons and data as its links can carry with the present neighbours. `waiting`: how much
+    waits behind links that have no pacer."""
     node, step_s = agent.node, agent.settings.step_s
     turn_s, items = common_pace(lanes, step_s, node.settings.bandwidth_items)
     node.keep_pace(turn_s, items, now, slowest_turn(lanes, step_s))
+    node.pace.queue = waiting + sum(lane.pacer.waiting for lane in lanes if lane.pacer is not None)
 
 
 def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> tuple[float, int]:

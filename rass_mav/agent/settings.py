@@ -156,6 +156,7 @@ class AgentSettings(Section):
             max_neighbours=self.routing.max_neighbours,
             max_hops=self.routing.max_hops,
             queue_toll=self.routing.queue_toll,
+            contacts=self.routing.contacts,
             seq_period=policy.seq_period if self.routing.seq_period is None else self.routing.seq_period,
             lifetime_s=self.data.lifetime_s,
             scrub_items=self.store.scrub_items,

@@ -225,7 +225,8 @@ class Driver:
             channel.lane.meet(sum(map(channel.link.reaches, neighbours)))
         if self._through is not None and (pacer := self._through.lane.pacer) is not None:
             self.agent.pace_vehicle(pacer.vehicle_rate)
-        set_pace(self.agent, [channel.lane for channel in self.channels], self.now())
+        waiting = sum(channel.link.waiting for channel in self.channels if channel.lane.pacer is None)
+        set_pace(self.agent, [channel.lane for channel in self.channels], self.now(), waiting)
 
     def _hand_out(self, frames: Sequence[Outgoing]) -> None:
         for outgoing in self.writer.gate.say(frames):

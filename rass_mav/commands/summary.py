@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from rass_mav.swarm.blast import OLD_STEPS
-
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     """The summary of `swarm` or `replay` as lines."""
+    # A node does not load the mock swarm.
+    from rass_mav.swarm.blast import OLD_STEPS
+
     s = summary
     bases = "base" if s["bases"] == 1 else "bases"
     yield (

@@ -140,6 +140,8 @@ class Beacon(NamedTuple):
     a step, as usual."""
     answers: tuple[Committed, ...] = ()
     """Answers of the last turn once more, for neighbours that have not heard them; only to data that are on disk."""
+    moves: int = 0
+    """Where the sender is and how it moves, 64 bits (`rass_mav.core.routes.contacts`); 0: not told."""
 
 
 BEACON_BASE = 1

@@ -31,7 +31,7 @@ class Pace:
         self.sent = 0
         """Data, copies and chunks sent in this life, retransmissions included."""
         self.queue = 0
-        """Frames that wait in the driver."""
+        """Frames that wait in the driver, or bytes that wait behind it."""
         self._in_vain = 0.0
 
     def begin_turn(self) -> None:

@@ -198,6 +198,7 @@ class Participant(ABC):
         else:
             self.potential = self.policy.potential(routing.distance, risk, free)
         routing.announced(now)
+        contacts = routing.neighbours.contacts
         wanted = routing.wanted
         flags = (BEACON_BASE if self.base else 0) | (BEACON_WANTED if wanted else 0)
         base, base_life, number, hops = routing.route or (0, 0, 0, NO_ROUTE)
@@ -206,7 +207,7 @@ class Participant(ABC):
         return Beacon(
             self.id, store.life, self._beacon_number, flags, base, base_life, number, hops, wanted_base,
             wanted_number, int(risk * 65535.0 + 0.5), free, self.policy.tag, self.potential, self.receipts.digest,
-            self._turn, self._answers_again(),
+            self._turn, self._answers_again(), 0 if contacts is None else contacts.announced(now),
         )  # fmt: skip
 
     def _answers_again(self) -> tuple[Committed, ...]:

@@ -73,6 +73,9 @@ class RoutingSettings(Section):
     queue_toll: bool = True
     """Data avoid nodes where data wait: with q data in custody, a hop from a node costs 1 + q / `store.bandwidth_items`
     times as much. Only under a policy whose costs add up (survival)."""
+    contacts: bool = True
+    """A neighbour that has flown out of range, by its velocity and the node's own, is given no data if another is fit.
+    Nodes that move report their places and velocities in their beacons."""
 
 
 class CustodySettings(Section):
@@ -173,6 +176,8 @@ class NodeSettings:
     max_neighbours: int = 128
     max_hops: int = 250
     """1..254."""
+    contacts: bool = False
+    """Neighbours that are expected to be out of range are chosen only if no other is fit; see `RoutingSettings`."""
     queue_toll: bool = False
     """Where costs add up, the data that wait here raise the cost of a route by this node."""
     seq_period: int = 30

@@ -149,6 +149,12 @@ class Link(Port):
         self.name = name
         self._inbox = Inbox()
 
+    @property
+    def waiting(self) -> int:
+        """Bytes that the system has accepted and that have not left, as far as it reports them. For links without a
+        budget."""
+        return 0
+
     @staticmethod
     def remarks(section: Any, key: str) -> Iterable[Remark]:
         """Settings of a checked section that do not fit the computer's present state. `key`: the section's key."""

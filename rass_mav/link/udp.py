@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import socket
+import sys
+import termios
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -207,6 +210,15 @@ class UdpLink(Link):
     def carriers(self) -> list[Carrier]:
         """The interfaces through which the neighbours are reached."""
         return carriers((address[0] for address in self._everybody), self._interface)
+
+    @property
+    def waiting(self) -> int:
+        """Bytes in the socket's send queue: they wait for the interface."""
+        try:
+            queued = fcntl.ioctl(self._socket, termios.TIOCOUTQ, bytes(4))
+        except OSError:
+            return 0  # not every system tells
+        return int.from_bytes(queued, sys.byteorder)
 
     @property
     def trouble(self) -> str:

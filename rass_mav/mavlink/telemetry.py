@@ -48,6 +48,10 @@ class Position(NamedTuple):
     """Metres above mean sea level."""
     at: float
     """When it was received, in seconds on the caller's timeline."""
+    north: float = 0.0
+    """Metres per second; 0 for a home."""
+    east: float = 0.0
+    """Metres per second; 0 for a home."""
 
 
 class LocalPosition(NamedTuple):
@@ -161,13 +165,14 @@ class Telemetry:
         return True
 
     def _on_global_position(self, payload: bytes, now: float) -> bool:
-        boot_ms, lat, lon, alt = _global_position.unpack_from(payload.ljust(_global_position.size, b"\0"))[:4]
+        fields = _global_position.unpack_from(payload.ljust(_global_position.size, b"\0"))
+        boot_ms, lat, lon, alt, _, north, east, *_ = fields
         if boot_ms:
             self._on_boot_time(boot_ms)
         if not self._is_place(lat, lon):
             self.no_fix_at = now
             return False
-        self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, now)
+        self.position = Position(lat / 1e7, lon / 1e7, alt / 1e3, now, north / 100, east / 100)
         return True
 
     def _on_local_position(self, payload: bytes, now: float) -> bool:

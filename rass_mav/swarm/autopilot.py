@@ -51,10 +51,12 @@ class MockAutopilot:
         self._heartbeat_at = 0.0
         self._position_at = 0.0
 
-    def frames(self, now: float, x: float, y: float, reading: float | None) -> list[bytes]:
+    def frames(
+        self, now: float, x: float, y: float, reading: float | None, velocity: tuple[float, float] = (0.0, 0.0)
+    ) -> list[bytes]:
         """The frames it sends at `now` (seconds since boot) at (x, y), metres east and north of the arena's centre.
 
-        `reading` None: the sensor sends nothing.
+        `reading` None: the sensor sends nothing. `velocity`: metres per second to east and north.
         """
         out = []
         boot_ms = int(now * 1000.0)
@@ -65,7 +67,9 @@ class MockAutopilot:
             self._heartbeat_at = now + _HEARTBEAT_S
         if now >= self._position_at:
             latitude, longitude = to_earth(x, y)
-            payload = global_position_int_payload(latitude, longitude, ORIGIN[2] + 10.0, 10.0, boot_ms)
+            payload = global_position_int_payload(
+                latitude, longitude, ORIGIN[2] + 10.0, 10.0, boot_ms, velocity=(velocity[1], velocity[0], 0.0)
+            )
             out.append(self._writer.frame(GLOBAL_POSITION_INT, payload))
             self._position_at = now + self._position_s
         if reading is not None:

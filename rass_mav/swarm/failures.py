@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from math import inf, log1p
 from typing import NamedTuple
 
+from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.scenario import FailureSection
 
 
@@ -40,6 +41,8 @@ class Failures:
         self._drones = range(bases, nodes)
         self.counts = {"died": 0, "rebooted": 0, "wiped": 0, "landed": 0}
         """Failures of drones so far, by kind."""
+        self.blast: Blast | None = None
+        """What the blast does; None: there is none. The swarm sets it, and carries it out."""
         self._back: list[float] = [0] * nodes
         """The step from which each node is on; inf: off for good."""
         self._reboots = random.Random(f"{seed}:failures:reboot")

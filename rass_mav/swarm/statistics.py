@@ -7,7 +7,6 @@ from typing import Any, Protocol
 from rass_mav.agent.agent import Agent
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.messages import NO_ROUTE
-from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
@@ -25,7 +24,6 @@ class Counted(Protocol):
     ledger: Ledger
     loops: int
     failures: Failures | None
-    blast: Blast | None
     power: Power | None
     hostile: Band | None
     air: Air
@@ -136,8 +134,8 @@ class Statistics:
             summary["load"] = self.load._asdict()
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
-        if world.blast is not None:
-            summary["blast"] = world.blast.figures()
+            if world.failures.blast is not None:
+                summary["blast"] = world.failures.blast.figures()
         if world.power is not None:
             summary["power"] = world.power.figures()
         if world.hostile is not None:

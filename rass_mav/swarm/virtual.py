@@ -21,7 +21,6 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
 from rass_mav.store.memory import MemoryStore, flipped
-from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -113,8 +112,6 @@ class VirtualSwarm(ABC):
         self.loops = 0
         """Cycles of next hops seen, one for each cycle and step."""
         self.failures = failures
-        self.blast: Blast | None = None
-        """None: there is none. The subclass that simulates the surroundings sets it, and carries it out."""
         self.off: dict[int, int | None] = {}
         """Nodes that are off, and the step in which each has its turn again (None: never)."""
         self.power = None if disk is None else Power(disk, self.ledger, seed=seed, off_steps=off_steps)

@@ -32,8 +32,12 @@ class World(VirtualSwarm):
         self.scenario = scenario
         self._pictures = Pictures(scenario)
         self._noise_rng = random.Random(f"{scenario.seed}:noise")
+        self._places: Sequence[tuple[float, float]] | None = None
+        """Where the nodes were a step ago, if their flight controllers report velocities; else nobody asks."""
+        # A node that foresees contacts asks for a position in each step. (Twice as often, so that rounding skips none.)
+        hz = 2.0 / scenario.node.step_s if scenario.routing.contacts else 1.0
         self._autopilots = [
-            MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name)
+            MockAutopilot(system_id(node_id), reading_name=scenario.mavlink.reading_name, position_hz=hz)
             for node_id in range(scenario.nodes)
         ]
         radiation = scenario.radiation
@@ -65,8 +69,8 @@ class World(VirtualSwarm):
             participant=participant,
         )
         self.statistics.load = load
-        if scenario.failures.blast is not None:
-            self.blast = Blast(self.ledger)
+        if failures is not None and scenario.failures.blast is not None:
+            failures.blast = Blast(self.ledger)
 
     @property
     def graph(self) -> RangeGraph:
@@ -89,8 +93,8 @@ class World(VirtualSwarm):
         if self.failures is not None:
             for failure in self.failures.due(t, self.surroundings.levels):
                 self.crash(failure.node, failure.back, wiped=failure.wiped)
-            if self.blast is not None and t == self.scenario.failures.blast:
-                self._explode(self.failures, self.blast)
+            if self.failures.blast is not None and t == self.scenario.failures.blast:
+                self._explode(self.failures, self.failures.blast)
         self._sense(now)
         for node_id in self._pictures.due(t):
             if node_id not in self.off:
@@ -128,10 +132,15 @@ class World(VirtualSwarm):
         reading = self.surroundings.reading
         agents = self.agents
         off = self.off
+        before, step_s = self._places or positions, self.step_s
+        if self.scenario.routing.contacts:
+            self._places = positions
         for node_id, autopilot in enumerate(self._autopilots):
             x, y = positions[node_id]
+            last_x, last_y = before[node_id]
+            velocity = ((x - last_x) / step_s, (y - last_y) / step_s)
             vehicle_bytes = agents[node_id].vehicle_bytes
-            frames = autopilot.frames(now, x, y, reading(node_id, rng))
+            frames = autopilot.frames(now, x, y, reading(node_id, rng), velocity)
             if node_id in off:
                 continue
             for frame in frames:

@@ -68,6 +68,9 @@ _BLOCK = struct.Struct("<BB")
 ANSWERS = 1
 #: The block of distant spares.
 DISTANCE = 2
+#: The block of a beacon with the sender's motion.
+MOTION = 3
+_MOVES = struct.Struct("<Q")
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _DISTANCE = struct.Struct("<HHB")
@@ -147,7 +150,9 @@ _DATA_HEAD = bytes([_head(DATA)])
 
 
 def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
-    rest = _BEACON.pack(_BEACON_HEAD, *m[:-1])
+    rest = _BEACON.pack(_BEACON_HEAD, *m[:-2])
+    if m.moves:
+        rest += _BLOCK.pack(MOTION, _MOVES.size) + _MOVES.pack(m.moves)
     if m.answers:
         rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size)[0]
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
@@ -350,15 +355,24 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon with a wrong checksum")
     if fields[0] == BROADCAST:
         raise MalformedError("a beacon from everybody")
-    answers = _decode_blocks(rest, _BEACON.size, fields[0])[0] if len(rest) > _BEACON.size else ()
+    blocks = _decode_blocks(rest, _BEACON.size, fields[0]) if len(rest) > _BEACON.size else _NO_BLOCKS
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, (*fields, answers))
+    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves))
 
 
-def _decode_blocks(p: bytes, at: int, sender: int) -> tuple[tuple[Committed, ...], Distance | None]:
-    """The blocks from `at` to the end: answers, and how a distant spare keeps away. Unknown ones are ignored."""
+class _Blocks(NamedTuple):
     answers: tuple[Committed, ...] = ()
-    distance = None
+    distance: Distance | None = None
+    """How a distant spare keeps away."""
+    moves: int = 0
+
+
+_NO_BLOCKS = _Blocks()
+
+
+def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
+    """The blocks from `at` to the end. Unknown ones are ignored."""
+    answers, distance, moves = _NO_BLOCKS
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -368,8 +382,10 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> tuple[tuple[Committed, ...
             answers += _decode_answers(p[at : at + size], sender)
         elif kind == DISTANCE and size >= _DISTANCE.size:
             distance = Distance._make(_DISTANCE.unpack_from(p, at))
+        elif kind == MOTION and size >= _MOVES.size:
+            (moves,) = _MOVES.unpack_from(p, at)
         at += size
-    return answers, distance
+    return _Blocks(answers, distance, moves)
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:
@@ -398,7 +414,7 @@ def _decode_data(p: bytes, now: float) -> Data:
     spare = count >= _SPARE
     if at == len(p):
         return Data(sender, target, tuple(handovers), spare)
-    answers, distance = _decode_blocks(p, at, sender)
+    answers, distance, _ = _decode_blocks(p, at, sender)
     return Data(sender, target, tuple(handovers), spare, distance if spare else None, answers)
 
 

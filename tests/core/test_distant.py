@@ -9,6 +9,7 @@ import pytest
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, Data, PassedOn, Route, Word, WordEntry, Words
 from rass_mav.core.spares.distant import REST_TURNS
+from rass_mav.core.spares.speech import TELL_STEPS
 
 from .build import beacon
 from .mirror_net import Net
@@ -126,9 +127,11 @@ def test_a_chain_that_nobody_needs_is_told() -> None:
     net.step(8)
     # A safer place has come into range of 1.
     net.nodes[1].keeper.give_away(net.nodes[1].holdings.custody[id], 9)
-    net.step()
-    assert PassedOn(1, 2, (id,)) in net.of(PassedOn)
-    assert {(m.sender, m.target) for m in net.of(PassedOn)} >= {(2, 3), (3, 4), (4, 5)}
+    told = []
+    for _ in range(4 * TELL_STEPS + 1):
+        net.step()
+        told += [(m.sender, m.target) for m in net.of(PassedOn)]
+    assert told == [(1, 2), (2, 3), (3, 4), (4, 5)]
     assert net.active(id) == [1]
     assert net.spares(id) == [1, 2, 3, 4, 5]
 

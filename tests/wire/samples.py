@@ -33,6 +33,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
+from rass_mav.core.routes.contacts import Motion, pack
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
 #: The moment at which the samples are encoded and decoded, seconds.
@@ -48,6 +49,26 @@ SAMPLES: dict[str, Message] = {
     "beacon-base": Beacon(1, 0x0BADF00D, 9, 1, 1, 0x0BADF00D, 42, 0, 0, 0, 0, 65535, 0xBEEF, 0xFFFFFFFF, 0),
     "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
     "beacon-slow": Beacon(3, 0xCAFEBABE, 514, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0, 90),
+    "beacon-moving": Beacon(
+        3,
+        0xCAFEBABE,
+        515,
+        0,
+        1,
+        0x0BADF00D,
+        42,
+        2,
+        0,
+        0,
+        16384,
+        49,
+        0xBEEF,
+        1 << 23,
+        0,
+        0,
+        (),
+        pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW),
+    ),
     "beacon-answers": Beacon(
         3,
         0xCAFEBABE,
@@ -137,14 +158,36 @@ def _with_answers(message: Data | Beacon, told: tuple[tuple[int, list[tuple[int,
 by_type: dict[type, st.SearchStrategy[Message]] = {
     Beacon: st.builds(
         _with_answers,
-        st.builds(Beacon, node_ids, u32, u16, u8, u16, u32, u16, u8, u16, u16, u16, u16, u16, u32, u32, u16),
+        st.builds(
+            Beacon,
+            node_ids,
+            u32,
+            u16,
+            u8,
+            u16,
+            u32,
+            u16,
+            u8,
+            u16,
+            u16,
+            u16,
+            u16,
+            u16,
+            u32,
+            u32,
+            u16,
+            st.just(()),
+            st.integers(0, (1 << 64) - 1),
+        ),
         # So many fit.
         answers(4, 1),
     ),
     Data: st.one_of(
         st.builds(
             _with_answers,
-            st.builds(Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans()),
+            st.builds(
+                Data, u16, u16, st.lists(handovers, max_size=12).map(tuple), st.booleans(), st.none(), st.just(())
+            ),
             answers(5, 20),
         ),
         st.builds(
@@ -154,6 +197,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             st.lists(st.builds(Handover, u32, data(INLINE_BYTES - DISTANT_BYTES)), max_size=12).map(tuple),
             st.just(True),
             st.builds(Distance, u16, u16, u8),
+            st.just(()),
         ),
     ),
     Offer: st.builds(

@@ -190,7 +190,9 @@ class Percolation:
             for holding in self._keeper.holdings.pending.values():
                 pending = holding.pending
                 assert pending is not None
-                if pending.neighbour == neighbour and 0.0 < wait_s <= now - pending.sent and not pending.moves_on:
+                if pending.neighbour != neighbour or pending.sending is not None or pending.moves_on:
+                    continue
+                if 0.0 < wait_s <= now - pending.sent:
                     # In the next turn: many have heard this beacon.
                     pending.due = min(pending.due, now)
 

@@ -14,12 +14,15 @@ from collections.abc import Callable
 from math import inf
 
 from rass_mav.core.messages import BEACON_BASE, Beacon
+from rass_mav.core.routes.contacts import Contacts
 from rass_mav.core.routes.serial import newer
 
 #: A beacon at most this far behind the newest one is a late or duplicated frame; otherwise the neighbour has restarted.
 _LATE_WINDOW = 32
 #: A neighbour of which recently fewer beacons than this were missed is on a clean link (`Neighbour.missed`).
 CLEAN_MISSED = 0.2
+#: A neighbour silent for more than this many of its turns may have moved away.
+RECENT_TURNS = 1.5
 #: The turn in a beacon counts as at most this many seconds: no node has to wait hours for another,
 MOST_TURN_S = 60.0
 #: and as at most this many times the time between its last two beacons: a turn may only grow as fast as it is observed.
@@ -39,7 +42,9 @@ _ROUNDING_S = 1e-3
 class Neighbour:
     """A neighbour as its last beacon described it."""
 
-    __slots__ = ("beacon", "confirmed", "heard", "id", "late", "lifetime_s", "missed", "noticed", "patience", "turn_s")
+    __slots__ = (
+        "beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "patience", "turn_s",
+    )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
         self.id = beacon.sender
@@ -58,12 +63,14 @@ class Neighbour:
         """Recently missed beacons: each counts a fifth less with each that is heard."""
         self.confirmed = False
         """Whether it was heard twice: two beacons of one life, in order."""
+        self.leaves = inf
+        """When it is expected to be out of range, seconds (`Contacts`)."""
         self.late: int | None = None
         """Number of the last beacon that was treated as late."""
 
     def is_missing(self, now: float) -> bool:
-        """Whether it has probably moved away."""
-        return self.noticed < now - self.patience * self.turn_s
+        """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""
+        return self.noticed < now - self.patience * self.turn_s or self.leaves <= now
 
     @property
     def clean(self) -> bool:
@@ -76,7 +83,7 @@ class Neighbours(dict[int, Neighbour]):
 
     __slots__ = (
         "_candidates", "_expects_loss", "_lifetime_s", "_longest_s", "_loss", "_most", "_nobody_goes_until",
-        "_standing", "_step_s",
+        "_standing", "_step_s", "contacts",
     )  # fmt: skip
 
     def __init__(
@@ -96,6 +103,8 @@ class Neighbours(dict[int, Neighbour]):
         self._lifetime_s = lifetime_s
         self._most = most
         self._standing = standing
+        self.contacts: Contacts | None = None
+        """None: nobody's motion is taken into account."""
         self._candidates: dict[int, tuple[int, int, float, float]] = {}
         """(life, beacon number, when it was heard, until when the next one must come) of nodes heard once, first in
         first out."""
@@ -134,6 +143,8 @@ class Neighbours(dict[int, Neighbour]):
         elif beacon.turn or last.turn or now < known.heard:
             self._be_patient(known, now - known.heard)
         known.heard = known.noticed = now
+        if self.contacts is not None:
+            known.leaves = self.contacts.leaves(beacon.moves, now)
         return True
 
     def notice(self, id: int, now: float) -> None:
@@ -159,6 +170,8 @@ class Neighbours(dict[int, Neighbour]):
                 return False
         elif 2 * len(self) >= self._most and not new.confirmed:
             return False
+        if self.contacts is not None:
+            new.leaves = self.contacts.leaves(beacon.moves, now)
         self[id] = new
         self._be_patient(new, now - heard)
         return True

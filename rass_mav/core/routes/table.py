@@ -14,6 +14,7 @@ from __future__ import annotations
 from math import inf
 
 from rass_mav.core.messages import BEACON_WANTED, NO_ROUTE, Beacon, Route
+from rass_mav.core.routes.contacts import Contacts
 from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.neighbours import Neighbour, Neighbours
 from rass_mav.core.routes.ranks import Rank
@@ -76,6 +77,7 @@ class RoutingTable:
         self.neighbours = Neighbours(
             self.step_s, self.lifetime_s, settings.max_neighbours, rank.standing, expects_loss=settings.measured
         )
+        self.neighbours.contacts = Contacts() if settings.contacts else None
         self._max_hops = settings.max_hops
         self.next_hop: int | None = None
         self.route: Route | None = None

@@ -27,7 +27,7 @@ from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.spares.speech import Speech
 
 #: How many spares a chain has after that of the first backer. With one, a blast on the islands finds all copies of
-#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of none (docs/policies.md).
+#: 1.6 % of the data that are at least 5 steps old, with two of 0.2 to 0.3 %, with three of 0.1 % (docs/policies.md).
 FURTHER = 3
 #: Turns for which a datum rests before its backer begins a chain.
 REST_TURNS = 2

@@ -49,7 +49,7 @@ from rass_mav.core.spares.speech import Speech
 from rass_mav.core.spares.unconfirmed import Unconfirmed
 
 #: Steps (turns, where they are longer) without news about a datum, after which a backer asks its custodian.
-ASK_STEPS = 30
+ASK_STEPS = 20
 #: Neighbour lifetimes without a beacon, after which a custodian or backer is given up. The routing table forgets it
 #: after one. But each one given up costs a new copy, so it should be dead, and not just have missed three beacons or
 #: flown a bit away. In a moving swarm most come back, or pass their data on, in the meantime.
@@ -160,7 +160,7 @@ class Mirrors(NoSpares):
                 holdings.change(holding, State.SPARE)
                 self._pair(holding, to)
                 if chained is not None and chained.id != to:
-                    holdings.back(holding, self._partner(chained.id))
+                    self._chain(holding, chained.id)
             self._unconfirmed.handed_on(holding, to, self._now)
         self._passed[id] = to
         if len(self._passed) > MAX_PASSED:
@@ -281,8 +281,14 @@ class Mirrors(NoSpares):
         holdings = self._keeper.holdings
         holdings.unpair(holding)
         holdings.pair(holding, self._partner(with_whom), self._now)
+        self._speech.counts_on(with_whom, holding.id)
         if holding.state is State.SPARE:
             self._distant.backs(holding, distance, self._now)
+
+    def _chain(self, holding: Holding, backer: int) -> None:
+        """Another node keeps a spare for a spare here."""
+        self._keeper.holdings.back(holding, self._partner(backer))
+        self._speech.counts_on(backer, holding.id)
 
     def _partner(self, id: int) -> Partner:
         partner = self._keeper.holdings.partners.get(id)
@@ -386,7 +392,7 @@ class Mirrors(NoSpares):
                 self._back(holding, message.sender)
             backed = self._distant.answered(number, message.sender, now, kept=True)
             if backed is not None and backed.crc == crc:
-                keeper.holdings.back(backed, self._partner(message.sender))
+                self._chain(backed, message.sender)
         for number in message.refused:
             self._distant.answered(number, message.sender, now, kept=False)
         if message.refused:

@@ -60,7 +60,7 @@ class SpareOffers:
         """Small data that were handed over to this node since the last look: their giver is their backer. These are
         ids, because the record may have been replaced by then."""
         self.gone = 0.0
-        """Recent share of the neighbours that fall silent from one step to the next; 0..1."""
+        """Recent share of the neighbours that fall silent unexpectedly from one step to the next; 0..1."""
         self._enclosed: dict[int, float] = {}
         """Neighbours that are offered spares only if there is no other, because they know no node out of this one's
         range; and until when."""
@@ -93,7 +93,8 @@ class SpareOffers:
             late = (now - neighbour.noticed) / neighbour.turn_s - neighbour.patience
             if late < 0.0:
                 here += 1
-            elif late < 1.0:
+            elif late < 1.0 and neighbour.leaves > neighbour.heard + neighbour.patience * neighbour.turn_s:
+                # Those that were expected to leave are given nothing.
                 silent += 1
         if silent or here:
             self.gone += GONE_GAIN * (silent / (here + silent) - self.gone)

@@ -34,6 +34,11 @@ class Speech:
             self._steps = TELL_STEPS
         self._passed_on[id] = target
 
+    def counts_on(self, target: int, id: DatumId) -> None:
+        """This node counts on the neighbour's copy again: what it was going to tell it is no longer true."""
+        if self._passed_on.get(id) == target:
+            del self._passed_on[id]
+
     def step(self) -> None:
         """Once a step."""
         self._steps -= 1

@@ -101,6 +101,8 @@ class Drivers(Air):
         if lane is not None:
             lane.meet(len(agent.node.routing.neighbours))
             set_pace(agent, [lane], now)
+        else:
+            agent.node.pace.queue = len(self._medium.stations[node].waiting)
 
     def send(self, node: int, outgoing: Outgoing, now: float) -> None:
         """A node sends a frame to its neighbours."""
