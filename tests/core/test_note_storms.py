@@ -183,7 +183,7 @@ class Storm:
 @pytest.mark.parametrize("storms", extents(40, 2_000))
 def test_notes_reach_the_base_and_never_cost_a_datum(storms: int, mirror: bool) -> None:
     told = rescued = 0
-    for seed in range(60, 60 + storms):
+    for seed in range(130, 130 + storms):
         storm = Storm(seed, mirror=mirror)
         storm.turn(0.0)
         storm.turn(0.0)
