@@ -218,7 +218,8 @@ def test_a_datum_is_lost_for_the_reason_that_took_its_custodian() -> None:
 
 @pytest.mark.parametrize("nodes", extents(25, 100))
 def test_with_custody_nothing_vanishes_however_many_answers_are_lost(nodes: int) -> None:
-    world = World(scenario(nodes=nodes, steps=4 * nodes, seed=2, radio={"loss": 0.3}, custody={"retry_steps": 3}))
+    custody = {"retry_steps": 3, "mirror": False}
+    world = World(scenario(nodes=nodes, steps=4 * nodes, seed=2, radio={"loss": 0.3}, custody=custody))
     world.run(4 * nodes, after=check)
     summary = world.statistics.summary()
     assert summary["lost"]["corrupted"] > 0
