@@ -18,6 +18,7 @@ from rass_mav.core.messages import (
     Committed,
     Data,
     Handover,
+    Message,
     PassedOn,
     Route,
     Word,
@@ -26,7 +27,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.policy import POTENTIAL_BASE, Dispatch, View
 from rass_mav.core.spares.mirrors import ASK_STEPS
-from rass_mav.core.spares.speech import TELL_STEPS
+from rass_mav.core.spares.speech import TELL_STEPS, Speech
 from tests.extent import examples
 
 from .books import mirrors, spares
@@ -459,3 +460,16 @@ def test_what_a_base_has_taken_is_kept_until_a_receipt_for_anybody_may_say_that_
     assert (id in node.holdings) == kept
     node.receive(statement(id), 1.0)
     assert (id in node.holdings) == (kept and not node.settings.receipts)
+
+
+def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
+    speech, out = Speech(2), list[Message]()
+    id = DatumId(1, 1, 0)
+    speech.passed_on(1, id)
+    speech.passed_on(3, id)
+    for _ in range(TELL_STEPS):
+        speech.flush(out)
+        assert out == []
+        speech.step()
+    speech.flush(out)
+    assert out == [PassedOn(2, BROADCAST, (id,))]

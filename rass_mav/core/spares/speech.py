@@ -18,8 +18,8 @@ class Speech:
 
     def __init__(self, node_id: int) -> None:
         self._id = node_id
-        self._passed_on: dict[DatumId, int] = {}
-        """To which neighbour."""
+        self._passed_on: dict[tuple[DatumId, int], None] = {}
+        """Which datum, and to which neighbour."""
         self._steps = 0
         """Until they are told."""
         self._words: dict[int, dict[DatumId, Word]] = {}
@@ -32,12 +32,11 @@ class Speech:
         """Tell a neighbour that a datum has been passed on, or has arrived. It may wait."""
         if not self._passed_on:
             self._steps = TELL_STEPS
-        self._passed_on[id] = target
+        self._passed_on[id, target] = None
 
     def counts_on(self, target: int, id: DatumId) -> None:
         """This node counts on the neighbour's copy again: what it was going to tell it is no longer true."""
-        if self._passed_on.get(id) == target:
-            del self._passed_on[id]
+        self._passed_on.pop((id, target), None)
 
     def step(self) -> None:
         """Once a step."""
@@ -47,8 +46,9 @@ class Speech:
         """Append the messages collected since the last call."""
         if self._passed_on and (self._steps <= 0 or len(self._passed_on) >= _MOST_PASSED_ON):
             # One frame for all neighbours: those to which a datum means nothing ignore it.
-            targets = set(self._passed_on.values())
-            out.append(PassedOn(self._id, targets.pop() if len(targets) == 1 else BROADCAST, tuple(self._passed_on)))
+            targets = {target for _, target in self._passed_on}
+            ids = dict.fromkeys(id for id, _ in self._passed_on)
+            out.append(PassedOn(self._id, targets.pop() if len(targets) == 1 else BROADCAST, tuple(ids)))
             self._passed_on = {}
         if self._words:
             for target, words in self._words.items():
