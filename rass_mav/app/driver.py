@@ -138,14 +138,14 @@ class Driver:
             if way is not None:
                 way.start(self._wake.set)
         last = loop.time() - self.agent.settings.step_s
-        late_s = 0.0
+        late = 0.0
         try:
             while not self._stopping:
                 self._take_in()
                 # The ground may have changed the length of a step.
                 step_s = self.agent.settings.step_s
                 behind = loop.time() - (last + step_s)
-                if behind >= late_s:
+                if behind >= late * step_s:
                     self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
                     if self.lived is not None:
@@ -154,11 +154,11 @@ class Driver:
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
                     last += (missed + 1) * step_s
-                    late_s = jitter(self._rng) * step_s
+                    late = jitter(self._rng)
                 self._tend()
                 for outgoing in self.writer.drive():
                     self._send(outgoing)
-                until = min(last + step_s + late_s, loop.time() + self._tend_at - self.now())
+                until = min(last + (1.0 + late) * step_s, loop.time() + self._tend_at - self.now())
                 await self._sleep(min(until, self.notifier.alive(loop.time())))
             # The last frames, as far as the sockets take them.
             for outgoing in await self.writer.finish():
