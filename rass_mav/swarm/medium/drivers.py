@@ -58,6 +58,8 @@ class Drivers(Air):
         """The link of each node; None: it has no pacer, and frames go to the radio at once."""
         self._due = [0] * nodes
         """Number of each node's last alarm: earlier ones are cancelled."""
+        self._reporting: list[Lane | None] = [None] * nodes
+        """The link for which each node's radio will report its buffer."""
         self._exposure = Exposure(nodes, random.Random(f"{seed}:flying"))
 
     def arrive(self, t: int, now: float) -> None:
@@ -80,15 +82,13 @@ class Drivers(Air):
         channel = self._medium.channel
         if channel.budget is None:
             return
-        self._lanes[node] = lane = Lane(
+        self._lanes[node] = Lane(
             agent, Duplicates(), budget=channel.budget, rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now
         )
-        if channel.reports:
-            self._report_later(node, lane, now)
 
     def stop(self, node: int) -> None:
         """A node goes off: what waits is gone."""
-        self._lanes[node] = None
+        self._lanes[node] = self._reporting[node] = None
         self._medium.switch_off(node)
 
     def strike(self, probabilities: Mapping[int, float], now: float) -> None:
@@ -112,6 +112,8 @@ class Drivers(Air):
         else:
             lane.push(outgoing, now)
             self._pump(node, lane, now)
+            if self._medium.channel.reports:
+                self._report_later(node, lane, now)
 
     def _pump(self, node: int, lane: Lane, now: float) -> None:
         """Let what may leave now go to the radio."""
@@ -132,13 +134,19 @@ class Drivers(Air):
         self._timeline.at(max(due, now), Order.AIR, ring)
 
     def _report_later(self, node: int, lane: Lane, now: float) -> None:
+        """Let the radio report its buffer in a second, and then as long as its reports change anything."""
+        if self._reporting[node] is lane:
+            return
+        self._reporting[node] = lane
+
         def report(now: float) -> None:
-            if lane is self._lanes[node]:
-                assert lane.pacer is not None
-                free = self._medium.free_percent(node)
-                # Otherwise it changes nothing.
-                if free < 100 or lane.pacer.throttle < 1.0:
-                    lane.pacer.radio_status(free, now)
+            if lane is not self._reporting[node]:
+                return
+            self._reporting[node] = None
+            assert lane.pacer is not None
+            free = self._medium.free_percent(node)
+            if free < 100 or lane.pacer.throttle < 1.0:
+                lane.pacer.radio_status(free, now)
                 self._report_later(node, lane, now)
 
         self._timeline.at(now + REPORT_S, Order.AIR, report)
