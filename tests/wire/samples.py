@@ -44,48 +44,16 @@ WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
 #: Its holder was switched off for it does not know how long.
 OLD_HELLO = HELLO._replace(at_least=True)
 
+AGAIN = Beacon(3, 0xCAFEBABE, 515, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0)
+
 SAMPLES: dict[str, Message] = {
     "beacon-drone": Beacon(3, 0xCAFEBABE, 513, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0),
     "beacon-base": Beacon(1, 0x0BADF00D, 9, 1, 1, 0x0BADF00D, 42, 0, 0, 0, 0, 65535, 0xBEEF, 0xFFFFFFFF, 0),
     "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
     "beacon-slow": Beacon(3, 0xCAFEBABE, 514, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0, 90),
-    "beacon-moving": Beacon(
-        3,
-        0xCAFEBABE,
-        515,
-        0,
-        1,
-        0x0BADF00D,
-        42,
-        2,
-        0,
-        0,
-        16384,
-        49,
-        0xBEEF,
-        1 << 23,
-        0,
-        0,
-        (),
-        pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW),
-    ),
-    "beacon-answers": Beacon(
-        3,
-        0xCAFEBABE,
-        515,
-        0,
-        1,
-        0x0BADF00D,
-        42,
-        2,
-        0,
-        0,
-        16384,
-        49,
-        0xBEEF,
-        1 << 23,
-        0,
-        answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ())),
+    "beacon-moving": AGAIN._replace(moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW)),
+    "beacon-answers": AGAIN._replace(
+        answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ()))
     ),
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
     "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
