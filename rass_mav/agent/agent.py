@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import math
 import random
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from rass_mav.agent.answers import Answers
 from rass_mav.agent.ground import Ground
 from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.heartbeats import Heartbeats
@@ -18,7 +18,7 @@ from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
-from rass_mav.core.messages import Beacon, Message, let_ride
+from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
@@ -78,7 +78,7 @@ class Agent:
         "_said",
         "_text_id",
         "_turns",
-        "answers_ride",
+        "answers",
         "ground",
         "guard",
         "last_reading",
@@ -120,6 +120,8 @@ class Agent:
         self._rng = rng
         self.store = store
         self._kind = participant
+        self.answers = Answers(rng)
+        """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
         """Handles every incoming frame."""
         self.node = self._make_node(now, observer, newborn)
@@ -139,8 +141,6 @@ class Agent:
         """Steps done."""
         self.last_reading: Reading | None = None
         """The last reading, from the autopilot or from the node's own sensor."""
-        self.answers_ride = True
-        """Whether answers may share a frame with data for another node: where a frame reaches all neighbours."""
         self._beats = Heartbeats(now)
         self._text_id = 0
         self._reports = Reports(now)
@@ -201,6 +201,7 @@ class Agent:
     def _renew(self, now: float) -> None:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False)
+        self.answers.forget()
         self.peers.overhears = self.node.overhears
         self._observe_again()
 
@@ -301,12 +302,14 @@ class Agent:
 
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
-        if self.settings.forward == "immediate":
-            moves = self.node.forward(now)
-            # A swarm in which nodes do not read what is for others would not find them.
-            rides = self.answers_ride and self.node.overhears
-            answers = let_ride(answers, moves) if rides else answers + moves
-        return self.peers.frames(answers, self.store, now) if answers else ()
+        moves = self.node.forward(now) if self.settings.forward == "immediate" else []
+        if not answers and not moves:
+            return ()
+        return () if self.answers.wait(message, answers, moves, now) else self._leave(now)
+
+    def _leave(self, now: float) -> Sequence[Outgoing]:
+        """What the node has to say about the messages that it has heard."""
+        return self.peers.frames(self.answers.take(overhear=self.peers.overhears), self.store, now)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -378,15 +381,16 @@ class Agent:
             self.ground.outboxes[Way.VEHICLE].rate = (1.0 - _HEARTBEAT_PART) * rate
 
     def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
-        """Between steps: send what is due to the autopilot and the ground.
+        """Between steps: send what is due to the autopilot and the ground, and answers that have waited.
 
         Returns the frames that leave, and when to call again.
         """
-        due = math.inf
+        answers = self._leave(now) if self.answers.due <= now else ()
+        due = self.answers.due
         if self.ground is not None:
             self._beat(now)
-            due = min(self._beats.next_at, self.ground.tend(now, self._said))
-        return self._take_said(), due
+            due = min(due, self._beats.next_at, self.ground.tend(now, self._said))
+        return [*answers, *self._take_said()], due
 
     def measure(self, now: float) -> DatumId | None:
         """Create a datum from the vehicle's position and the sensor's reading. None: the store is full (overflow)."""

@@ -16,6 +16,7 @@ from concurrent.futures import Executor
 from functools import partial
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.commits import MAX_WAITING
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, set_pace
@@ -90,7 +91,8 @@ class Driver:
             )
             for link in links
         ]  # fmt: skip
-        agent.answers_ride = all(link.broadcasts for link in links)
+        agent.answers.ride = all(link.broadcasts for link in links)
+        agent.answers.spread_s = SPREAD_S if any(channel.lane.pacer is None for channel in self.channels) else 0.0
         self._through = next((c for c in self.channels if isinstance(c.link, AutopilotLink)), None)
         if self._through is not None:
             agent.share_port()
@@ -156,7 +158,8 @@ class Driver:
                     last += (missed + 1) * step_s
                     late = jitter(self._rng)
                 self._tend()
-                for outgoing in self.writer.drive():
+                # The answers that wait must be there when the commit begins on which they depend.
+                for outgoing in self.writer.drive(waits=self.agent.answers.due < math.inf):
                     self._send(outgoing)
                 until = min(last + (1.0 + late) * step_s, loop.time() + self._tend_at - self.now())
                 await self._sleep(min(until, self.notifier.alive(loop.time())))
@@ -253,7 +256,7 @@ class Driver:
             channel.send(outgoing)
 
     def _tend(self) -> None:
-        """Send what is due to the autopilot and to the ground."""
+        """Send what is due to the autopilot and to the ground, and answers that have waited."""
         frames, self._tend_at = self.agent.tend(self.now())
         self._hand_out(frames)
 

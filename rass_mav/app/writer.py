@@ -45,15 +45,16 @@ class Writer:
         self._note = note
         self._write: asyncio.Future[None] | None = None
 
-    def drive(self, *, force: bool = False) -> Sequence[Outgoing]:
-        """Handle a finished commit, and begin the next one. Returns what may leave. Raises `StoreDamagedError`."""
+    def drive(self, *, force: bool = False, waits: bool = False) -> Sequence[Outgoing]:
+        """Handle a finished commit, and begin the next one, unless it `waits` for more. Returns what may leave. Raises
+        `StoreDamagedError`."""
         out: list[Outgoing] = []
         if self._write is not None:
             if not self._write.done():
                 return out
             out += self._finish(self._write)
         loop = asyncio.get_running_loop()
-        if self.retry_at is not None and loop.time() < self.retry_at and not force:
+        if waits or (self.retry_at is not None and loop.time() < self.retry_at and not force):
             return out
         if self._note is not None and (force or self._store.unwritten):
             self._note()

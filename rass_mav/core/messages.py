@@ -8,7 +8,7 @@ what it depends on. No message leaves before what it depends on is on disk; the 
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from rass_mav.core.datum import Datum, DatumId
@@ -375,7 +375,7 @@ class Word(enum.IntEnum):
     NONE = 1
     """The sender has no copy that can be counted on."""
     TAKEN = 2
-    """Answer to AGAIN: this node has custody, or had it and passed the datum on."""
+    """Answer to AGAIN: this node has custody, or answers for the datum. Answer to WANTED: custody is not lost."""
     STILL = 3
     """A backer asks whether the receiver still has custody. If not, the answer is `PassedOn` or AGAIN."""
     WANTED = 4
@@ -439,3 +439,27 @@ def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:
         return answers + data
     rest = [answer for answer in answers if type(answer) is not Committed]
     return [data[0]._replace(answers=riding), *data[1:], *rest]
+
+
+def is_of_transfer(message: Message) -> bool:
+    """Whether a message is part of a transfer, in which each waits for the one before."""
+    return type(message) in (Offer, Accept, Chunk, Sack)
+
+
+def joined(messages: Iterable[Message]) -> list[Message]:
+    """The same with all data for a node in one message, and all answers to it."""
+    joined: dict[Hashable, Message] = {}
+    for index, message in enumerate(messages):
+        key: Hashable = index
+        if type(message) is Data:
+            key = Data, message.target, message.spare, message.distance
+            if isinstance(first := joined.get(key), Data):
+                message = first._replace(handovers=first.handovers + message.handovers)
+        elif type(message) is Committed:
+            key = Committed, message.target
+            if isinstance(first := joined.get(key), Committed):
+                message = first._replace(
+                    committed=first.committed + message.committed, refused=first.refused + message.refused
+                )
+        joined[key] = message
+    return list(joined.values())

@@ -26,9 +26,9 @@ class NodeSection(Section):
     forward: Forward = "immediate"
     """step: a datum that comes in after a step leaves in the next one at the earliest; immediate: at once, within the
     step's bandwidth."""
-    phases: Literal["lockstep", "random"] | None = None
-    """When nodes have their turns. lockstep: all at the beginning of a step; random: each at a moment of its own in
-    each step, the same in all of them; null: random where `radio.air` takes time."""
+    phases: Literal["lockstep", "random"] = "random"
+    """When nodes have their turns. random: each at a moment of its own in each step, the same in all of them, as with
+    real computers; lockstep: all at the beginning of a step."""
 
 
 class MobilitySection(Section):
@@ -318,8 +318,8 @@ class Scenario(Section):
         for index, attacker in enumerate(self.hostile):
             if attacker.near >= self.nodes:
                 yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
-        if self.transport != "loopback" and (self.radio.takes_time or self.node.phases == "random"):
-            yield "radio.air: expected none, and node.phases lockstep, unless the transport is loopback"
+        if self.transport != "loopback" and self.radio.takes_time:
+            yield "radio.air: expected none unless the transport is loopback"
         if self.radiation.strikes_per_step > 1 and self.transport != "loopback":
             yield "radiation.strikes_per_step: expected 1 unless the transport is loopback"
         if self.hostile and (self.radio.path_loss is not None or self.radio.capture_db is not None):
@@ -355,11 +355,6 @@ class Scenario(Section):
         while side * side < self.nodes:
             side += 1
         return 2.0 * side
-
-    @property
-    def has_phases(self) -> bool:
-        """Whether each node has its turns at a moment of its own."""
-        return self.radio.takes_time if self.node.phases is None else self.node.phases == "random"
 
     def agent_settings(self, node_id: int) -> AgentSettings:
         """The settings of one node."""

@@ -9,6 +9,7 @@ import random
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from math import inf
 from typing import NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
@@ -135,6 +136,8 @@ class VirtualSwarm(ABC):
                 Agent(settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant)
             )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
+        self._answering = [inf] * len(agents)
+        """When each node's answers were last due, seconds."""
         self.statistics = Statistics(self, full_items)
         some = self.agents[0]
         self.hostile = Band(
@@ -245,10 +248,31 @@ class VirtualSwarm(ABC):
                 continue
             try:
                 answers = agents[hearer].peer_bytes(frame, now)
-                if answers or waits:
+                if answers or (waits and agents[hearer].answers.due == inf):
                     self._say(hearer, answers, now)
             except StoreError as error:
                 self._fail(hearer, error)
+            else:
+                self._answer_later(hearer)
+
+    def _answer_later(self, node_id: int) -> None:
+        """If a node's answers wait, let them leave when they are due."""
+        agent = self.agents[node_id]
+        due = agent.answers.due
+        if due == self._answering[node_id]:
+            return
+        self._answering[node_id] = due
+
+        def tend(now: float) -> None:
+            if self.agents[node_id] is not agent or node_id in self.off:
+                return
+            try:
+                self._say(node_id, agent.tend(now)[0], now)
+            except StoreError as error:
+                self._fail(node_id, error)
+
+        if due < inf:
+            self._timeline.at(due, Order.AIR, tend)
 
     def _say(self, node_id: int, frames: Sequence[Outgoing], now: float) -> None:
         """A node has had its turn, or heard a frame. Its frames leave when its changes are on its disk."""

@@ -63,7 +63,7 @@ class World(VirtualSwarm):
             disk=scenario.disk,
             hostile=scenario.hostile,
             off_steps=scenario.failures.reboot_steps,
-            phases=scenario.has_phases,
+            phases=scenario.node.phases == "random",
             strikes=scenario.radiation.strikes_per_step,
             record=record,
             participant=participant,

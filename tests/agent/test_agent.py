@@ -269,7 +269,7 @@ def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
 @pytest.mark.parametrize("shared", [True, False])
 def test_answers_ride_on_data_for_others_only_where_all_hear_them(shared: bool) -> None:
     agent = make(3, forward="immediate")
-    agent.answers_ride = shared
+    agent.answers.ride = shared
     heard(agent, fit_beacon(agent, 2, 0), 0.0)
     agent.step(0.0)
     d = make_datum(DatumId(4, 5, 6), 0, 0.0, b"x")

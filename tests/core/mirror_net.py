@@ -9,7 +9,6 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Data, Message, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
-from rass_mav.core.spares.speech import TELL_STEPS
 
 from .books import backers, check_node
 from .build import make_node
@@ -142,5 +141,5 @@ def at_rest(net: Net) -> DatumId:
     id = handed_over(net)
     net.step()
     assert net.custody(id) == [3]
-    net.step(TELL_STEPS)
+    net.step()
     return id

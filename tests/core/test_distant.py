@@ -9,7 +9,6 @@ import pytest
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BEACON_BASE, Data, PassedOn, Route, Word, WordEntry, Words
 from rass_mav.core.spares.distant import REST_TURNS
-from rass_mav.core.spares.speech import TELL_STEPS
 
 from .build import beacon
 from .mirror_net import Net
@@ -128,7 +127,7 @@ def test_a_chain_that_nobody_needs_is_told() -> None:
     # A safer place has come into range of 1.
     net.nodes[1].keeper.give_away(net.nodes[1].holdings.custody[id], 9)
     told = []
-    for _ in range(4 * TELL_STEPS + 1):
+    for _ in range(5):
         net.step()
         told += [(m.sender, m.target) for m in net.of(PassedOn)]
     assert told == [(1, 2), (2, 3), (3, 4), (4, 5)]

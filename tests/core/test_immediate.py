@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from rass_mav.core.messages import Data
 from rass_mav.core.policy import POTENTIAL_ONE
-from rass_mav.core.spares.speech import TELL_STEPS
 
 from .build import beacon, make_node
 from .mirror_net import CHAIN, RISKS, Net
@@ -15,7 +14,7 @@ def test_data_move_on_when_they_come_in() -> None:
     net.step()
     id = net.put(1)
     assert net.custody(id) == [3]
-    net.step(TELL_STEPS)
+    net.step()
     assert net.active(id) == [2]
 
 

@@ -22,7 +22,6 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import ASK_STEPS, MAX_PASSED
-from rass_mav.core.spares.speech import TELL_STEPS
 
 from .books import check_node, mirrors, spares
 from .build import beacon, data, datum, make_node, of
@@ -105,7 +104,7 @@ def test_a_lost_passed_on_is_asked_for() -> None:
     net = Net(RISKS, CHAIN)
     id = handed_over(net)
     net.loses = lambda message: type(message) is PassedOn
-    net.step(1 + TELL_STEPS)
+    net.step(2)
     assert net.of(PassedOn) == [PassedOn(2, 1, (id,))]
     net.loses = lambda message: False
     assert net.custody(id) == [3]
@@ -201,7 +200,7 @@ def test_a_repeated_hand_over_of_what_was_passed_on_is_answered_with_both_words(
     # It has heard 2 hand the datum to 3, so it waits longer.
     net.step(MOVING_TURNS + 1)
     assert net.custody(id) == [3]
-    net.step(TELL_STEPS)
+    net.step()
     assert net.active(id) == [2]
 
 

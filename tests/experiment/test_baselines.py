@@ -93,7 +93,7 @@ def test_the_same_seed_gives_the_same_bytes(protocol: str) -> None:
 
 @pytest.mark.parametrize("protocol", OTHERS)
 def test_nobody_sends_more_than_the_bandwidth_in_a_step(protocol: str) -> None:
-    swarm = world(protocol, "store.bandwidth_items=3", "data.interval_steps=2")
+    swarm = world(protocol, "node.phases=lockstep", "store.bandwidth_items=3", "data.interval_steps=2")
     sent = [0] * len(swarm.agents)
 
     def look(swarm: World) -> None:

@@ -47,7 +47,7 @@ def rows_of(swarm: ReplaySwarm, origin: int) -> list[Arrival]:
 
 
 def test_readings_reach_the_base_over_several_hops_with_their_positions(tmp_path: Path) -> None:
-    swarm = swarm_of(tmp_path, *line(4), range_m=12.0, keys=("node.forward=step",))
+    swarm = swarm_of(tmp_path, *line(4), range_m=12.0, keys=("node.forward=step", "node.phases=lockstep"))
     result = summary(swarm, arrivals(swarm))
     assert result["topology"] == "replay"
     assert (result["nodes"], result["bases"], result["steps"]) == (5, 1, 61)

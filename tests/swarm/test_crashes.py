@@ -33,7 +33,7 @@ def line(nodes: int = 4, **keys: Any) -> World:
     """Base 0, then a line of drones that make no data by themselves; routes are known, the first reboots are over."""
     sections: dict[str, Any] = {
         "policy": {"name": "hop-count"}, "radiation": QUIET, "data": {"interval_steps": 0}, "failures": BY_HAND,
-        "node": {"forward": "step"}, "custody": {"mirror": False}, **keys,
+        "node": {"forward": "step", "phases": "lockstep"}, "custody": {"mirror": False}, **keys,
     }  # fmt: skip
     world = World(scenario(nodes=nodes, topology="line", **sections))
     world.run(10, after=check)

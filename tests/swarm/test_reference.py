@@ -35,7 +35,7 @@ def small(positions: list[list[float]], steps: int, **sections: Any) -> World:
     keys: dict[str, Any] = {
         "nodes": len(positions),
         "topology": "positions",
-        "node": {"forward": "step"},
+        "node": {"forward": "step", "phases": "lockstep"},
         "mobility": {"positions": positions},
         "policy": {"rules": "authors", "name": "hop-count", "unknown_hops": 6},
         "routing": {"seq_period": 1, "neighbour_steps": 0},

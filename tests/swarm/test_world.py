@@ -99,7 +99,7 @@ def test_a_datum_made_h_hops_away_takes_h_steps_and_h_exposures() -> None:
         scenario(
             nodes=5,
             topology="line",
-            node={"forward": "step"},
+            node={"forward": "step", "phases": "lockstep"},
             policy={"name": "hop-count"},
             radiation={"sources": [], "noise": 0},
             data={"interval_steps": 50},
@@ -118,7 +118,7 @@ def test_memory_is_counted_after_the_air_is_quiet() -> None:
         nodes=2,
         topology="line",
         steps=100,
-        node={"forward": "step"},
+        node={"forward": "step", "phases": "lockstep"},
         custody={"mirror": False},
         radiation={"sources": [], "noise": 0},
         data={"interval_steps": 10},
@@ -135,7 +135,7 @@ def test_corruption_is_found_in_the_step_that_struck() -> None:
             topology="line",
             steps=1,
             radiation={"sources": [[0, 0, 1.0]], "decay": 0, "noise": 0},
-            node={"forward": "step"},
+            node={"forward": "step", "phases": "lockstep"},
             custody={"mirror": False},
         )
     )
@@ -251,7 +251,7 @@ def test_counting_loops() -> None:
 
 
 def test_hop_counts_are_the_shortest_on_a_quiet_grid() -> None:
-    world = run(nodes=100, steps=30, radiation={"sources": []})
+    world = run(nodes=100, steps=30, radiation={"sources": []}, policy={"name": "hop-count"})
     expected = world.graph.hops_from([0])
     assert [agent.node.routing.hops for agent in world.agents] == expected
 

@@ -449,7 +449,7 @@ class Mirrors(NoSpares):
             self._repairs.help(id)
 
     def _taken_back(self, id: DatumId, asker: int) -> bool:
-        """False: there is no good copy here, and none was handed over."""
+        """False: there is no good copy here, and this node does not answer for the datum."""
         keeper = self._keeper
         holding = keeper.holdings.get(id)
         if holding is not None and keeper.load(holding) is not None:
@@ -460,10 +460,9 @@ class Mirrors(NoSpares):
         if self._overheard.recover(id) is not None:
             return True
         # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
-        # id answers for the datum, or each would believe that the other has it. Otherwise the receiver has it, unless
-        # that is the asker, which has just lost it.
-        looking = keeper.settings.node_id > asker and self._repairs.is_under_way(id)
-        return looking or self._passed.get(id, asker) != asker
+        # id answers for the datum, or each would believe that the other has it. That it was passed on to a third node
+        # says nothing: the asker may have it from there.
+        return keeper.settings.node_id > asker and self._repairs.is_under_way(id)
 
     def _on_still(self, id: DatumId, backer: int) -> None:
         """A backer asks about a datum of which it has a spare."""

@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, set_pace
 from rass_mav.agent.outgoing import Outgoing
@@ -81,6 +82,7 @@ class Drivers(Air):
         """A node is switched on."""
         channel = self._medium.channel
         if channel.budget is None:
+            agent.answers.spread_s = SPREAD_S
             return
         self._lanes[node] = Lane(
             agent, Duplicates(), budget=channel.budget, rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now
