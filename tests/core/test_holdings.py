@@ -94,10 +94,21 @@ def test_spares_lie_in_the_room_that_custody_leaves() -> None:
     assert list(holdings) == [b.id, a.id, c.id]
     # Three places are taken, so a spare has to go before another datum comes.
     assert holdings.crowded(1)
-    assert holdings.yielding(counted_on=True) is first
-    assert holdings.yielding(counted_on=False) is None
-    holdings.change(third, State.PASSED_ON)
-    assert holdings.yielding(counted_on=True) is holdings.yielding(counted_on=False) is third
+    assert holdings.yielding(distant=True, near=True) is first
+    assert holdings.yielding(distant=True, near=False) is None
+    holdings.pair(first, Partner(2, None, 0.0, 1.0), 0.0)
+    first.custodian = 2
+    holdings.pair(third, Partner(3, None, 0.0, 1.0), 0.0)
+    third.custodian = 2
+    # The third is kept for another spare: of its datum there are three copies.
+    assert holdings.yielding(distant=True, near=False) is holdings.yielding(distant=True, near=True) is third
+    assert holdings.yielding(distant=False, near=False) is None
+    assert holdings.yielding(distant=False, near=True) is first
+    holdings.unpair(first)
+    holdings.unpair(third)
+    holdings.change(first, State.PASSED_ON)
+    assert holdings.yielding(distant=False, near=False) is holdings.yielding(distant=True, near=True) is first
+    holdings.change(first, State.SPARE)
     holdings.remove(third, Fate.PASSED_ON)
     assert not holdings.crowded(16)
     assert holdings.crowded(17)

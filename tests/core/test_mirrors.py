@@ -463,7 +463,7 @@ def test_what_a_base_has_taken_is_kept_until_a_receipt_for_anybody_may_say_that_
 
 
 def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
-    speech, out = Speech(2), list[Message]()
+    speech, out = Speech(2, lambda id: None), list[Message]()
     id = DatumId(1, 1, 0)
     speech.passed_on(1, id)
     speech.passed_on(3, id)
@@ -472,3 +472,15 @@ def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
     speech.step()
     speech.flush(out)
     assert out == [PassedOn(2, BROADCAST, (id,))]
+
+
+def test_a_backer_that_is_counted_on_is_not_told_what_others_are() -> None:
+    """It would take it for its own, and let its spare go."""
+    rests, moved = DatumId(1, 1, 0), DatumId(1, 1, 1)
+    speech, out = Speech(2, {rests: 4}.get), list[Message]()
+    speech.passed_on(1, moved)
+    speech.passed_on(3, moved)
+    speech.passed_on(1, rests)
+    speech.step()
+    speech.flush(out)
+    assert out == [PassedOn(2, BROADCAST, (moved,)), PassedOn(2, 1, (rests,))]

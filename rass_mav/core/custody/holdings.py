@@ -253,11 +253,16 @@ class Holdings:
             used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(self._capacity_bytes, 1))
         return max(0.0, 1.0 - used)
 
-    def yielding(self, *, counted_on: bool) -> Holding | None:
-        """The spare to drop first: the oldest that no node counts on; then, with `counted_on`, the oldest other."""
+    def yielding(self, *, distant: bool, near: bool) -> Holding | None:
+        """The spare to drop first: the oldest that no node counts on; then, if these may go, the oldest `distant` one,
+        which is a third copy at least; then the oldest that is `near` its custodian, the only one it counts on."""
         for holding in self.passed_on.values():
             return holding
-        if counted_on:
+        if distant:
+            for holding in self.spare.values():
+                if holding.partner is not None and holding.custodian not in (None, holding.partner.id):
+                    return holding
+        if near:
             for holding in self.spare.values():
                 return holding
         return None

@@ -144,6 +144,7 @@ class DistantSpares:
                 continue
             number = self._keeper.numbers.draw()
             self._offers[number] = Offered(holding, near, to, until)
+            self._speech.counts_on(to, id)
             batches.setdefault((to, distance), []).append(Handover(number, datum))
             pace.spend()
         for (to, distance), handovers in batches.items():

@@ -77,10 +77,10 @@ class Mirrors(NoSpares):
         self._routing = routing
         self._now = now
         """The present step's time, seconds."""
-        self._speech = Speech(keeper.settings.node_id)
+        self._speech = Speech(keeper.settings.node_id, self._backer_of)
         self._repairs = Repairs(keeper, self._speech)
         """Corrupt data that another node was asked to take back."""
-        self._offers = SpareOffers(keeper, routing, pace, risk, rng)
+        self._offers = SpareOffers(keeper, routing, pace, risk, self._speech, rng)
         """Which neighbours are offered spares."""
         self._distant = DistantSpares(keeper, routing, pace, self._speech, rng)
         """The distant spares that this node sends on."""
@@ -99,13 +99,13 @@ class Mirrors(NoSpares):
 
     def make_way(self, size: int) -> None:
         """Drop spares until a datum of `size` bytes of payload fits beside the rest."""
-        self._make_way(size, counted_on=True)
+        self._make_way(size, distant=True, near=True)
 
-    def _make_way(self, size: int, *, counted_on: bool) -> bool:
+    def _make_way(self, size: int, *, distant: bool, near: bool) -> bool:
         self._overheard.make_way(size)
         holdings = self._keeper.holdings
         while holdings.crowded(size):
-            spare = holdings.yielding(counted_on=counted_on)
+            spare = holdings.yielding(distant=distant, near=near)
             if spare is None:
                 return False
             self._keeper.drop(spare, Fate.OVERFLOW)
@@ -217,8 +217,9 @@ class Mirrors(NoSpares):
                 # The datum has moved on to the giver from the node that took it from here.
                 self._passed.pop(id, None)
             return True
+        size = len(datum.payload)
         full = id in keeper.arrived or len(holdings) - len(holdings.custody) >= MAX_SPARES
-        if full or not keeper.store.accepting or not self._make_way(len(datum.payload), counted_on=False):
+        if full or not keeper.store.accepting or not self._make_way(size, distant=distance is None, near=False):
             return False
         holding = holdings.add(datum.arrived(), State.SPARE)
         self._unconfirmed.handed_on(holding, giver, self._now)
@@ -495,6 +496,10 @@ class Mirrors(NoSpares):
         if self._offers.avoid(backer, self._now) if custody else self._distant.avoid(holding, backer, self._now):
             self._unbacked(holding)
             self._speech.passed_on(backer, id)
+
+    def _backer_of(self, id: DatumId) -> int | None:
+        holding = self._keeper.holdings.get(id)
+        return None if holding is None else _id(_backer_of(holding))
 
     def _unbacked(self, holding: Holding) -> None:
         """A copy here has no backer any more."""

@@ -27,6 +27,7 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.spares.speech import Speech
 
 #: Steps (turns, where they are longer) after which an unanswered offer is repeated.
 OFFER_STEPS = 2
@@ -45,14 +46,17 @@ DANGER = 0.05
 class SpareOffers:
     """Which spares one node offers to which neighbours. `Holdings` records the offers."""
 
-    __slots__ = ("_came", "_enclosed", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "gone")
+    __slots__ = (
+        "_came", "_enclosed", "_id", "_keeper", "_pace", "_refused", "_risk", "_rng", "_routing", "_speech", "gone",
+    )  # fmt: skip
 
     def __init__(
-        self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, rng: random.Random
+        self, keeper: Keeper, routing: RoutingTable, pace: Pace, risk: RiskEstimator, speech: Speech, rng: random.Random
     ) -> None:
         self._id = keeper.settings.node_id
         self._keeper = keeper
         self._routing = routing
+        self._speech = speech
         self._pace = pace
         self._risk = risk
         self._rng = rng
@@ -181,6 +185,8 @@ class SpareOffers:
             holdings.withdraw(holding)
         number = self._keeper.numbers.draw()
         holdings.offer(holding, number, to)
+        # It may have been this node's backer before, and not be told so yet.
+        self._speech.counts_on(to, holding.id)
         if holding.offer_at is not None:
             holding.offer_at = again_at
         return number

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Message, PassedOn, Word, WordEntry, Words
 
@@ -12,10 +14,12 @@ _MOST_PASSED_ON = 11
 class Speech:
     """Bounded by what comes in at a time: words are flushed with the answers to each message, and with each step."""
 
-    __slots__ = ("_id", "_passed_on", "_tells", "_words")
+    __slots__ = ("_backer_of", "_id", "_passed_on", "_tells", "_words")
 
-    def __init__(self, node_id: int) -> None:
+    def __init__(self, node_id: int, backer_of: Callable[[DatumId], int | None]) -> None:
+        """`backer_of`: on which neighbour's copy of a datum this node counts; None: on no neighbour's."""
         self._id = node_id
+        self._backer_of = backer_of
         self._passed_on: dict[tuple[DatumId, int], None] = {}
         """Which datum, and to which neighbour. They are told together, once a step."""
         self._tells = False
@@ -40,13 +44,22 @@ class Speech:
     def flush(self, out: list[Message]) -> None:
         """Append the messages collected since the last call."""
         if self._passed_on and (self._tells or len(self._passed_on) >= _MOST_PASSED_ON):
-            # One frame for all neighbours: those to which a datum means nothing ignore it.
-            targets = {target for _, target in self._passed_on}
-            ids = dict.fromkeys(id for id, _ in self._passed_on)
-            out.append(PassedOn(self._id, targets.pop() if len(targets) == 1 else BROADCAST, tuple(ids)))
-            self._passed_on = {}
+            self._tell(out)
         self._tells = False
         if self._words:
             for target, words in self._words.items():
                 out.append(Words(self._id, target, tuple([WordEntry(*entry) for entry in words.items()])))
             self._words = {}
+
+    def _tell(self, out: list[Message]) -> None:
+        """What was passed on: in one frame for all neighbours, because those to which a datum means nothing ignore it.
+        But a datum of which this node counts on another neighbour's copy is told only to those that it concerns."""
+        ids: dict[int, dict[DatumId, None]] = {}
+        for id, target in self._passed_on:
+            shared = self._backer_of(id) is None
+            ids.setdefault(BROADCAST if shared else target, {})[id] = None
+        shared_with = {target for id, target in self._passed_on if id in ids.get(BROADCAST, ())}
+        for target, some in ids.items():
+            only = shared_with.pop() if target == BROADCAST and len(shared_with) == 1 else target
+            out.append(PassedOn(self._id, only, tuple(some)))
+        self._passed_on = {}
