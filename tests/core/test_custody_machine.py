@@ -386,6 +386,11 @@ def test_storms(storms: int, part: int) -> None:
         weather(seed, Swarm())
 
 
+@pytest.mark.parametrize("seed", [102_474, 207_445])
+def test_storms_in_which_two_custodians_left_the_search_to_each_other(seed: int) -> None:
+    weather(seed, Swarm())
+
+
 class FaultySwarm(Swarm):
     """Where a node would be killed and start again, a frame hits a fault: the gate and what is under way stay."""
 

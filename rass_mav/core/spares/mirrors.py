@@ -428,7 +428,7 @@ class Mirrors(NoSpares):
             elif word == Word.STILL:
                 self._on_still(id, sender)
             elif word == Word.TAKEN:
-                if self._repairs.end(id):
+                if self._repairs.found(id, sender):
                     self._keeper.notes.forget(id)
                 self._distant.taken(id, sender, self._now)
             elif word == Word.NONE:
@@ -463,7 +463,7 @@ class Mirrors(NoSpares):
         # Two custodians with corrupt copies may ask each other at the same time. Then only the one with the higher node
         # id answers for the datum, or each would believe that the other has it. That it was passed on to a third node
         # says nothing: the asker may have it from there.
-        return keeper.settings.node_id > asker and self._repairs.is_under_way(id)
+        return self._repairs.take_over(id, asker)
 
     def _on_still(self, id: DatumId, backer: int) -> None:
         """A backer asks about a datum of which it has a spare."""

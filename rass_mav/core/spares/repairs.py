@@ -21,6 +21,8 @@ from rass_mav.core.spares.speech import Speech
 
 #: How many data a node looks for at a time.
 MAX_SEARCHES = 1024
+#: How many others may leave the search for a datum to this node.
+MAX_OTHERS = 8
 
 
 class Search(NamedTuple):
@@ -32,6 +34,8 @@ class Search(NamedTuple):
     """How often the node has asked."""
     own: bool
     """Whether it was in custody here; False: a custodian asked this node for it, and it had no good copy."""
+    others: frozenset[int] = frozenset()
+    """Nodes that asked for it too, and leave it to this one."""
 
 
 class Repairs:
@@ -65,6 +69,27 @@ class Repairs:
         """The datum is here, or in custody elsewhere. Returns whether this node was looking for it."""
         return self.searches.pop(id, None) is not None
 
+    def found(self, id: DatumId, by: int) -> bool:
+        """A node says that it has custody. Returns whether this node was looking for the datum, and need not any more.
+
+        If that node has asked for it itself, what it says now may be older.
+        """
+        search = self.searches.get(id)
+        return search is not None and by not in search.others and self.end(id)
+
+    def take_over(self, id: DatumId, asker: int) -> bool:
+        """Another node has lost the datum too. Returns whether it may leave the search to this one."""
+        search = self.searches.get(id)
+        if (
+            search is None
+            or not search.own
+            or asker > self._keeper.settings.node_id
+            or len(search.others) >= MAX_OTHERS
+        ):
+            return False
+        self.searches[id] = search._replace(others=search.others | {asker})
+        return True
+
     def is_under_way(self, id: DatumId) -> bool:
         """Whether this node looks for a datum that was in its custody."""
         search = self.searches.get(id)
@@ -84,7 +109,7 @@ class Repairs:
                 # Move it to the end, so that the others have their turn. The node that was asked is silent: any spare
                 # will do.
                 del searches[id]
-                self._ask(id, Search(BROADCAST, search.tries + 1, search.own))
+                self._ask(id, search._replace(whom=BROADCAST, tries=search.tries + 1))
 
     def on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy. If it was the one asked, ask all neighbours now."""
