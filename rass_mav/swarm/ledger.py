@@ -107,14 +107,17 @@ class Ledger:
         self.waiting_copies -= 1
         trusted = fate in (Fate.PASSED_ON, Fate.DELIVERED)
         if copies:
-            if not trusted:
+            if not trusted and (fate is not Fate.OVERFLOW or id not in self.spoilt):
                 self.spoilt[id] = fate
         else:
             self.waiting -= 1
             # Another node was believed to have it, and there is no copy: that node has lost it since, and this is why
             # it is lost. If no node did, it was sent without custody, and is in the air until it turns up; or, with
-            # custody, it was deleted because of a false message.
-            self.lost[id] = self.spoilt.get(id, self._baseless) if trusted else fate
+            # custody, it was deleted because of a false message. The same where the last copy was a spare that gave
+            # way to another datum.
+            if trusted or fate is Fate.OVERFLOW:
+                fate = self.spoilt.get(id, self._baseless if trusted else fate)
+            self.lost[id] = fate
 
     def decline(self, id: DatumId) -> None:
         """A datum sent without custody was not accepted. Unless there is another copy, it is lost."""
