@@ -30,7 +30,7 @@ from rass_mav.core.spares.mirrors import ASK_STEPS
 from rass_mav.core.spares.speech import Speech
 from tests.extent import examples
 
-from .books import mirrors, spares
+from .books import backers, mirrors, spares
 from .build import beacon, data, datum, make_node, of, statement
 from .mirror_net import CHAIN, RISKS, Net, at_rest, handed_over
 
@@ -277,14 +277,40 @@ def test_a_neighbour_without_mirrors_refuses() -> None:
     assert node.store.get(d.id) is None
 
 
-def test_a_neighbour_that_has_the_datum_takes_no_second_copy() -> None:
+@pytest.mark.parametrize("giver", [1, 3])
+def test_of_two_custodians_of_data_that_rest_each_counts_on_the_other_and_on_no_third_node(giver: int) -> None:
     node = make_node(2, mirror=True)
     d = datum()
     node.receive(data(1, 2, (4, d)), 0.0)
-    [answer] = node.receive(Data(3, 2, (Handover(5, d),), True), 0.0)
-    assert answer == Committed(2, 3, ((5, d.crc),), ())
+    [answer] = node.receive(Data(giver, 2, (Handover(5, d),), True), 0.0)
+    assert answer == (Committed(2, 1, ((5, d.crc),), ()) if giver == 1 else Committed(2, 3, (), (5,)))
     assert d.id in node.holdings.custody
     assert spares(node) == 0
+    # When the other one hands its copy on, or has lost it, nobody backs this one any more.
+    assert backers(node) == {d.id: 1}
+    node.receive(PassedOn(giver, 2, (d.id,)), 0.0)
+    assert backers(node) == ({} if giver == 1 else {d.id: 1})
+
+
+def test_a_backer_that_asks_for_the_datum_has_none() -> None:
+    for word in (Word.AGAIN, Word.WANTED):
+        node = make_node(2, mirror=True)
+        d = datum()
+        node.receive(data(1, 2, (4, d)), 0.0)
+        node.receive(Words(1, 2, (WordEntry(d.id, word),)), 0.0)
+        assert d.id in node.holdings.custody
+        assert backers(node) == {}
+
+
+def test_a_spare_of_data_that_rest_which_moves_on_is_no_spare_for_its_custodian() -> None:
+    """Another custodian of the same datum hands it over."""
+    node = make_node(2, mirror=True)
+    d = datum()
+    node.receive(Data(3, 2, (Handover(4, d),), True), 0.0)
+    assert spares(node) == 1
+    answers = node.receive(data(1, 2, (5, d)), 0.0)
+    assert Words(2, 3, (WordEntry(d.id, Word.NONE),)) in answers
+    assert d.id in node.holdings.custody
 
 
 def test_another_datum_under_the_same_id_is_refused() -> None:
@@ -463,7 +489,7 @@ def test_what_a_base_has_taken_is_kept_until_a_receipt_for_anybody_may_say_that_
 
 
 def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
-    speech, out = Speech(2, lambda id: None), list[Message]()
+    speech, out = Speech(2, lambda id: False), list[Message]()
     id = DatumId(1, 1, 0)
     speech.passed_on(1, id)
     speech.passed_on(3, id)
@@ -477,7 +503,7 @@ def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
 def test_a_backer_that_is_counted_on_is_not_told_what_others_are() -> None:
     """It would take it for its own, and let its spare go."""
     rests, moved = DatumId(1, 1, 0), DatumId(1, 1, 1)
-    speech, out = Speech(2, {rests: 4}.get), list[Message]()
+    speech, out = Speech(2, lambda id: id == rests), list[Message]()
     speech.passed_on(1, moved)
     speech.passed_on(3, moved)
     speech.passed_on(1, rests)

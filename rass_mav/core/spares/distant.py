@@ -150,6 +150,10 @@ class DistantSpares:
         for (to, distance), handovers in batches.items():
             out.append(Data(self._id, to, tuple(handovers), True, distance))
 
+    def is_offered(self, id: DatumId) -> bool:
+        """Whether a distant spare of this datum has been offered, and was not answered yet."""
+        return any(offer.holding.id == id for offer in self._offers.values())
+
     def _needs(self, holding: Holding) -> bool:
         return (
             holding.further > 0

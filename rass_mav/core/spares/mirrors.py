@@ -77,7 +77,7 @@ class Mirrors(NoSpares):
         self._routing = routing
         self._now = now
         """The present step's time, seconds."""
-        self._speech = Speech(keeper.settings.node_id, self._backer_of)
+        self._speech = Speech(keeper.settings.node_id, self._counts)
         self._repairs = Repairs(keeper, self._speech)
         """Corrupt data that another node was asked to take back."""
         self._offers = SpareOffers(keeper, routing, pace, risk, self._speech, rng)
@@ -123,8 +123,11 @@ class Mirrors(NoSpares):
     def take_back(self, holding: Holding) -> None:
         """If this is a spare, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
-            backer = holding.backer
+            backer, custodian = holding.backer, holding.partner
             self._keeper.holdings.change(holding, State.CUSTODY)
+            if custodian is not None and self._rests:
+                # This copy moves on, so another custodian cannot count on it.
+                self._speech.say(custodian.id, holding.id, Word.NONE)
             self._keeper.stirred = True
             self._keeper.notes.forget(holding.id)
             self.took(holding)
@@ -210,6 +213,11 @@ class Mirrors(NoSpares):
                 return False
             if distance is not None and holding.state is not State.PASSED_ON:
                 return True
+            if holding.state is State.CUSTODY and self._rests:
+                # Of two custodians of data that rest, each may count on the other, and on no third node.
+                if holding.partner is None:
+                    self._back(holding, giver)
+                return holding.partner is not None and holding.partner.id == giver
             if holding.state is State.PASSED_ON:
                 holdings.change(holding, State.SPARE)
             if holding.state is State.SPARE:
@@ -325,6 +333,12 @@ class Mirrors(NoSpares):
             self._send_again(now)
 
     @property
+    def _rests(self) -> bool:
+        """Whether data stay where they are, because no base can be reached. Others move on soon, and new spares would
+        take bandwidth from them."""
+        return self._routing.route is None
+
+    @property
     def _until_receipt(self) -> bool:
         """Whether a spare is kept until a receipt shows that the datum has arrived."""
         return self._keeper.settings.mirror_until_receipt and self._keeper.receipts.told
@@ -403,10 +417,14 @@ class Mirrors(NoSpares):
         """A custodian has passed data on and no longer counts on their spares here."""
         keeper = self._keeper
         for id in message.ids:
-            holding = keeper.holdings.spare.get(id)
+            holding = keeper.holdings.get(id)
             if holding is None or holding.partner is None or holding.partner.id != message.sender:
                 continue
-            if holding.matched:
+            if holding.state is State.CUSTODY:
+                # Another custodian, which has handed its copy on.
+                if self._rests:
+                    self._unbacked(holding)
+            elif holding.matched:
                 keeper.drop(holding, Fate.DELIVERED)
             elif keeper.settings.mirror_until_receipt:
                 self._retire(holding)
@@ -423,6 +441,8 @@ class Mirrors(NoSpares):
 
     def _hear(self, sender: int, entries: Iterable[WordEntry]) -> None:
         for id, word in entries:
+            if self._rests and word in (Word.AGAIN, Word.WANTED):
+                self._has_none(id, sender)
             if word == Word.AGAIN:
                 self._on_again(id, sender)
             elif word == Word.STILL:
@@ -481,11 +501,16 @@ class Mirrors(NoSpares):
 
     def _on_none(self, id: DatumId, sender: int) -> None:
         """A neighbour has no good copy: the backer, or another node that was asked for it."""
-        holding = self._keeper.holdings.get(id)
-        if holding is not None and sender == _id(_backer_of(holding)):
-            self._unbacked(holding)
-        else:
+        if not self._has_none(id, sender):
             self._repairs.on_none(id, sender)
+
+    def _has_none(self, id: DatumId, sender: int) -> bool:
+        """A neighbour has no good copy. Returns whether it was counted on here."""
+        holding = self._keeper.holdings.get(id)
+        if holding is None or sender != _id(_backer_of(holding)):
+            return False
+        self._unbacked(holding)
+        return True
 
     def _on_enclosed(self, id: DatumId, backer: int) -> None:
         """A backer knows no node that could have a distant spare."""
@@ -497,9 +522,12 @@ class Mirrors(NoSpares):
             self._unbacked(holding)
             self._speech.passed_on(backer, id)
 
-    def _backer_of(self, id: DatumId) -> int | None:
+    def _counts(self, id: DatumId) -> bool:
+        """Whether this node counts on a neighbour's copy, or may do so soon."""
         holding = self._keeper.holdings.get(id)
-        return None if holding is None else _id(_backer_of(holding))
+        if holding is None or holding.state is State.PASSED_ON:
+            return False
+        return holding.state is State.CUSTODY or holding.backer is not None or self._distant.is_offered(id)
 
     def _unbacked(self, holding: Holding) -> None:
         """A copy here has no backer any more."""

@@ -14,12 +14,12 @@ _MOST_PASSED_ON = 11
 class Speech:
     """Bounded by what comes in at a time: words are flushed with the answers to each message, and with each step."""
 
-    __slots__ = ("_backer_of", "_id", "_passed_on", "_tells", "_words")
+    __slots__ = ("_counts", "_id", "_passed_on", "_tells", "_words")
 
-    def __init__(self, node_id: int, backer_of: Callable[[DatumId], int | None]) -> None:
-        """`backer_of`: on which neighbour's copy of a datum this node counts; None: on no neighbour's."""
+    def __init__(self, node_id: int, counts: Callable[[DatumId], bool]) -> None:
+        """`counts`: whether this node counts on a neighbour's copy of a datum, or has just offered one."""
         self._id = node_id
-        self._backer_of = backer_of
+        self._counts = counts
         self._passed_on: dict[tuple[DatumId, int], None] = {}
         """Which datum, and to which neighbour. They are told together, once a step."""
         self._tells = False
@@ -56,8 +56,7 @@ class Speech:
         But a datum of which this node counts on another neighbour's copy is told only to those that it concerns."""
         ids: dict[int, dict[DatumId, None]] = {}
         for id, target in self._passed_on:
-            shared = self._backer_of(id) is None
-            ids.setdefault(BROADCAST if shared else target, {})[id] = None
+            ids.setdefault(target if self._counts(id) else BROADCAST, {})[id] = None
         shared_with = {target for id, target in self._passed_on if id in ids.get(BROADCAST, ())}
         for target, some in ids.items():
             only = shared_with.pop() if target == BROADCAST and len(shared_with) == 1 else target

@@ -123,7 +123,7 @@ class Drivers(Air):
         assert pacer is not None
         while (queued := pacer.pop(now)) is not None:
             self._medium.send(node, queued.frame, queued.since, now)
-        due = pacer.next_at(now)
+        due = pacer.next_at(now) if pacer.waiting else None
         if due is None:
             return
         self._due[node] += 1
@@ -157,8 +157,10 @@ class Drivers(Air):
         """A frame has been heard to its end."""
         if sender < self._nodes:
             frame = self._exposure.touched(sender, frame, since, now)
-        for hearer in hearers:
-            lane = self._lanes[hearer]
-            if lane is not None and lane.pacer is not None:
-                lane.pacer.heard(now)
+        budget = self._medium.channel.budget
+        if budget is not None and budget.listen_s:
+            for hearer in hearers:
+                lane = self._lanes[hearer]
+                if lane is not None and lane.pacer is not None:
+                    lane.pacer.heard(now)
         self._heard(hearers, frame, now)
