@@ -35,13 +35,19 @@ def copies_of(checked: bool, **keys: Any) -> Copies:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("topology", ["grid", "random-walk"])
-def test_nodes_with_a_copy_soon_know_of_its_arrival_and_nothing_is_lost_by_that(topology: str, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("topology", "part"),
+    # Where nodes move, the one that has to tell that it passed a datum on may be out of range by then.
+    [("grid", 0.5), ("random-walk", 0.6)],
+)
+def test_nodes_with_a_copy_soon_know_of_its_arrival_and_nothing_is_lost_by_that(
+    topology: str, part: float, seed: int
+) -> None:
     told = copies_of(True, topology=topology, seed=seed)
     ledger = told.world.ledger
     assert told.ends["known"] >= 0.95 * (told.ends["known"] + told.ends["unknown"])
     assert told.ends["known"] > 500
-    assert sorted(told.delays)[len(told.delays) * 19 // 20] < 0.5 * WITHIN
+    assert sorted(told.delays)[len(told.delays) * 19 // 20] < part * WITHIN
     assert ledger.created == len(ledger.arrived) + ledger.held + sum(ledger.losses().values())
     assert told.world.loops == 0
     plain = copies_of(False, topology=topology, seed=seed, custody={"digest": False})

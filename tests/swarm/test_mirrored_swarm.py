@@ -56,7 +56,8 @@ def test_mirrors_save_most_of_what_radiation_takes() -> None:
     mirrored = run(**base, custody=PASSED_ON, node={"forward": "step"})
     at_once = run(**base, custody=RECEIPT, node={"forward": "immediate"})
     assert plain["copies_mean"] == 1.0
-    assert 1.5 < mirrored["copies_mean"] <= 2.0
+    # And those of data that move one hop a step, until their holders are told that nobody counts on them any more.
+    assert 1.5 < mirrored["copies_mean"] <= 2.5
     assert 1 - mirrored["reliability"] < 0.6 * (1 - plain["reliability"])
     assert 1 - at_once["reliability"] < 0.5 * (1 - mirrored["reliability"])
     assert at_once["delay_steps"]["mean"] < 0.5 * mirrored["delay_steps"]["mean"]
