@@ -22,7 +22,7 @@ NODES = 100
 #: Slow radios have longer steps, so that they carry the load.
 AIRS: dict[str, dict[str, Any]] = {
     "none": {},
-    "none, phases": {"node.phases": "random", "radiation.strikes_per_step": 4},
+    "none, 4 strikes": {"radiation.strikes_per_step": 4},
     "wifi-6m": {"radio.preset": "wifi-6m"},
     "wifi-1m": {"radio.preset": "wifi-1m"},
     "sik-64k": {"radio.preset": "sik-64k", "node.step_s": 10},
