@@ -10,12 +10,14 @@ KEPT_FOR_SPARES = 10
 FULL = 0.2
 #: by an average that follows each datum sent by this much.
 FULL_GAIN = 0.02
+#: How fast the usual time of a hand-over follows new ones.
+TRIP_GAIN = 1 / 8
 
 
 class Pace:
     """The bandwidth of the paper: a number of data a step, retransmissions included."""
 
-    __slots__ = ("_in_vain", "_keeps", "items", "kept", "left", "queue", "sent", "turn_s")
+    __slots__ = ("_in_vain", "_keeps", "items", "kept", "left", "queue", "sent", "trip_s", "turn_s")
 
     def __init__(self, turn_s: float, items: int, *, keeps: bool) -> None:
         """`keeps`: reserve a part for spares of new data."""
@@ -32,6 +34,8 @@ class Pace:
         """Data, copies and chunks sent in this life, retransmissions included."""
         self.queue = 0
         """Frames that wait in the driver, or bytes that wait behind it."""
+        self.trip_s = 0.0
+        """How long hand-overs usually take until they are answered, seconds."""
         self._in_vain = 0.0
 
     def begin_turn(self) -> None:
@@ -44,6 +48,10 @@ class Pace:
         self.left -= 1
         self.sent += 1
         self._in_vain += FULL_GAIN * (again - self._in_vain)
+
+    def answered(self, trip_s: float) -> None:
+        """A hand-over was answered after this time, seconds."""
+        self.trip_s += TRIP_GAIN * (trip_s - self.trip_s)
 
     @property
     def full(self) -> bool:

@@ -56,6 +56,39 @@ def test_where_nobody_moves_away_a_datum_that_moves_on_gets_no_spare() -> None:
     assert spares == []
 
 
+def slow(node: Node, now: float, trip: float) -> float:
+    """Hand data over to the base, which answers each after a `trip`, turns; returns when the last is answered."""
+    turn_s = node.pace.turn_s
+    for number in range(60, 80):
+        for said in heard(NEAR, number):
+            node.receive(said, now)
+        moved, _ = put(node, now)
+        for frame in moved:
+            [(number, held)] = frame.handovers
+            node.receive(Committed(2, 1, ((number, held.crc),), ()), now + trip * turn_s)
+        now += turn_s
+        node.step(now)
+    return now
+
+
+@pytest.mark.parametrize("trip", [0.0, 0.25, 0.9])
+@pytest.mark.parametrize("risk", [0.0, 0.05, 0.9])
+def test_where_frames_wait_for_the_air_in_danger_they_do_not_wait_alone(risk: float, trip: float) -> None:
+    node, now = surrounded(risk, gone=False)
+    now = slow(node, now, trip)
+    assert mirrors(node)._offers.gone == 0.0
+    struck = risk * trip / 2
+    loss, expected = risk * struck, []
+    for id, near in sorted(NEAR.items(), key=lambda item: item[1]):
+        if loss > 1.0 - TARGET:
+            expected.append(id)
+            loss *= struck + (1.0 - struck) * near
+    moved, spares = put(node, now)
+    assert [f.target for f in moved] == [2]
+    assert [f.target for f in spares] == expected
+    assert bool(expected) == (risk * struck > 1.0 - TARGET)
+
+
 def enough(node: Node, risk: float) -> list[int]:
     """Which of `NEAR` a datum should have spares on, by the rule of `core.spares`."""
     gone = mirrors(node)._offers.gone

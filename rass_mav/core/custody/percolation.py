@@ -202,6 +202,7 @@ class Percolation:
         assert pending is not None
         if pending.tries == 1 and pending.sending is None:
             self._trips.measure(pending.neighbour, now - pending.sent)
+            self._pace.answered(now - pending.sent)
 
     def moves_on(self, data: Data, now: float) -> None:
         """A neighbour hands data over. It may have had one of them from this node: then it need not be sent again at

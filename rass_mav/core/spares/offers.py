@@ -4,13 +4,16 @@ Only data that fit one frame are offered. An offer is answered like a hand-over,
 
 With `NodeSettings.copies_auto` a datum gets as many spares, on different neighbours, as its risk requires. While it
 stays here it is struck before the next step with probability r. If it is being handed over, it stays here only if the
-receiver turns out to have gone, and `gone` is the share of neighbours to which that happens. A neighbour j does not
-save it if it has gone, or is struck itself: f_j = gone + (1 - gone) r_j. So it gets one more spare, on the safest
-neighbour that has none, as long as the product of
+hand-over fails: because the receiver turns out to have gone (`gone` is the share of neighbours to which that happens),
+or because the frame is struck while it waits for the air. Frames wait for half the usual time between a hand-over and
+its answer, a share w of a turn, so fail = gone + (1 - gone) w r. A neighbour j does not save the datum if the offer
+fails, or if j is struck itself: f_j = fail + (1 - fail) r_j. So it gets one more spare, on the safest neighbour that
+has none, as long as the product of
 
-    r,  gone (while it is being handed over),  f_j of each neighbour that has a spare or is offered one
+    r,  fail (while it is being handed over),  f_j of each neighbour that is offered a spare,
+    gone + (1 - gone) r_j of the neighbour that has one
 
-exceeds 1 - `TARGET`. Where no neighbour moves away and data move on at once, that never happens.
+exceeds 1 - `TARGET`. Where no neighbour moves away and frames take no time, that never happens to data that move on.
 """
 
 from __future__ import annotations
@@ -147,7 +150,8 @@ class SpareOffers:
         pace, gone, auto = self._pace, self.gone, self._keeper.settings.copies_auto
         way = None if holding.pending is None else holding.pending.neighbour
         backer = None if holding.partner is None else holding.partner.id
-        loss = risk if way is None else risk * gone
+        fail = gone + (1.0 - gone) * risk * min(0.5 * pace.trip_s / pace.turn_s, 1.0)
+        loss = risk if way is None else risk * fail
         if backer is not None:
             loss *= _failing(self._routing.neighbours.get(backer), gone)
         # A datum that the giver has too must not use what is reserved for new data.
@@ -170,7 +174,7 @@ class SpareOffers:
             yield to, Handover(self._number(holding, to, again_at), datum)
             pace.spend()
             room[to] -= 1
-            loss *= _failing(neighbour, gone)
+            loss *= _failing(neighbour, fail)
             wanting = False
 
     def avoid(self, neighbour: int, now: float) -> bool:
@@ -227,6 +231,6 @@ def _is_due(holding: Holding, now: float) -> bool:
     return holding.offer_at is not None and holding.offer_at <= now
 
 
-def _failing(neighbour: Neighbour | None, gone: float) -> float:
+def _failing(neighbour: Neighbour | None, fail: float) -> float:
     """The chance that a spare at this neighbour does not help: f in the module's docstring."""
-    return 1.0 if neighbour is None else gone + (1.0 - gone) * neighbour.beacon.risk / 65535.0
+    return 1.0 if neighbour is None else fail + (1.0 - fail) * neighbour.beacon.risk / 65535.0
