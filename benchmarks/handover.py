@@ -46,8 +46,7 @@ _SYNC = re.compile(r"\b(?:fsync|fdatasync)\(\d+<[^>]*/(drone|base)\.db")
 
 
 def _agent_settings(side: str, scrub_items: int | None) -> Any:
-    from rass_mav.agent.settings import DataSettings
-    from rass_mav.app.config import NodeSection, RunConfig, RunStoreSettings
+    from rass_mav.app.config import NodeSection, RunConfig, RunDataSettings, RunStoreSettings
     from rass_mav.core.settings import CustodySettings
 
     return RunConfig(
@@ -55,7 +54,7 @@ def _agent_settings(side: str, scrub_items: int | None) -> Any:
         # An answer waits for the other's disk, so it counts as missing only after a second.
         custody=CustodySettings(receipts=False, retry_steps=round(1.0 / STEP_S)),
         store=RunStoreSettings(capacity_items=None, bandwidth_items=BANDWIDTH, scrub_items=scrub_items),
-        data=DataSettings(interval_steps=0),
+        data=RunDataSettings(interval_steps=0, status_s=0.0),
     ).agent_settings()
 
 

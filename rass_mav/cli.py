@@ -20,7 +20,10 @@ from rass_mav.commands.common import HelpFormatter, help_alone, painted, print_j
 from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
-COMMANDS = ("node", "doctor", "params", "service", "desk", "swarm", "sitl", "replay", "experiment", "completion")
+COMMANDS = (
+    "node", "data", "export", "mission", "doctor", "params", "service", "desk", "swarm", "sitl", "replay", "experiment",
+    "completion",
+)  # fmt: skip
 
 
 class BadUsage(SystemExit):

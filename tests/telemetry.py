@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rass_mav.mavlink.dialect import MavlinkMessage
+from rass_mav.mavlink.dialect import MavlinkMessage, common
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import (
     GLOBAL_POSITION_INT,
@@ -22,3 +22,11 @@ def global_position_int(
 
 def named_value_float(name: str, value: float, boot_ms: int) -> MavlinkMessage:
     return parse(Frame(NAMED_VALUE_FLOAT, 0, 1, 1, named_value_float_payload(name, value, boot_ms), False))
+
+
+def gps_raw_int(h_acc_mm: int, *, fix: int = common.GPS_FIX_TYPE_3D_FIX) -> MavlinkMessage:
+    return common.MAVLink_gps_raw_int_message(0, fix, 455000000, -736000000, 120000, 100, 100, 0, 0, 12, 0, h_acc_mm)
+
+
+def system_time(time_us: int, boot_ms: int = 1000) -> MavlinkMessage:
+    return common.MAVLink_system_time_message(time_us, boot_ms)

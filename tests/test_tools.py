@@ -91,12 +91,18 @@ def test_a_measurement_is_taken_apart_and_its_checksum_is_checked() -> None:
     assert found["latitude"] == "47.5  (degrees)"
     assert found["altitude"] == "412.5  (metres above mean sea level)"
     assert found["reading"] == "0.75"
+    assert found["unit"] == "unknown"
     assert found["age"] == "3.000 s"
     assert found["crc"].endswith("(good)")
     (wire,) = encode(Data(7, 8, (Handover(1, datum._replace(crc=datum.crc ^ 1)),)), 0.0)
     damaged = fields(explain_payload(wire))
     assert "BAD" in damaged["crc"]
     assert "latitude" not in damaged
+    payload = encode_measurement(Measurement(47.5, 8.25, 412.5, 0.75, 1.0, None, "usvh", 3.2))
+    datum = make_datum(DatumId(7, 0xABCD, 4), Kind.MEASUREMENT, -3.0, payload)
+    (wire,) = encode(Data(7, 8, (Handover(1, datum),)), 0.0)
+    found = fields(explain_payload(wire))
+    assert (found["unit"], found["error_m"]) == ("usvh", "3.2  (metres at most, of the position)")
 
 
 def test_a_signed_frame() -> None:

@@ -194,11 +194,18 @@ def test_every_field_of_every_golden_vector_is_shown(name: str, golden: dict[str
 
 
 def test_full_frames_and_measurements(tmp_path: Path) -> None:
-    payload = encode_measurement(Measurement(47.5, -8.25, 412.5, 0.75, 1.0))
+    plain = Measurement(47.5, -8.25, 412.5, 0.75, 1.0)
+    payload = encode_measurement(plain)
     datum = make_datum(DatumId(7, 0xABCD, 4), Kind.MEASUREMENT, -3.0, payload)
+    told = [
+        make_datum(DatumId(7, 0xABCD, 5), Kind.MEASUREMENT, -3.0, encode_measurement(plain._replace(**more)))
+        for more in ({"unit": "cpm", "error_m": 12.8}, {"unit": "counts"}, {"error_m": 2.5})
+    ]
+    cut = make_datum(DatumId(7, 0xABCD, 6), Kind.MEASUREMENT, -3.0, told[0].payload[:-1])
     messages: list[Message] = [
         Data(7, 8, (Handover(1, datum), Handover(2, datum))),
         Data(7, 8, (Handover(1, datum._replace(at_least=True)),), True),
+        *(Data(7, 8, (Handover(1, each),)) for each in (*told, cut)),
         Chunk(65535, 0xFFFF, 16383, True, bytes(range(123))),
         Sack(1, 65535, 2, 3, (1 << 256) - 1),
         make_receipt(1, 2, 3, [ReceiptEntry(n, n + 1, 100 * n, n + 3, 2 * n, n % 2 == 0) for n in range(1, 9)]),
@@ -215,6 +222,11 @@ def test_full_frames_and_measurements(tmp_path: Path) -> None:
     assert fields[0]["rass.measurement.altitude"][0] == "412500"
     assert float(fields[0]["rass.measurement.reading"][0]) == 0.75
     assert fields[0]["rass.measurement.risk"][0] == "65535"
+    shown_of = [[one.get(f"rass.measurement.{name}") for name in ("risk", "unit", "error")] for one in fields[1:6]]
+    risk = ["65535"]
+    assert shown_of == [
+        [risk, None, None], [risk, ["2"], ["128"]], [risk, ["4"], None], [risk, None, ["25"]], [None] * 3
+    ]  # fmt: skip
 
 
 def test_signed_frames_and_several_in_one_datagram(tmp_path: Path) -> None:

@@ -334,7 +334,12 @@ def _measurement(payload: bytes, depth: int) -> Iterator[str]:
     except MalformedError as error:
         yield line("measurement", "unreadable", str(error).partition(":")[0], depth=depth)
         return
-    units = {"latitude": "degrees", "longitude": "degrees", "altitude": "metres above mean sea level"}
+    units = {
+        "latitude": "degrees",
+        "longitude": "degrees",
+        "altitude": "metres above mean sea level",
+        "error_m": "metres at most, of the position",
+    }
     yield line("measurement", "", depth=depth).rstrip()
     for name, value in zip(measurement._fields, measurement, strict=True):
         shown = "unknown" if value is None else f"{value:.7g}" if name in ("reading", "risk") else str(value)

@@ -23,6 +23,7 @@ local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
     [6] = "numbers unknown from here on", [7] = "store damaged" }
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
+local UNITS = { "uSv/h", "cpm", "cps", "counts" }
 local TARGETS = { [65535] = "everybody" }
 
 local f = {}
@@ -127,6 +128,8 @@ field("m_place_2", ProtoField.int32, "rass.measurement.longitude", "Longitude, 1
 field("m_place_3", ProtoField.int32, "rass.measurement.altitude", "Altitude, mm (local: down)")
 field("m_reading", ProtoField.float, "rass.measurement.reading", "Reading, the sensor's own unit")
 field("m_risk", ProtoField.uint16, "rass.measurement.risk", "Risk (65535 is 1)")
+field("m_unit", ProtoField.uint8, "rass.measurement.unit", "Unit of the reading", base.DEC, UNITS)
+field("m_error", ProtoField.uint16, "rass.measurement.error", "Error of the position at most, dm")
 rass.fields = f
 
 local malformed = ProtoExpert.new("rass.malformed", "Cut off, fields contradict each other, or a wrong checksum",
@@ -261,12 +264,18 @@ end
 
 local function measurement(r, range)
     if range:len() < 20 or range(0, 1):uint() ~= 1 then return end
-    local inner = r.tree:add(rass, range(0, 20), "Measurement")
+    local flags = range(1, 1):uint()
+    local unit = math.floor(flags / 8) % 2
+    local size = 20 + unit + math.floor(flags / 16) % 2 * 2
+    if range:len() < size then return end
+    local inner = r.tree:add(rass, range(0, size), "Measurement")
     inner:add(f.m_version, range(0, 1))
     inner:add(f.m_flags, range(1, 1))
     for i = 1, 3 do inner:add_le(f["m_place_" .. i], range(4 * i - 2, 4)) end
     inner:add_le(f.m_reading, range(14, 4))
     inner:add_le(f.m_risk, range(18, 2))
+    if unit == 1 then inner:add(f.m_unit, range(20, 1)) end
+    if size >= 22 then inner:add_le(f.m_error, range(20 + unit, 2)) end
 end
 
 local function age(r)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import random
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -16,6 +17,7 @@ from rass_mav.agent.parameters import recall
 from rass_mav.agent.peers import Peers, open_datagram
 from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.statuses import Statuses
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
@@ -30,8 +32,8 @@ from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.telemetry import Reading, Telemetry
-from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, encode_measurement
+from rass_mav.mavlink.telemetry import Accuracy, Position, Reading, Telemetry
+from rass_mav.wire.measurement import Measurement, encode_measurement
 
 log = logging.getLogger(__name__)
 
@@ -147,6 +149,8 @@ class Agent:
         self._turns = Turns(settings.step_s, now)
         self.services: list[VehicleService] = []
         """The other listeners on the autopilot's port."""
+        if settings.data.status_s and not self.node.base and not self.node.policy.replicates:
+            self.services.append(Statuses(self, settings.data.status_s, now))
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
         """None: there is no ground station."""
         for error in unfit:
@@ -410,10 +414,12 @@ class Agent:
                 reading.value if reading is not None and fresh else None,
                 node.risk.risk(now),
                 local[:3] if local is not None and now - local.at <= POSITION_STALE_S else None,
+                self.settings.unit,
+                None if position is None else _error_m(position, telemetry.accuracy, now),
             )
         )
-        if self.settings.data.bytes > MEASUREMENT_BYTES:
-            payload += self._rng.randbytes(self.settings.data.bytes - MEASUREMENT_BYTES)
+        if self.settings.data.bytes > len(payload):
+            payload += self._rng.randbytes(self.settings.data.bytes - len(payload))
         try:
             return node.put(payload, now, Kind.MEASUREMENT)
         except StoreFullError:
@@ -429,3 +435,10 @@ class Agent:
         self._text_id = self._text_id % 0xFFFF + 1
         for message in statustext(severity, text, text_id=self._text_id):
             self.tell_vehicle(self.vehicle_writer.message(message))
+
+
+def _error_m(position: Position, accuracy: Accuracy | None, now: float) -> float | None:
+    """Bound of the error of a position, metres: two standard deviations, and the way flown since. None: unknown."""
+    if accuracy is None or now - accuracy.at > POSITION_STALE_S:
+        return None
+    return 2.0 * accuracy.horizontal_m + math.hypot(position.north, position.east) * (now - position.at)

@@ -24,9 +24,11 @@ class DataSettings(Section):
     until_step: Annotated[int, Meta(ge=0)] | None = None
     """No more measurements from this step on."""
     bytes: Annotated[int, Meta(ge=MEASUREMENT_BYTES, le=1 << 20)] = MEASUREMENT_BYTES
-    """Size of a measurement. Random bytes fill the space after the measurement itself."""
+    """Smallest size of a measurement. Random bytes fill the space after the measurement itself, which has up to 23."""
     lifetime_s: Positive | None = None
     """Data older than this expire; null: never."""
+    status_s: NonNegative = 0.0
+    """Seconds between two status data of a drone; 0: none."""
 
 
 class GroundSettings(Section):
@@ -79,6 +81,8 @@ class AgentSettings(Section):
     """None: no ground station is answered (the mock swarm has none)."""
     own_sensor: bool = False
     """Readings come through `Agent.reading`; those of the autopilot are ignored."""
+    unit: str | None = None
+    """Of the readings, a key of `wire.measurement.UNITS`; None: unknown."""
 
     @classmethod
     def of(
@@ -92,9 +96,12 @@ class AgentSettings(Section):
         data: DataSettings | None = None,
         mavlink: MavlinkSettings | None = None,
         ground: GroundSettings | None = None,
-        own_sensor: bool = False,
+        sensor_unit: str | None = None,
     ) -> AgentSettings:
-        """One node's part of a configuration. `data` and `mavlink`, if given, replace its own sections."""
+        """One node's part of a configuration. `data` and `mavlink`, if given, replace its own sections.
+
+        `sensor_unit`: the node has its own sensor, whose readings are in this unit; None: it has none.
+        """
         return cls(
             node_id=node_id,
             base=base,
@@ -108,7 +115,8 @@ class AgentSettings(Section):
             data=data or sections.data,
             mavlink=mavlink or sections.mavlink,
             ground=ground,
-            own_sensor=own_sensor,
+            own_sensor=sensor_unit is not None,
+            unit=sections.risk.unit if sensor_unit is None else sensor_unit,
         )
 
     def node_settings(self) -> NodeSettings:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,28 +31,21 @@ class ControlClient:
 
     def ask(self, command: str, **fields: Any) -> dict[str, Any]:
         """One request, one answer. Bytes travel as base64. Raises `ControlError`, also if the node refuses."""
-        return next(self.ask_all(command, **fields))
-
-    def ask_all(self, command: str, **fields: Any) -> Iterator[dict[str, Any]]:
-        """One request and its answers; `ls` has more than one."""
         try:
             self._socket.sendall(dump_line({"command": command, **fields}))
-            while True:
-                line = self._file.readline()
-                if not line.endswith(b"\n"):
-                    raise ControlError(f"{self._path}: the node closed the connection")
-                answer = load_line(line)
-                if not answer.pop("ok"):
-                    raise ControlError(answer["error"])
-                yield answer
-                if not answer.get("more"):
-                    return
+            line = self._file.readline()
+            if not line.endswith(b"\n"):
+                raise ControlError(f"{self._path}: the node closed the connection")
+            answer = load_line(line)
         except TimeoutError:
             raise ControlError(f"{self._path}: the node does not answer") from None
         except OSError as error:
             raise ControlError(f"{self._path}: {why(error)}") from None
         except MalformedError as error:
             raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
+        if not answer.pop("ok"):
+            raise ControlError(answer["error"])
+        return answer
 
     def close(self) -> None:
         """Close the connection."""

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
-from rass_mav.config.bounds import Count, NodeId, Positive
+from rass_mav.config.bounds import Count, NodeId, NonNegative, Positive
 from rass_mav.config.loading import read_yaml, set_keys
 from rass_mav.config.sections import Meta, Mistakes, Section
 from rass_mav.config.typed import build_with
@@ -23,7 +23,7 @@ from rass_mav.sensor.settings import SensorSettings
 from rass_mav.store.settings import StoreSettings
 
 #: Messages that telemetry needs and an autopilot does not always send unasked, with the seconds between two.
-DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0}
+DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0, "GPS_RAW_INT": 1.0, "SYSTEM_TIME": 5.0}
 #: Longest path of a unix socket, bytes (Linux: 108 with the closing zero).
 MAX_SOCKET_PATH = 107
 
@@ -80,6 +80,13 @@ class RunStoreSettings(StoreSettings):
     """Checksums verified per step, in turn; null: all."""
 
 
+class RunDataSettings(DataSettings):
+    """The data of a real drone, whose ground crew wants to know how it is."""
+
+    status_s: NonNegative = 60.0
+    """Seconds between two status data of a drone; 0: none."""
+
+
 class RunConfig(Section):
     """A running node."""
 
@@ -93,7 +100,7 @@ class RunConfig(Section):
     routing: RoutingSettings = RoutingSettings()
     custody: CustodySettings = CustodySettings()
     store: RunStoreSettings = RunStoreSettings()
-    data: DataSettings = DataSettings()
+    data: RunDataSettings = RunDataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
     control: ControlSection = ControlSection()
     log: LogSection = LogSection()
@@ -130,7 +137,7 @@ class RunConfig(Section):
             step_s=self.node.step_s,
             forward=self.node.forward,
             ground=self.ground,
-            own_sensor=self.sensor.own,
+            sensor_unit=self.sensor.unit if self.sensor.own else None,
         )
 
     def check(self) -> None:
@@ -159,6 +166,9 @@ class RunConfig(Section):
         if mistakes.sound("sensor.type"):
             with mistakes.gathering():
                 self.sensor.check()
+        contradicts = self.sensor.own and self.risk.unit not in (None, self.sensor.unit)
+        if contradicts and mistakes.sound("sensor.type", "sensor.unit", "risk.unit"):
+            mistakes.add("risk.unit", f"expected {self.sensor.unit} as in sensor.unit, or null, got {self.risk.unit!r}")
         if self.mavlink.reading_name in VALUE_NAMES:
             mistakes.add(
                 "mavlink.reading_name",

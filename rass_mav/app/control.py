@@ -1,8 +1,8 @@
-"""The local control socket: newline-delimited JSON over a unix stream socket, for `status`, `put`, `get` and `ls`.
+"""The local control socket: newline-delimited JSON over a unix stream socket, for `status` and `put`.
 
 A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`. So is an answer,
-`{"ok": true, ...}` or `{"ok": false, "error": "..."}`. `ls` answers with several lines, all except the last with
-`"more": true`. Any user who can open the socket's file can use it; only the node's own user can.
+`{"ok": true, ...}` or `{"ok": false, "error": "..."}`. What the node holds is read from its store. Any user who can
+open the socket's file can use it; only the node's own user can.
 
 A client that stops is disconnected. If all places are taken, the client that has waited longest makes way for the next
 one, so clients that hang do not lock others out. A client whose request is being answered always keeps its place.
@@ -15,9 +15,7 @@ import logging
 import os
 import socket
 import stat
-import time
-from collections.abc import AsyncIterator, Callable, Coroutine
-from itertools import chain
+from collections.abc import Coroutine
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -28,7 +26,6 @@ from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError
 
 from .driver import Driver
 from .jsonlines import dump_line, load_bytes, load_line
-from .payloads import age, describe, parse_name, unpack_file
 from .status import status
 
 log = logging.getLogger(__name__)
@@ -47,8 +44,6 @@ REQUEST_S = 5.0
 TAKE_S = 5.0
 #: Longest name of a field in a request, characters.
 _MAX_NAME = 32
-#: Entries in one line of `ls`: few enough not to delay a step.
-LS_PAGE = 64
 # How long answers in progress may still take when the node stops, seconds.
 _LAST_WORDS_S = 2.0
 
@@ -65,17 +60,7 @@ class PutRequest(Section):
     kind: Annotated[int, Meta(ge=0, le=255)] = Kind.BYTES
 
 
-class GetRequest(Section):
-    """The bytes of a datum that this node holds. For a second content of an id, use the name that `ls` shows."""
-
-    id: str
-
-
-class LsRequest(Section):
-    """All data that this node holds."""
-
-
-_REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest, "get": GetRequest, "ls": LsRequest}
+_REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest}
 
 
 class _Client:
@@ -117,10 +102,9 @@ class _Client:
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
-    def __init__(self, driver: Driver, path: Path, wall: Callable[[], float] = time.time) -> None:
-        """`path`: the socket's file. `wall`: the date, seconds since 1970."""
+    def __init__(self, driver: Driver, path: Path) -> None:
+        """`path`: the socket's file."""
         self._driver = driver
-        self._wall = wall
         self._path = path
         self._started = driver.now()
         self._server: asyncio.Server | None = None
@@ -189,8 +173,7 @@ class ControlServer:
                 return
             client.answered = True
             try:
-                async for answer in self._answers(line):
-                    await client.say({"ok": True, **answer})
+                await client.say({"ok": True, **await self._answer(line)})
             except StoreDamagedError as error:
                 self._driver.fail(error)
                 await client.say({"ok": False, "error": str(error)})
@@ -200,58 +183,15 @@ class ControlServer:
             finally:
                 client.answered = False
 
-    async def _answers(self, line: bytes) -> AsyncIterator[dict[str, Any]]:
+    async def _answer(self, line: bytes) -> dict[str, Any]:
         try:
             request = _request(line)
             payload = load_bytes(request.payload) if isinstance(request, PutRequest) else b""
         except (MalformedError, ConfigError) as error:
             raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
-        driver = self._driver
-        if isinstance(request, StatusRequest):
-            yield {"status": status(driver, self._started)}
-        elif isinstance(request, PutRequest):
-            yield {"id": str(await driver.put(payload, request.kind))}
-        elif isinstance(request, GetRequest):
-            yield self._get(request.id)
-        else:
-            async for page in self._ls():
-                yield page
-
-    def _get(self, name: str) -> dict[str, Any]:
-        store = self._driver.agent.store
-        id, crc = parse_name(name)
-        datum = store.get(id) if crc is None else store.get_apart(id, crc)
-        if datum is None:
-            raise ControlError(f"{name}: this node does not hold it")
-        if not datum.intact:
-            raise ControlError(f"{name}: corrupt, its checksum does not match")
-        answer: dict[str, Any] = {
-            "id": name,
-            "kind": datum.kind,
-            "hops": datum.hops,
-            **age(datum, self._driver.now(), self._wall()),
-            "payload": datum.payload,
-        }
-        if datum.kind == Kind.FILE:
-            try:
-                answer["name"] = unpack_file(datum.payload)[0]
-            except MalformedError as error:
-                answer["malformed"] = str(error)
-        return answer
-
-    async def _ls(self) -> AsyncIterator[dict[str, Any]]:
-        store = self._driver.agent.store
-        now, wall = self._driver.now(), self._wall()
-        page: list[dict[str, Any]] = []
-        apart = ((info, True) for info in store.apart())
-        for info, is_apart in chain(((info, False) for info in store.held()), apart):
-            if len(page) == LS_PAGE:
-                yield {"data": page, "more": True}
-                page = []
-                # Let a step run in between.
-                await asyncio.sleep(0)
-            page.append(describe(info, store, now, wall, apart=is_apart))
-        yield {"data": page, "more": False}
+        if isinstance(request, PutRequest):
+            return {"id": str(await self._driver.put(payload, request.kind))}
+        return {"status": status(self._driver, self._started)}
 
 
 def _request(line: bytes) -> Section:

@@ -151,7 +151,7 @@ class Driver:
                     self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
                     if self.lived is not None:
-                        self.lived.tend(bool(self.agent.node.holdings))
+                        self._keep_time(self.lived)
                     # On an absolute schedule, without drift. Missed steps are skipped: a burst would be of no use.
                     missed = int(behind / step_s)
                     self.skipped_steps += missed
@@ -220,6 +220,13 @@ class Driver:
                     self._hand_out(self._through.lane.frame(frame, now, partial(_learn, link, (link.name, 0))))
                 else:
                     agent.vehicle_frame(frame, now)
+
+    def _keep_time(self, lived: LivedClock) -> None:
+        agent = self.agent
+        if (date := agent.telemetry.date) is not None:
+            lived.hear_date(date.utc, date.at)
+        if lived.tend(bool(agent.node.holdings)):
+            agent.take_over(agent.settings, self.now(), rebirth=True)
 
     def _set_pace(self) -> None:
         """Send as many beacons and data as the links can carry with the present neighbours."""

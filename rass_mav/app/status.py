@@ -50,7 +50,9 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "risk": node.risk.risk(now),
         "risk_known": node.risk.known(now),
         **_potential(node.potential, node.base, node.policy.costs is not None),
-        "reading": None if reading is None else {"value": reading.value, "age_s": round(now - reading.at, 3)},
+        "reading": None
+        if reading is None
+        else {"value": reading.value, "unit": settings.unit, "age_s": round(now - reading.at, 3)},
         "sensor": None if driver.sensor is None else {"name": driver.sensor.name, **driver.sensor.state()._asdict()},
         "position": None
         if position is None

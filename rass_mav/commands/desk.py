@@ -17,6 +17,7 @@ from rass_mav.errors import ConfigError
 from .common import Subparsers, add_command, answer, clean, say, start_logging
 
 if TYPE_CHECKING:
+    from rass_mav.mission.entry import Entry
     from rass_mav.swarm.desk import Desk
 
 #: How many characters of a submitted line are shown.
@@ -55,7 +56,7 @@ def _try(options: argparse.Namespace) -> int:
             for line in opening_lines(nodes, kept=options.keep is not None):
                 show(line)
             until = math.inf if options.seconds is None else time.monotonic() + options.seconds
-            nodes.watch(until, lambda datum: show(arrival_line(datum)))
+            nodes.watch(until, lambda entry, content: show(arrival_line(entry, content)))
         summary = nodes.stop()
     summary["directory"] = None if options.keep is None else str(nodes.directory)
     answer(options, summary, closing_lines(summary))
@@ -86,19 +87,19 @@ def _program() -> str:
     return "rass-mav" if shutil.which("rass-mav") else f"{shlex.quote(sys.executable)} -m rass_mav"
 
 
-def arrival_line(datum: dict[str, Any]) -> str:
+def arrival_line(entry: Entry, content: bytes) -> str:
     """A datum that has arrived: when and by which node it was created, and its contents."""
-    line = f"{time.strftime('%H:%M:%S', time.localtime(datum['created']))} node {datum['origin']}"
-    if (m := datum.get("measurement")) is not None:
-        if m["latitude"] is None:
+    line = f"{time.strftime('%H:%M:%S', time.localtime(entry.utc))} node {entry.id.origin}"
+    if (m := entry.measurement) is not None:
+        if m.latitude is None:
             line += " no position yet,"
         else:
-            line += f" at {m['latitude']:.6f} {m['longitude']:.6f} {m['altitude']:.0f} m,"
-        reading = "no reading yet" if m["reading"] is None else f"reading {m['reading']:.2f}"
-        return f"{line} {reading}, risk {m['risk']:.2f}"
-    if "name" in datum:
-        return clean(f"{line} file {datum['name']}")
-    text = datum["content"].decode(errors="replace")
+            line += f" at {m.latitude:.6f} {m.longitude:.6f} {m.altitude:.0f} m,"
+        reading = "no reading yet" if m.reading is None else f"reading {m.reading:.2f}"
+        return f"{line} {reading}, risk {m.risk:.2f}"
+    if entry.file is not None:
+        return clean(f"{line} file {entry.file}")
+    text = content.decode(errors="replace")
     return clean(f"{line} {text[:_MOST_SHOWN]}{' ...' if len(text) > _MOST_SHOWN else ''}")
 
 

@@ -1,9 +1,8 @@
-"""`run` and `check`, and the commands to a running node: `status`, `put`, `get`, `ls`."""
+"""`run` and `check`, and the commands to a running node: `status` and `put`."""
 
 from __future__ import annotations
 
 import argparse
-import base64
 import contextlib
 import sys
 import time
@@ -11,10 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, DatumError, RassError, os_errors_as
+from rass_mav.errors import ConfigError, DatumError, os_errors_as
 
-from .common import Subparsers, add_command, add_set, answer, clean, print_json, say, start_logging
-from .report import datum_line, status_lines
+from .common import Subparsers, add_command, add_set, answer, print_json, say, start_logging
+from .report import status_lines
 
 if TYPE_CHECKING:
     from rass_mav.app.client import ControlClient
@@ -42,31 +41,19 @@ def register(subparsers: Subparsers) -> None:
         subparsers, "status", _status, help="show the state of the running node",
         example="rass-mav status drone.yaml --json",
     )  # fmt: skip
-    ls = add_command(
-        subparsers, "ls", _ls, help="list the data that the running node holds; at a base, all that have arrived",
-        example="rass-mav ls base.yaml",
-    )  # fmt: skip
     put = add_command(
         subparsers, "put", _put, help="give a file or a line to the running node; returns when it is on its disk",
         example="rass-mav put -c drone.yaml --line 'all well'",
     )  # fmt: skip
-    get = add_command(
-        subparsers, "get", _get, help="fetch a datum from the running node",
-        example="rass-mav get -c base.yaml 7-0123abcd-42 -o photo.jpg",
-    )  # fmt: skip
-    for parser in (status, ls):
-        parser.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
-    for parser in (put, get):
-        parser.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
-    for parser in (status, ls, put, get):
+    status.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
+    put.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
+    for parser in (status, put):
         parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
     what = put.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "file", metavar="FILE", nargs="?", help="a file, stored with its name; -: stdin, stored without a name"
     )
     what.add_argument("--line", metavar="TEXT", help="a line of text")
-    get.add_argument("id", metavar="ID", help="an id as printed by put and ls")
-    get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
 
 def _config(options: argparse.Namespace) -> RunConfig:
@@ -174,41 +161,4 @@ def _put(options: argparse.Namespace) -> int:
     with _client(options) as client:
         id = client.ask("put", payload=payload, kind=int(kind))["id"]
     answer(options, {"id": id, "bytes": len(payload)}, [id])
-    return 0
-
-
-def _get(options: argparse.Namespace) -> int:
-    from rass_mav.app.payloads import parse_name, unpack_file
-    from rass_mav.core.datum import Kind
-
-    parse_name(options.id)
-    with _client(options) as client:
-        found = client.ask("get", id=options.id)
-    content = base64.b64decode(found.pop("payload"))
-    if found["kind"] == Kind.FILE and "name" in found:
-        content = unpack_file(content)[1]
-    found["bytes"] = len(content)
-    if options.output is not None:
-        with os_errors_as(RassError, options.output):
-            options.output.write_bytes(content)
-    elif options.json:
-        found["content"] = base64.b64encode(content).decode()
-    else:
-        sys.stdout.buffer.write(content)
-    if options.json:
-        print_json(found)
-    return 0
-
-
-def _ls(options: argparse.Namespace) -> int:
-    every: list[dict[str, Any]] = []
-    with _client(options) as client:
-        for page in client.ask_all("ls"):
-            if options.json:
-                every += page["data"]
-            else:
-                for entry in page["data"]:
-                    say(clean(datum_line(entry)))
-    if options.json:
-        print_json({"data": every})
     return 0

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from rass_mav.mission.entry import UNIT_NAMES
+
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
@@ -16,7 +18,9 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         unknown = "" if s["risk_known"] else " (unknown, counts as the worst)"
         yield f"risk {s['risk']:.3f}{unknown}, {_standing(s)}, policy {s['policy']}"
     if s["reading"] is not None:
-        yield f"reading {s['reading']['value']:g}, {s['reading']['age_s']:.1f} s old"
+        reading = s["reading"]
+        unit = "" if reading["unit"] is None else f" {UNIT_NAMES[reading['unit']]}"
+        yield f"reading {reading['value']:g}{unit}, {reading['age_s']:.1f} s old"
     if (sensor := s["sensor"]) is not None:
         yield (
             f"sensor {sensor['name']}: {'open' if sensor['connected'] else 'not open'}, {sensor['readings']} readings, "
@@ -75,20 +79,3 @@ def _standing(s: dict[str, Any]) -> str:
     if "cost" in s:
         return "no route" if s["cost"] is None else f"cost {s['cost']:.4f}"
     return f"fitness {s['fitness']:.6f}"
-
-
-def datum_line(entry: dict[str, Any]) -> str:
-    """One datum of `ls`."""
-    more = ">" if entry.get("at_least") else ""
-    line = f"{entry['id']} {entry['kind']} {entry['size']} B {entry['hops']} hops {more}{entry['age_s']:.1f} s"
-    if "name" in entry:
-        line += f" {entry['name']}"
-    m = entry.get("measurement")
-    if m is not None:
-        if m["latitude"] is not None:
-            line += f" at {m['latitude']:.7f} {m['longitude']:.7f} {m['altitude']:.1f} m"
-        elif m["local"] is not None:
-            line += " at {:.2f} m north, {:.2f} m east, {:.2f} m down".format(*m["local"])
-        line += f" reading {m['reading']:g}" if m["reading"] is not None else " no reading"
-        line += f" risk {m['risk']:.3f}"
-    return line

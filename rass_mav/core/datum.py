@@ -37,6 +37,8 @@ class Kind(enum.IntEnum):
     """A position and a reading, see `rass_mav.wire.measurement`."""
     FILE = 2
     """A named file: one byte with the length of its name, the name in UTF-8, the content."""
+    STATUS = 3
+    """What a node says about itself, see `rass_mav.wire.nodestatus`."""
 
 
 class Fate(enum.Enum):

@@ -28,6 +28,9 @@ class RiskSettings(Section):
     """Reading above background that means risk 0, in the sensor's unit."""
     high: float = 1.0
     """Reading above background that means risk 1, in the sensor's unit; above `low`."""
+    unit: Literal["usvh", "cpm", "cps", "counts"] | None = None
+    """Unit of the autopilot's readings. usvh: microsievert per hour; cpm, cps: counts per minute, per second; counts:
+    counts of no stated time; null: unknown. An own sensor has `sensor.unit`."""
     stale_s: Positive = 10.0
     """A reading older than this is unknown, seconds."""
     worst: Fraction = 1.0

@@ -1,4 +1,4 @@
-"""The vehicle's state as its autopilot reports it: position, home, heartbeat, reading.
+"""The vehicle's state as its autopilot reports it: position, home, heartbeat, reading, date.
 
 Only one autopilot is trusted. A component on the same link sends the same messages about something else. So does a
 neighbour's autopilot, whose frames a radio or router may forward.
@@ -19,7 +19,16 @@ from .dialect import common
 from .firmware import Firmware
 from .frames import Frame
 from .identity import AUTOPILOT_COMPONENT
-from .messages import GLOBAL_POSITION_INT, HEARTBEAT, HOME_POSITION, LOCAL_POSITION_NED, NAME_SIZE, NAMED_VALUE_FLOAT
+from .messages import (
+    GLOBAL_POSITION_INT,
+    GPS_RAW_INT,
+    HEARTBEAT,
+    HOME_POSITION,
+    LOCAL_POSITION_NED,
+    NAME_SIZE,
+    NAMED_VALUE_FLOAT,
+    SYSTEM_TIME,
+)
 from .vehicle_parameters import AutopilotVersion, read_version
 
 _global_position = common.MAVLink_global_position_int_message.unpacker
@@ -27,11 +36,16 @@ _named_value = common.MAVLink_named_value_float_message.unpacker
 _local_position = common.MAVLink_local_position_ned_message.unpacker
 _home_position = common.MAVLink_home_position_message.unpacker
 _heartbeat = common.MAVLink_heartbeat_message.unpacker
+_gps_raw = common.MAVLink_gps_raw_int_message.unpacker
+_system_time = common.MAVLink_system_time_message.unpacker
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
 _ARMED: int = common.MAV_MODE_FLAG_SAFETY_ARMED
+_LEAST_FIX: int = common.GPS_FIX_TYPE_2D_FIX
 
 _MAX_LATITUDE = 900_000_000
 _MAX_LONGITUDE = 1_800_000_000
+#: The first and the last date that is believed, seconds since 1970: 2024-01-01 and 2100-01-01.
+_FIRST_DATE, _LAST_DATE = 1_704_067_200.0, 4_102_444_800.0
 
 #: If time_boot_ms falls by more than this, the autopilot has rebooted. A smaller fall is a frame that was overtaken.
 REBOOT_MS = 5000
@@ -67,6 +81,24 @@ class LocalPosition(NamedTuple):
     """When it was received, in seconds on the caller's timeline."""
 
 
+class Accuracy(NamedTuple):
+    """How exact the position from GPS is."""
+
+    horizontal_m: float
+    """Standard deviation, metres, above 0."""
+    at: float
+    """When it was received, in seconds on the caller's timeline."""
+
+
+class Date(NamedTuple):
+    """The date that the autopilot knows, in most cases from GPS."""
+
+    utc: float
+    """Seconds since 1970."""
+    at: float
+    """When it was received, in seconds on the caller's timeline."""
+
+
 class Reading(NamedTuple):
     """A reading of the sensor."""
 
@@ -94,6 +126,10 @@ class Telemetry:
         self._name_padded = self._name.ljust(NAME_SIZE, b"\0")
         self.position: Position | None = None
         """The last position fix."""
+        self.accuracy: Accuracy | None = None
+        """Of the GPS; None: the autopilot does not report it now, or there is no fix."""
+        self.date: Date | None = None
+        """The last plausible date; None: not heard."""
         self.local: LocalPosition | None = None
         self.home: Position | None = None
         self.reading: Reading | None = None
@@ -113,8 +149,8 @@ class Telemetry:
         self.reboots = 0
         """How often time_boot_ms fell by more than `REBOOT_MS`. Message rates must then be requested again."""
         self.rejected = 0
-        """Impossible values from our autopilot: a reading or local position that is not finite, degrees out of
-        range."""
+        """Impossible values from our autopilot: a reading or local position that is not finite, degrees out of range,
+        a date before 2024 or after 2099."""
         self.foreign = 0
         """Readings from another system or component, which were ignored."""
 
@@ -142,6 +178,10 @@ class Telemetry:
             return self._on_heartbeat(payload, now, signed)
         if message_id == LOCAL_POSITION_NED:
             return self._on_local_position(payload, now)
+        if message_id == GPS_RAW_INT:
+            return self._on_gps(payload, now)
+        if message_id == SYSTEM_TIME:
+            return self._on_system_time(payload, now)
         if message_id == HOME_POSITION:
             return self._on_home_position(payload, now)
         if message_id == AUTOPILOT_VERSION:
@@ -190,6 +230,27 @@ class Telemetry:
         if not self._is_place(lat, lon):
             return False
         self.home = Position(lat / 1e7, lon / 1e7, alt / 1e3, now)
+        return True
+
+    def _on_gps(self, payload: bytes, now: float) -> bool:
+        """Its accuracy alone: https://mavlink.io/en/messages/common.html#GPS_RAW_INT."""
+        fields = _gps_raw.unpack_from(payload.ljust(_gps_raw.size, b"\0"))
+        fix, h_acc = fields[8], fields[11]
+        # 0: unknown. Without a fix it says nothing about the position, which is then extrapolated.
+        self.accuracy = Accuracy(h_acc / 1e3, now) if h_acc and fix >= _LEAST_FIX else None
+        return True
+
+    def _on_system_time(self, payload: bytes, now: float) -> bool:
+        """https://mavlink.io/en/messages/common.html#SYSTEM_TIME."""
+        time_us, boot_ms = _system_time.unpack_from(payload.ljust(_system_time.size, b"\0"))
+        if boot_ms:
+            self._on_boot_time(boot_ms)
+        if not time_us:
+            return False  # not known yet
+        if not _FIRST_DATE <= time_us / 1e6 < _LAST_DATE:
+            self.rejected += 1
+            return False
+        self.date = Date(time_us / 1e6, now)
         return True
 
     @property

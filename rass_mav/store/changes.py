@@ -35,6 +35,8 @@ class Changes:
     """New values of the meta numbers that changed."""
     sequence: int | None = None
     """The next sequence number, if one has been claimed."""
+    amends: dict[DatumId, float] = field(default_factory=dict)
+    """After the removals and puts: the time of creation of a stored datum, which is not older than that."""
     aged: bool = False
     """Before all else: every datum on disk is at least as old as recorded."""
 
@@ -50,7 +52,8 @@ class Changes:
         reports a loss twice, or counts a little less.
         """
         # A number may occur alone: its datum was sent without custody, and removed.
-        return bool(self.puts or self.apart or self.losses or self.meta or self.aged) or self.sequence is not None
+        changed = self.puts or self.apart or self.losses or self.meta or self.amends or self.aged
+        return bool(changed) or self.sequence is not None
 
     @property
     def rows(self) -> int:
@@ -67,11 +70,13 @@ class Changes:
         id = datum.id
         if older and self.puts.pop(id, None) is None:
             self.removes[id] = None
+        self.amends.pop(id, None)
         self.puts[id] = datum
 
     def remove(self, id: DatumId) -> None:
         """Delete a stored datum. One inserted since the last commit is simply dropped; an older row of it stays in
         `removes`, where `put` recorded it."""
+        self.amends.pop(id, None)
         if self.puts.pop(id, None) is None:
             self.removes[id] = None
 
@@ -87,6 +92,8 @@ class Changes:
     def followed_by(self, later: Changes) -> Changes:
         """These changes followed by the `later` ones, as one."""
         puts = {id: datum for id, datum in self.puts.items() if id not in later.removes}
+        # Of what is removed or replaced later, nothing is amended.
+        amends = {id: at for id, at in self.amends.items() if id not in later.removes and id not in later.puts}
         return Changes(
             puts={**puts, **later.puts},
             apart={**self.apart, **later.apart},
@@ -96,6 +103,7 @@ class Changes:
             counters={**self.counters, **later.counters},
             meta={**self.meta, **later.meta},
             sequence=self.sequence if later.sequence is None else later.sequence,
+            amends={**amends, **later.amends},
             aged=self.aged or later.aged,
         )
 

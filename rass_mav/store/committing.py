@@ -27,6 +27,8 @@ class Committer:
         except BaseException:
             self.connection.close()
             raise
+        self.now_ms: int | None = None
+        """When what is written next arrived, milliseconds on the node's timeline; None: unknown."""
         self._mark: Mark | None = None
         self._sure = False
         """Whether the last commit succeeded, so that the numbers of rows are right."""
@@ -69,8 +71,9 @@ class Committer:
             for statement in schema.MARK_AT_LEAST if changes.aged else ():
                 writer.execute(statement)
             rows = -writer.executemany(schema.DELETE_DATUM, changes.removes).rowcount
-            writer.executemany(schema.INSERT_DATUM, map(schema.datum_row, changes.puts.values()))
+            schema.insert_data(writer, changes.puts.values(), self.now_ms)
             rows += len(changes.puts)
+            writer.executemany(schema.AMEND_DATUM, [(at, *id) for id, at in changes.amends.items()])
             rows += writer.executemany(schema.INSERT_APART, map(schema.datum_row, changes.apart.values())).rowcount
             rows -= writer.executemany(schema.DELETE_LOSS, changes.founds).rowcount
             losses = [schema.loss_row(id, fate) for id, fate in changes.losses.items()]

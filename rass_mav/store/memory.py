@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
@@ -171,10 +171,20 @@ class MemoryStore:
         for id, kind, created, hops, crc, payload, at_least in list(self._data.values()):
             yield StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
 
+    def note_time(self, now_ms: int) -> None:
+        """Arrivals in memory have no time."""
+
     def mark_at_least(self) -> None:
         """Every datum that is stored now is at least as old as recorded."""
         self._data = {id: datum._replace(at_least=True) for id, datum in self._data.items()}
         self._apart = {key: datum._replace(at_least=True) for key, datum in self._apart.items()}
+
+    def amend(self, ids: Collection[DatumId], off_s: float) -> None:
+        """These data are `off_s` seconds older than recorded, and not `at_least` so old. Unknown ids are ignored."""
+        for id in frozenset(ids):
+            datum = self._data.get(id)
+            if datum is not None:
+                self._data[id] = datum._replace(created=datum.created - off_s, at_least=False)
 
     def ids(self) -> Iterable[DatumId]:
         """The ids of what is stored: a list, safe to keep while the store changes."""

@@ -1,4 +1,4 @@
-"""Reading a store from outside: for status, exports and tests, also while a node is using it."""
+"""Reading a store from outside: for people, exports and tests, also while a node is using it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
-from rass_mav.errors import StoreError
 
 from . import schema
 from .drafts import connect
-from .errors import Unsound, explained
-from .files import LOG_ENDINGS, beside, checked_path
+from .errors import OutdatedStoreError, Unsound, explained
+from .files import checked_path
 from .opening import version_of
+from .reading import connect_alone
 
 
 class SqliteReader:
@@ -23,21 +23,20 @@ class SqliteReader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one."""
+        """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one;
+        `OutdatedStoreError`: one of the previous version."""
         self._path = checked_path(path)
         with explained(self._path, "opening the store to read"):
-            # A card mounted read-only, or another user's store that is not in use: SQLite could not create the index of
-            # a log there, and without a log it needs none.
-            folder = self._path.absolute().parent
-            at_rest = not os.access(folder, os.W_OK) and not beside(self._path, LOG_ENDINGS[0]).exists()
-            self._connection = connect(self._path, "ro", immutable=at_rest)
+            # A card that is mounted read-only, or another user's store.
+            alone = not os.access(self._path.absolute().parent, os.W_OK)
+            self._connection = connect_alone(self._path) if alone else connect(self._path, "ro")
             try:
                 self._connection.execute("BEGIN")
                 # The first read fixes the moment for all other reads.
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
                 if version_of(self._connection, self._path) != schema.SCHEMA_VERSION:
-                    raise StoreError(f"{self._path}: of the previous version, and not converted yet: start the node")
+                    raise OutdatedStoreError(f"{self._path}: of the previous version, and not converted yet")
                 self._meta = schema.read_numbers(self._connection, "meta")
                 own = schema.read_own(self._meta)
                 self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given
@@ -46,6 +45,14 @@ class SqliteReader:
             except BaseException:
                 self._connection.close()
                 raise
+
+    def renew(self) -> None:
+        """Read from now on what is durable now."""
+        with explained(self._path, "reading the store"):
+            self._connection.execute("ROLLBACK")
+            self._connection.execute("BEGIN")
+            self._meta = schema.read_numbers(self._connection, "meta")
+            schema.read_own(self._meta)
 
     def meta(self) -> dict[str, int]:
         """The numbers that the node keeps, without the store's own."""
@@ -59,6 +66,23 @@ class SqliteReader:
         """What is stored, least recently stored first."""
         with explained(self._path, "listing the data"):
             yield from schema.read_infos(self._connection)
+
+    def rows(self, head_bytes: int, *, after: int = -1, apart: bool = False) -> Iterator[schema.Row | None]:
+        """What is stored, in the order of arrival, from behind the arrival `after` on, with the first bytes of the
+        payloads. None: a damaged row. `apart`: the second contents of ids instead."""
+        with explained(self._path, "listing the data"):
+            yield from schema.read_rows(self._connection, "apart" if apart else "datum", head_bytes, after)
+
+    def count(self) -> int:
+        """How many rows of data are stored, second contents and damaged ones included."""
+        with explained(self._path, "counting the data"):
+            tables = "SELECT (SELECT count(*) FROM datum) + (SELECT count(*) FROM apart)"
+            return int(self._connection.execute(tables).fetchall()[0][0])
+
+    def get_apart(self, id: DatumId, crc: int) -> Datum | None:
+        """One second content, or None."""
+        with explained(self._path, "reading a datum"):
+            return schema.read_datum(self._connection, id, crc)
 
     def get(self, id: DatumId) -> Datum | None:
         """A datum as its bytes are (its checksum is not verified here), or None."""

@@ -11,11 +11,13 @@ from pathlib import Path
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 from .conversion import OLD_VERSION
-from .drafts import connect, draw
+from .drafts import connect, drafted, draw
 from .errors import Unsound, explained
-from .files import LOG_ENDINGS, beside
+from .files import LOG_ENDINGS, MARK, beside
+from .mark import read_mark
 from .opening import version_of
-from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own
+from .salvage import salvage
+from .schema import APPLICATION_ID, create_tables, read_infos, read_losses, read_numbers, read_own, write_numbers
 
 _UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOSPC, errno.EDQUOT)
 #: With less free space than this, bytes, a disk error means lack of space: SQLite needs as much for the log's index.
@@ -54,21 +56,37 @@ def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> 
     return connection
 
 
+def connect_alone(path: Path, vfs: str | None = None) -> sqlite3.Connection:
+    """A connection that changes nothing, where no process can write beside the store."""
+    # Without a log nothing is missing; with one, SQLite creates its index beside it, or else in memory.
+    log = beside(path, LOG_ENDINGS[0])
+    if not log.exists() or not log.stat().st_size:
+        return connect(path, "ro", vfs=vfs, immutable=True)
+    connection = connect(path, "ro", vfs=vfs)
+    try:
+        connection.execute("PRAGMA schema_version").fetchall()
+    except sqlite3.OperationalError:
+        connection.close()
+        if vfs is not None:
+            raise
+        # No other process can write either, so no locks are needed.
+        connection = connect(path, "ro", vfs="unix-none")
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
+    return connection
+
+
+def salvaged_copy(path: Path, copy: Path) -> int:
+    """Write what a damaged store, or one of the previous version, still holds to a new store; the old one stays as it
+    is. Returns how many data that are. `StoreError`."""
+    with explained(path, "salvaging the data"), drafted(copy, 0, 1, None) as connection:
+        found = salvage(path, read_mark(beside(path, MARK)), 0, connection)
+        write_numbers(connection, "meta", found.numbers)
+    return found.data
+
+
 def _opened(path: Path, vfs: str | None) -> sqlite3.Connection:
     with explained(path, "opening the store to read"):
-        # Without a log nothing is missing; with one, SQLite creates its index beside it, or else in memory.
-        log = beside(path, LOG_ENDINGS[0])
-        if not log.exists() or not log.stat().st_size:
-            return _checked(path, connect(path, "ro", vfs=vfs, immutable=True))
-        try:
-            return _checked(path, connect(path, "ro", vfs=vfs))
-        except sqlite3.OperationalError:
-            if vfs is not None:
-                raise
-            # No other process can write either, so no locks are needed.
-            connection = connect(path, "ro", vfs="unix-none")
-            connection.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
-            return _checked(path, connection)
+        return _checked(path, connect_alone(path, vfs))
 
 
 def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:

@@ -11,10 +11,10 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from .report import OpenReport
 from .schema import (
     INSERT_APART,
-    INSERT_DATUM,
     INSERT_LOSS,
     OwnNumbers,
     datum_row,
+    insert_data,
     loss_row,
     sound_losses,
     sound_numbers,
@@ -130,7 +130,7 @@ def _add(connection: sqlite3.Connection, datum: Datum) -> int:
     found = connection.execute("SELECT crc FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?", datum.id)
     crcs = found.fetchall()
     if not crcs:
-        connection.execute(INSERT_DATUM, datum_row(datum))
+        insert_data(connection, [datum])
         return 1
     if crcs[0][0] == datum.crc:
         return 0

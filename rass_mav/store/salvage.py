@@ -24,6 +24,7 @@ from .schema import (
     INSERT_LOSS,
     LIFE,
     NEXT_SEQUENCE,
+    OWN_PREFIX,
     WRITTEN,
     datum_row,
     loss_row,
@@ -47,6 +48,8 @@ class Salvaged(NamedTuple):
     """Own epochs that may be incomplete, with the numbers of each that are known to be assigned."""
     lost: int
     """The most data and losses that may be gone."""
+    numbers: dict[str, int]
+    """What its node noted, without the store's own numbers."""
 
 
 class _Source:
@@ -194,7 +197,7 @@ def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connectio
             for number, page in source.all():
                 for rowid, columns in rows_on(page, number, source.fetch):
                     finds.take(rowid, columns)
-        return Salvaged(finds.data, _epochs(finds, mark, node_id), max(lost, 0))
+        return Salvaged(finds.data, _epochs(finds, mark, node_id), max(lost, 0), _noted(finds.numbers))
     finally:
         source.close()
 
@@ -229,6 +232,11 @@ def _epochs(finds: _Finds, mark: Mark | None, node_id: int) -> dict[int, int]:
         if epoch in epochs:
             epochs[epoch] = max(given, epochs[epoch])
     return epochs
+
+
+def _noted(numbers: dict[bytes, int]) -> dict[str, int]:
+    names = {name.decode("ascii", "replace"): value for name, value in numbers.items()}
+    return {name: value for name, value in names.items() if not name.startswith(OWN_PREFIX)}
 
 
 def _opened(path: Path) -> int | None:

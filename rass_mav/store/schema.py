@@ -59,11 +59,17 @@ TABLES = {
     ),
 }
 
+#: An arrival from here on tells when it was: this plus milliseconds on the node's timeline. Smaller ones only count.
+ARRIVAL_0_MS = 1 << 40
 _COLUMNS = "origin, epoch, sequence, kind, created, hops, crc, size, at_least, payload"
-INSERT_DATUM = f"INSERT OR REPLACE INTO datum ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_INSERT_DATUM = (
+    f"INSERT OR REPLACE INTO datum (arrival, {_COLUMNS}) "
+    "VALUES (max(?, (SELECT coalesce(max(arrival), 0) + 1 FROM datum)), ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+)
 INSERT_APART = f"INSERT OR IGNORE INTO apart ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 #: As long as the row was, so that it is overwritten in place.
 MARK_AT_LEAST = tuple(f"UPDATE {table} SET at_least = 1 WHERE at_least = 0" for table in ("datum", "apart"))
+AMEND_DATUM = "UPDATE datum SET created = ?, at_least = 0 WHERE origin = ? AND epoch = ? AND sequence = ?"
 DELETE_DATUM = "DELETE FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
 DELETE_LOSS = "DELETE FROM loss WHERE origin = ? AND epoch = ? AND sequence = ?"
 INSERT_LOSS = "INSERT OR IGNORE INTO loss (origin, epoch, sequence, fate, crc) VALUES (?, ?, ?, ?, ?)"
@@ -76,6 +82,10 @@ _SELECT_APART = (
 )
 _SELECT_INFOS = (
     "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least FROM {} "
+    "WHERE arrival > ? ORDER BY arrival LIMIT 512"
+)
+_SELECT_ROWS = (
+    "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, substr(payload, 1, ?) FROM {} "
     "WHERE arrival > ? ORDER BY arrival LIMIT 512"
 )
 # The columns that these select.
@@ -160,8 +170,15 @@ def take_own(meta: dict[str, int]) -> OwnNumbers | None:
     return own if in_range and min(own) >= 0 else None
 
 
+def insert_data(connection: sqlite3.Connection, data: Iterable[Datum], now_ms: int | None = None) -> None:
+    """Insert data, each as the latest. `now_ms`: when they arrived, milliseconds on the node's timeline; None: nobody
+    knows."""
+    least = 0 if now_ms is None else ARRIVAL_0_MS + now_ms
+    connection.executemany(_INSERT_DATUM, ((least, *datum_row(datum)) for datum in data))
+
+
 def datum_row(datum: Datum) -> tuple[Any, ...]:
-    """The columns of `INSERT_DATUM` and `INSERT_APART`."""
+    """The columns of a table of data, without the arrival."""
     id, kind, created, hops, crc, payload, at_least = datum
     return (*id, kind, created, hops, crc, len(payload), int(at_least), payload)
 
@@ -216,6 +233,31 @@ def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator
         if not rows:
             return
         if rows[-1][0] <= after:
+            raise Unsound(f"the rows of table {table} are out of order")
+        after = rows[-1][0]
+
+
+class Row(NamedTuple):
+    """A row of data, as it is on the disk."""
+
+    arrival: int
+    """Rises with each row that is stored; a replaced one gets a new number. See `ARRIVAL_0_MS`."""
+    info: StoredInfo
+    head: bytes
+    """The beginning of the payload."""
+
+
+def read_rows(connection: sqlite3.Connection, table: str, head_bytes: int, after: int = -1) -> Iterator[Row | None]:
+    """The rows of a table with the beginning of their payloads, in the order of arrival. None: a row is not sound."""
+    while rows := connection.execute(_SELECT_ROWS.format(table), (head_bytes, after)).fetchall():
+        for row in rows:
+            arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, head = row
+            if tuple(map(type, row)) != (*_INFO_TYPES, bytes):
+                yield None
+                continue
+            id = DatumId(origin, epoch, sequence)
+            yield Row(arrival, StoredInfo(id, kind, created, hops, crc, size, bool(at_least)), head)
+        if type(rows[-1][0]) is not int or rows[-1][0] <= after:
             raise Unsound(f"the rows of table {table} are out of order")
         after = rows[-1][0]
 

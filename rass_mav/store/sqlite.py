@@ -10,8 +10,9 @@ from __future__ import annotations
 import os
 import sqlite3
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
@@ -41,6 +42,8 @@ MAX_BUFFERED_BYTES = 16 << 20
 MAX_UNWRITTEN_LOSSES = 4096
 
 _RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
+
+D = TypeVar("D", Datum, StoredInfo)
 
 
 class SqliteStore:
@@ -314,6 +317,11 @@ class SqliteStore:
         if waiting is not None:
             self._buffered -= len(waiting.payload) + ROW_OVERHEAD
 
+    def note_time(self, now_ms: int) -> None:
+        """What is written from now on arrived at this time, milliseconds on the node's timeline."""
+        if self._committer is not None:
+            self._committer.now_ms = now_ms
+
     def mark_at_least(self) -> None:
         """Every datum that is stored now is at least as old as recorded; durable with the next commit.
 
@@ -321,6 +329,15 @@ class SqliteStore:
         """
         self._changes.aged = True
         self._apart = {key: info._replace(at_least=True) for key, info in self._apart.items()}
+
+    def amend(self, ids: Collection[DatumId], off_s: float) -> None:
+        """These data are `off_s` seconds older than recorded, and not `at_least` so old; durable with the next commit.
+
+        Unknown ids are ignored. A `roll_back` before that commit forgets it.
+        """
+        wanted = frozenset(ids)
+        amends = {info.id: info.created - off_s for info in self.held() if info.id in wanted}
+        self._changes.amends.update(amends)
 
     @property
     def _aged(self) -> bool:
@@ -333,15 +350,18 @@ class SqliteStore:
         """The datum as its bytes are now (its checksum is not verified here), or None."""
         if id not in self._sizes:
             return None
-        datum = self._changes.puts.get(id) or self._in_flight().puts.get(id)
+        changes, out = self._changes, self._in_flight()
+        # What has been put again since the batch was taken is newer than the batch.
+        amended = changes.amends.get(id, None if id in changes.puts else out.amends.get(id))
+        datum = changes.puts.get(id) or out.puts.get(id)
         if datum is not None:
-            return datum
+            return _aged(datum, False, amended)
         aged = self._aged
         with explained(self._path, "reading a datum"):
             datum = schema.read_datum(self._reader, id)
             if datum is None:
                 raise Unsound(f"datum {id} is stored, but not found")
-        return datum._replace(at_least=True) if aged else datum
+        return _aged(datum, aged, amended)
 
     def apart(self) -> Iterable[StoredInfo]:
         """The second contents: a list, safe to keep while the store changes."""
@@ -364,15 +384,16 @@ class SqliteStore:
 
         Streams from the disk, without payloads. Data that are put or removed while it runs may be included or not.
         """
-        in_memory = {**self._in_flight().followed_by(self._changes).puts}
+        waiting = self._in_flight().followed_by(self._changes)
+        in_memory, amends = waiting.puts, waiting.amends
         aged = self._aged
         with explained(self._path, "listing the data"):
             for info in schema.read_infos(self._reader):
                 if info.id in self._sizes and info.id not in in_memory:
-                    yield info._replace(at_least=True) if aged else info
+                    yield _aged(info, aged, amends.get(info.id))
         for datum in in_memory.values():
             if datum.id in self._sizes:
-                yield info_of(datum)
+                yield _aged(info_of(datum), False, amends.get(datum.id))
 
     def ids(self) -> Iterable[DatumId]:
         """The ids of what is stored, from memory: a list, safe to keep while the store changes."""
@@ -524,6 +545,13 @@ class SqliteStore:
 
     def __exit__(self, *raised: object) -> None:
         self.close()
+
+
+def _aged(datum: D, at_least: bool, created: float | None) -> D:
+    """A datum with what is not on disk yet: that it is `at_least` so old, or that it was `created` then."""
+    if created is not None:
+        return datum._replace(created=created, at_least=False)
+    return datum._replace(at_least=True) if at_least else datum
 
 
 _NOTHING = Changes()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from rass_mav.app.clock import date_offset
+from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.errors import InvariantError
@@ -66,7 +66,7 @@ class Census:
         """Record what has arrived since the last look. `now`: seconds since 1970."""
         for node_id in self._bases:
             with self._open(node_id) as store:
-                offset = date_offset(store.meta())
+                offset = DateNote.of(store.meta()).offset_s
                 for info in store.held():
                     if info.id not in self.delays:
                         # It arrived up to one look earlier: rounding down makes up for that.
@@ -84,15 +84,14 @@ class Census:
         """Whether all that was seen created has been seen at a base."""
         return sum(self._created.values()) == len(self.delays)
 
-    def on_disk(self, node_id: int) -> list[DatumId]:
-        """The content of a node's store. More than the node holds: rows wait to be deleted until something is
-        written."""
-        with self._open(node_id) as store:
-            return store.ids()
-
-    def sample(self, held: Iterable[Iterable[DatumId]]) -> None:
-        """Count copies. `held`: what each drone holds now."""
-        copies = Counter(id for ids in held for id in ids)
+    def sample(self) -> None:
+        """Count the copies on the drones' disks. These are slightly more than the drones hold: rows wait to be deleted
+        until something is written."""
+        copies: Counter[DatumId] = Counter()
+        for node_id in self._stores:
+            if node_id not in self._bases:
+                with self._open(node_id) as store:
+                    copies.update(store.ids())
         waiting = [count for id, count in copies.items() if id not in self.delays]
         self.samples += 1
         self.stored += sum(copies.values())

@@ -11,15 +11,13 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rass_mav.app.client import ControlClient
-from rass_mav.app.jsonlines import load_bytes
-from rass_mav.core.datum import Kind
 from rass_mav.errors import ConfigError, SwarmError, os_errors_as
 from rass_mav.link.sockets import bound_socket
+from rass_mav.mission.archive import Archive
+from rass_mav.mission.entry import Entry
 from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.census import Census
 from rass_mav.swarm.children import Children
@@ -27,7 +25,6 @@ from rass_mav.swarm.radiation import RadiationField, Source
 from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.wires import Wire, Wires
 from rass_mav.swarm.workplace import workplace
-from rass_mav.wire.measurement import decode_measurement
 
 #: Node id of the base; the drones follow.
 BASE = 1
@@ -41,7 +38,7 @@ ROUND_S = 60.0
 SOURCE = Source(RADIUS_M, 0.0, 200.0)
 DECAY = 0.02
 #: The scale of risk in the drones' configurations, in the same unit.
-RISK = {"low": 0.5, "high": 300}
+RISK = {"unit": "usvh", "low": 0.5, "high": 300}
 #: Time in which all nodes must be ready, seconds, and the time added for each node.
 START_S = 20.0
 _START_EACH_S = 2.0
@@ -86,7 +83,8 @@ class Desk:
         self._wires = wires
         self._vehicles = {id: MockVehicle(id, 2 * math.pi * n / drones, wires) for n, id in enumerate(ids)}
         self._census = Census([node.store for node in self.nodes], 1, STEP_S, first=BASE)
-        self._shown = 0
+        self._arrived = 0
+        """How far the arrivals at the base have been shown, as in `Entry.arrival`."""
         self._begun = self._next_look = self._next_tick = time.monotonic()
 
     @property
@@ -107,13 +105,13 @@ class Desk:
                 raise SwarmError(f"{', '.join(missing)}: not ready within {within_s:g} s")
             self._turn(deadline)
 
-    def watch(self, until: float, arrived: Callable[[dict[str, Any]], None]) -> None:
-        """Run until a time of `time.monotonic`. `arrived` is called with each datum that has arrived at the base, see
-        `_described`. Raises `SwarmError` if a node ends, `ControlError` if the base does not answer."""
+    def watch(self, until: float, arrived: Callable[[Entry, bytes], None]) -> None:
+        """Run until a time of `time.monotonic`. `arrived` is called with each datum that has arrived at the base, and
+        with its contents. Raises `SwarmError` if a node ends."""
         while (now := time.monotonic()) < until:
             if now >= self._next_look:
-                for datum in self._look():
-                    arrived(datum)
+                for entry, content in self._look():
+                    arrived(entry, content)
                 took = time.monotonic() - now
                 self._next_look = now + max(_TICK_S, took / _LOOK_SHARE)
             self._turn(min(until, self._next_look))
@@ -146,16 +144,13 @@ class Desk:
                 vehicle.fly(now - self._begun)
         self._wires.poll(min(until, self._next_tick) - now)
 
-    def _look(self) -> Iterator[dict[str, Any]]:
-        """The data that have arrived since the last look."""
+    def _look(self) -> Iterator[tuple[Entry, bytes]]:
+        """The data that have arrived since the last look, with their contents."""
         self._census.look_at_bases(time.time())
-        new = [str(id) for id in islice(self._census.delays, self._shown, None)]
-        if not new:
-            return
-        with ControlClient(self.base.socket) as client:
-            for id in new:
-                self._shown += 1
-                yield _described(client.ask("get", id=id))
+        with Archive(self.base.store) as archive:
+            for entry in archive.entries(after=self._arrived):
+                self._arrived = entry.arrival
+                yield entry, archive.datum(entry.name).payload
 
     # -- the configurations --------------------------------------------------------------------------------------------
 
@@ -188,18 +183,6 @@ class Desk:
 def _yaml(value: Any) -> str:
     """On one line: JSON is YAML."""
     return json.dumps(value, ensure_ascii=False)
-
-
-def _described(answer: dict[str, Any]) -> dict[str, Any]:
-    """A datum as plain values: `id`, `origin`, `hops`, `created` (seconds since 1970), and its contents, as
-    `measurement` (docs/protocol.md), the `name` of a file, or `content`."""
-    payload = load_bytes(answer.pop("payload"))
-    datum = {"origin": int(answer["id"].split("-")[0]), **answer}
-    if answer["kind"] == Kind.MEASUREMENT:
-        datum["measurement"] = decode_measurement(payload)._asdict()
-    elif answer["kind"] != Kind.FILE:
-        datum["content"] = payload
-    return datum
 
 
 @contextlib.contextmanager

@@ -29,11 +29,10 @@ from rass_mav.app.config import (
     ControlSection,
     NodeSection,
     RunConfig,
+    RunDataSettings,
     RunStoreSettings,
 )
-from rass_mav.app.payloads import parse_name
 from rass_mav.config.loading import dump_yaml
-from rass_mav.core.datum import DatumId
 from rass_mav.errors import ConfigError, ControlError, SwarmError
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
@@ -106,7 +105,7 @@ class NodeProcess(RunningNode):
             routing=settings.routing,
             custody=settings.custody,
             store=RunStoreSettings(**{**asdict(settings.store), "path": str(self.store)}),
-            data=replace(settings.data, until_step=until_step),
+            data=RunDataSettings(**{**asdict(settings.data), "until_step": until_step}),
             mavlink=settings.mavlink,
             control=ControlSection(socket=str(self.socket)),
         )
@@ -141,25 +140,16 @@ class NodeProcess(RunningNode):
 
     def ask(self) -> int | None:
         """Ask for its status. Returns its next hop. Raises `SwarmError`, also if a frame hit a fault in the node."""
-        (answer,) = self._ask("status")
-        self.status = answer["status"]
+        try:
+            if self._client is None:
+                self._client = ControlClient(self.socket, timeout_s=_ANSWER_S)
+            self.status = self._client.ask("status")["status"]
+        except ControlError as error:
+            raise self.child.failed(str(error)) from error
         if self.status["faults"]["count"]:
             raise self.child.failed("a frame hit a fault in this program, see its log")
         next_hop: int | None = self.status["next_hop"]
         return next_hop
-
-    def ask_held(self) -> list[DatumId]:
-        """Ask for the data it holds. Raises `SwarmError`."""
-        names = [parse_name(entry["id"]) for page in self._ask("ls") for entry in page["data"]]
-        return [id for id, apart in names if apart is None]
-
-    def _ask(self, command: str) -> list[dict[str, Any]]:
-        try:
-            if self._client is None:
-                self._client = ControlClient(self.socket, timeout_s=_ANSWER_S)
-            return list(self._client.ask_all(command))
-        except ControlError as error:
-            raise self.child.failed(str(error)) from error
 
     def total(self, key: str) -> int:
         """A figure of `status`, summed over all lives."""
@@ -350,9 +340,7 @@ class ProcessSwarm:
         self._next_look = max(self._next_look + self._step_s, begun + took / _LOOK_SHARE)
 
     def _sample(self) -> None:
-        self._census.sample(
-            node.ask_held() if node.ready else self._census.on_disk(node.node_id) for node in self._drones
-        )
+        self._census.sample()
         before = self._ask_all()
         if count_loops(before):
             # Not all were asked at the same moment. A next hop that is the same before and after was the same in

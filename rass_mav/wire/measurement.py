@@ -9,14 +9,23 @@ from typing import NamedTuple
 from rass_mav.errors import MalformedError
 
 _MEASUREMENT = struct.Struct("<BBiiifH")
-#: Bytes of a measurement without padding.
+_UNIT = struct.Struct("<B")
+_ERROR = struct.Struct("<H")
+#: Bytes of a measurement without unit, error and padding.
 MEASUREMENT_BYTES = _MEASUREMENT.size
 _VERSION = 1
 _HAS_POSITION = 1
 _HAS_READING = 2
 _LOCAL = 4
+_HAS_UNIT = 8
+_HAS_ERROR = 16
+#: The number of each unit on the wire. Readings of a unit that a later version added have no unit here.
+UNITS: dict[str, int] = {"usvh": 1, "cpm": 2, "cps": 3, "counts": 4}
+_UNIT_NAMES = {number: name for name, number in UNITS.items()}
 #: Largest 32-bit float.
 _FLOAT_MAX = 3.4028234663852886e38
+#: Largest error of a position that can be sent; beyond that it is unknown.
+_MOST_ERROR_M = 6553.5
 
 
 class Measurement(NamedTuple):
@@ -29,17 +38,23 @@ class Measurement(NamedTuple):
     altitude: float | None
     """Metres above mean sea level, resolution 1 mm; None: no position fix."""
     reading: float | None
-    """As the sensor sent it, in its own unit (32-bit float); None: unknown."""
+    """As the sensor sent it, in `unit` (32-bit float); None: unknown."""
     risk: float
     """Local risk at that time, 0..1, resolution 1/65535."""
     local: tuple[float, float, float] | None = None
     """Without a position on Earth: metres north, east and down of the autopilot's origin, resolution 1 mm."""
+    unit: str | None = None
+    """Of the reading, a key of `UNITS`; None: unknown."""
+    error_m: float | None = None
+    """The position is at most this far from the true one, metres, resolution 0.1 rounded up; None: unknown."""
 
 
 def encode_measurement(m: Measurement) -> bytes:
     """`<BBiiifH` version, flags (1 position, 2 reading, 4 local), latitude, longitude, altitude, reading, risk.
 
-    With flag 4 the three places hold north, east and down instead.
+    With flag 4 the three places hold north, east and down instead. With flag 8 the unit follows (`<B`), with flag 16
+    the error of the position (`<H`, decimetres). A reader that does not know these takes them for padding. ValueError:
+    a unit that is none of `UNITS`.
     """
     flags = 0
     lat = lon = alt = 0
@@ -54,7 +69,16 @@ def encode_measurement(m: Measurement) -> bytes:
     if m.reading is not None and abs(m.reading) <= _FLOAT_MAX:
         flags |= _HAS_READING
         reading = m.reading
-    return _MEASUREMENT.pack(_VERSION, flags, lat, lon, alt, reading, round(m.risk * 65535))
+    more = b""
+    if m.unit is not None and flags & _HAS_READING:
+        if m.unit not in UNITS:
+            raise ValueError(f"expected a unit, one of {', '.join(UNITS)}, got {m.unit!r}")
+        flags |= _HAS_UNIT
+        more += _UNIT.pack(UNITS[m.unit])
+    if m.error_m is not None and m.error_m <= _MOST_ERROR_M and flags & (_HAS_POSITION | _LOCAL):
+        flags |= _HAS_ERROR
+        more += _ERROR.pack(math.ceil(max(m.error_m, 0.0) * 10))
+    return _MEASUREMENT.pack(_VERSION, flags, lat, lon, alt, reading, round(m.risk * 65535)) + more
 
 
 def _millimetres(metres: float) -> int:
@@ -65,10 +89,17 @@ def decode_measurement(payload: bytes) -> Measurement:
     """A measurement; bytes after it are padding. Raises `MalformedError`."""
     try:
         version, flags, lat, lon, alt, reading, risk = _MEASUREMENT.unpack_from(payload)
-    except struct.error as error:
-        raise MalformedError(f"truncated measurement: {error}") from None
-    if version != _VERSION:
-        raise MalformedError(f"measurement version {version}, ours is {_VERSION}")
+        if version != _VERSION:
+            raise MalformedError(f"measurement version {version}, ours is {_VERSION}")
+        at = MEASUREMENT_BYTES
+        unit = error = None
+        if flags & _HAS_UNIT:
+            (unit,) = _UNIT.unpack_from(payload, at)
+            at += _UNIT.size
+        if flags & _HAS_ERROR:
+            (error,) = _ERROR.unpack_from(payload, at)
+    except struct.error as problem:
+        raise MalformedError(f"truncated measurement: {problem}") from None
     here = bool(flags & _HAS_POSITION)
     return Measurement(
         lat / 1e7 if here else None,
@@ -77,4 +108,6 @@ def decode_measurement(payload: bytes) -> Measurement:
         reading if flags & _HAS_READING and math.isfinite(reading) else None,
         risk / 65535,
         (lat / 1000, lon / 1000, alt / 1000) if flags & _LOCAL and not here else None,
+        None if unit is None else _UNIT_NAMES.get(unit),
+        None if error is None else error / 10,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -17,12 +18,15 @@ from rass_mav.core.messages import BROADCAST, Beacon, Committed, Data, Handover,
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from rass_mav.core.spares.mirrors import Mirrors
+from rass_mav.mavlink.dialect import MavlinkMessage
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import (
+    GLOBAL_POSITION_INT,
     HEARTBEAT,
     NAMED_VALUE_FLOAT,
     STATUSTEXT,
     autopilot_heartbeat,
+    global_position_int_payload,
     local_position_ned,
     parse,
 )
@@ -32,7 +36,7 @@ from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import decode, encode
 from rass_mav.wire.measurement import Measurement, decode_measurement
-from tests.telemetry import global_position_int, named_value_float
+from tests.telemetry import global_position_int, gps_raw_int, named_value_float
 
 ONE_HOP = Route(0, 9, 1, 1)
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")
@@ -132,6 +136,57 @@ def test_without_a_position_on_earth_the_local_one_counts() -> None:
     # The autopilot has fallen silent: where the vehicle is now, nobody knows.
     silent = measured(agent, 13.0)
     assert (silent.latitude, silent.local) == (None, None)
+
+
+@pytest.mark.parametrize("unit", [None, "usvh", "counts"])
+def test_a_measurement_tells_the_unit_of_its_reading(unit: str | None) -> None:
+    agent = make(3, mavlink={"autopilot_id": 7})
+    agent.settings = replace(agent.settings, unit=unit)
+    assert measured(agent, 0.0).unit is None, "there is no reading"
+    agent.vehicle_bytes(FrameWriter(7, 1).message(named_value_float("RAD", 2.5, 1000)), 1.0)
+    assert (measured(agent, 1.0).reading, measured(agent, 1.0).unit) == (2.5, unit)
+
+
+def test_a_measurement_bounds_the_error_of_its_position() -> None:
+    agent = make(3, mavlink={"autopilot_id": 7})
+    vehicle = FrameWriter(7, 1)
+
+    def hear(message: MavlinkMessage, now: float) -> None:
+        agent.vehicle_bytes(vehicle.message(message), now)
+
+    hear(gps_raw_int(1500), 0.0)
+    hear(local_position_ned(1.5, -2.25, -10.0, 1000), 0.0)
+    assert measured(agent, 0.0).error_m is None, "there is no position on Earth"
+    hear(global_position_int(45.5, -73.6, 120.0, 20.0, 1000), 1.0)
+    assert measured(agent, 3.0).error_m == 3.0, "it hovers"
+    payload = global_position_int_payload(45.5, -73.6, 120.0, 20.0, 1000, velocity=(3.0, -4.0, 9.0))
+    agent.vehicle_bytes(vehicle.frame(GLOBAL_POSITION_INT, payload), 4.0)
+    assert measured(agent, 4.0).error_m == 3.0
+    assert measured(agent, 6.0).error_m == pytest.approx(3.0 + 5.0 * 2.0)
+    assert measured(agent, 10.5).error_m is None, "the accuracy is old"
+    hear(gps_raw_int(1500), 11.0)
+    assert measured(agent, 11.0).error_m == pytest.approx(3.0 + 5.0 * 7.0)
+    hear(gps_raw_int(0), 11.0)
+    assert measured(agent, 11.0).error_m is None, "the autopilot does not know it"
+
+
+@pytest.mark.parametrize("size", [20, 22, 24, 60])
+def test_random_bytes_fill_up_what_the_measurement_leaves(size: int) -> None:
+    agent = make(3, mavlink={"autopilot_id": 7}, data={"bytes": size})
+    agent.settings = replace(agent.settings, unit="cpm")
+    vehicle = FrameWriter(7, 1)
+    for message in (
+        named_value_float("RAD", 2.5, 1000),
+        gps_raw_int(1500),
+        global_position_int(45.5, -73.6, 120.0, 20.0, 1000),
+    ):
+        agent.vehicle_bytes(vehicle.message(message), 1.0)
+    id = agent.measure(1.0)
+    assert id is not None
+    stored = agent.store.get(id)
+    assert stored is not None
+    assert len(stored.payload) == max(size, 23)
+    assert decode_measurement(stored.payload)[6:] == ("cpm", 3.0)
 
 
 def test_a_reading_of_somebody_else_is_not_ours() -> None:

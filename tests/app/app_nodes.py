@@ -20,6 +20,8 @@ import yaml
 
 from rass_mav.app.client import ControlClient
 from rass_mav.cli import main
+from rass_mav.mission.archive import Archive
+from rass_mav.mission.entry import Entry
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -124,10 +126,15 @@ class RunningNode:
         status: dict[str, Any] = self.ask("status")["status"]
         return status
 
-    def listing(self) -> dict[str, dict[str, Any]]:
-        """What it holds, by id."""
-        with self.client() as client:
-            return {entry["id"]: entry for page in client.ask_all("ls") for entry in page["data"]}
+    def listing(self) -> dict[str, Entry]:
+        """What is on its disk, by id."""
+        with Archive(self.directory / f"{self.name}.db") as archive:
+            return {entry.name: entry for entry in archive.entries()}
+
+    def content(self, id: str) -> bytes:
+        """The bytes of a datum on its disk."""
+        with Archive(self.directory / f"{self.name}.db") as archive:
+            return archive.datum(id).payload
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Ask again and again until it is so. A node that ends, or a deadline that passes, is a failure."""

@@ -73,6 +73,12 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
          "node.yaml: sensor.cpm_per_usvh: expected a number > 0, got 0"),
         (DRONE + "sensor: {type: gmc, port: /dev/ttyUSB0, baud: fast}",
          "node.yaml: sensor.baud: expected a whole number >= 50 and <= 4000000, got 'fast'"),
+        (DRONE + "risk: {unit: sievert}",
+         "node.yaml: risk.unit: expected one of counts, cpm, cps, usvh, got 'sievert'"),
+        (DRONE + "risk: {unit: cpm}\nsensor: {type: gmc, port: /dev/ttyUSB0}",
+         "node.yaml: risk.unit: expected usvh as in sensor.unit, or null, got 'cpm'"),
+        (DRONE + "risk: {unit: counts}\nsensor: {type: log, path: a.LOG, unit: cps}",
+         "node.yaml: risk.unit: expected cps as in sensor.unit, or null, got 'counts'"),
         (DRONE + "risk: {low: 1, high: 1}", "node.yaml: risk.high: expected a number above risk.low (1), got 1"),
         ("node: {id: 65535}\n" + LINKS, "node.yaml: node.id: expected a whole number >= 0 and <= 65534, got 65535"),
         ("node: {id: 1, role: king}\n" + LINKS, "node.yaml: node.role: expected one of base, drone, got 'king'"),
@@ -335,6 +341,23 @@ def test_set_that_makes_no_sense(assignment: str, expected: str) -> None:
     with pytest.raises(ConfigError) as caught:
         set_key(raw, assignment)
     assert str(caught.value) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "own", "unit"),
+    [
+        ("", False, None),
+        ("risk: {unit: counts}", False, "counts"),
+        ("sensor: {type: gmc, port: /dev/ttyUSB0}", True, "usvh"),
+        ("sensor: {type: gmc, port: /dev/ttyUSB0, unit: cpm}", True, "cpm"),
+        ("sensor: {type: gmc, port: /dev/ttyUSB0, unit: cpm}\nrisk: {unit: cpm}", True, "cpm"),
+    ],
+)
+def test_the_unit_of_the_readings(tmp_path: Path, text: str, own: bool, unit: str | None) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text(DRONE + text)
+    settings = load_config(path).agent_settings()
+    assert (settings.own_sensor, settings.unit) == (own, unit)
 
 
 def test_names_that_follow_from_others(tmp_path: Path) -> None:

@@ -134,6 +134,8 @@ def test_a_process_reads_a_counter_that_is_unplugged_and_plugged_in_again(
         assert (status["sensor"]["connected"], status["sensor"]["trouble"]) == (True, "")
         human = command(tmp_path, "status", "n7.yaml").stdout.decode()
         assert f"sensor {counter.path}:9600: open, " in human
+        assert status["reading"]["unit"] == "usvh"
+        assert "reading 2 uSv/h, " in human
         node.until(lambda: reads(212) and any(m["reading"] == pytest.approx(2.0) for m in measurements(node)))
         counter.unplug()
         node.until(lambda: not node.status()["sensor"]["connected"])
@@ -147,7 +149,7 @@ def test_a_process_reads_a_counter_that_is_unplugged_and_plugged_in_again(
 
 
 def measurements(node: RunningNode) -> list[dict[str, float]]:
-    return [entry["measurement"] for entry in node.listing().values()]
+    return [entry.measurement._asdict() for entry in node.listing().values() if entry.measurement is not None]
 
 
 def test_a_process_plays_a_log(tmp_path: Path) -> None:

@@ -28,6 +28,8 @@ from .app_drivers import HeldExecutor, run, running, settings
 
 PATH = Path("n.sock")
 PAYLOAD = os.urandom(1 << 20)
+#: Questions whose answers fill the buffers of a socket.
+MANY = b'{"command": "status"}\n' * 2000
 
 
 @pytest.fixture(autouse=True)
@@ -129,7 +131,7 @@ def test_the_socket_is_for_the_nodes_own_user() -> None:
 
 @pytest.mark.parametrize(
     "said",
-    [(), (b'{"command": "sta',), (b"x" * (MAX_LINE - 1),), (b'{"command": "status"}\n' * 2000,)],
+    [(), (b'{"command": "sta',), (b"x" * (MAX_LINE - 1),), (MANY,)],
     ids=["nothing", "half a line", "a long half", "many, and takes no answer"],
 )
 def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...]) -> None:
@@ -146,13 +148,8 @@ def test_a_hundred_that_hang_keep_nobody_out(said: tuple[bytes, ...]) -> None:
 def test_answers_that_nobody_takes_keep_nobody_out() -> None:
     async def scenario() -> None:
         async with listening():
-            big = await work(PAYLOAD)
-            question = json.dumps({"command": "get", "id": big}).encode() + b"\n"
-            hangers = [await Hanger(question).hang() for _ in range(2 * MAX_CLIENTS)]
-            await work()
-            honest = await Client.connect()
-            assert base64.b64decode((await honest.ask("get", id=big))["payload"]) == PAYLOAD
-            honest.close()
+            hangers = [await Hanger(MANY).hang() for _ in range(2 * MAX_CLIENTS)]
+            await work(PAYLOAD)
             close_all(hangers)
 
     run(scenario)
@@ -189,13 +186,10 @@ def test_one_that_does_not_take_its_answer_is_cut_and_nothing_of_it_stays(monkey
 
     async def scenario() -> None:
         async with listening() as server:
-            big = await work(PAYLOAD)
-            question = json.dumps({"command": "get", "id": big}).encode() + b"\n"
-            # The first client has gone when the second one is answered.
             await work()
             files = len(os.listdir("/proc/self/fd"))
             for _ in range(3):
-                hanger = await Hanger(question).hang()
+                hanger = await Hanger(MANY).hang()
                 hanger.sock.shutdown(socket.SHUT_WR)
                 await hanger.is_cut()
                 hanger.sock.close()

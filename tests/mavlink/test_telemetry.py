@@ -10,8 +10,8 @@ from rass_mav.errors import ConfigError
 from rass_mav.mavlink import messages
 from rass_mav.mavlink.dialect import MavlinkMessage, payload_of
 from rass_mav.mavlink.frames import Frame
-from rass_mav.mavlink.telemetry import LocalPosition, Position, Reading, Telemetry
-from tests.telemetry import global_position_int, named_value_float
+from rass_mav.mavlink.telemetry import Accuracy, Date, LocalPosition, Position, Reading, Telemetry
+from tests.telemetry import global_position_int, gps_raw_int, named_value_float, system_time
 
 
 def frame(message: MavlinkMessage, system: int = 7, component: int = 1) -> Frame:
@@ -83,6 +83,47 @@ def test_places_that_are_not_on_earth_are_rejected(lat: int, lon: int) -> None:
     assert telemetry.rejected == 1
 
 
+def test_the_accuracy_of_the_position() -> None:
+    telemetry = Telemetry(7)
+    assert telemetry.handle(frame(gps_raw_int(1500)), 1.0)
+    assert telemetry.accuracy == Accuracy(1.5, 1.0)
+    assert telemetry.position is None, "the position comes from the autopilot's filter"
+    # It no longer reports it: 0 and MAVLink 1, which has no such field; and the fix is lost.
+    old = frame(gps_raw_int(1500))
+    for said in (frame(gps_raw_int(0)), old._replace(payload=old.payload[:30]), frame(gps_raw_int(1500, fix=1))):
+        telemetry.handle(frame(gps_raw_int(1500)), 2.0)
+        telemetry.handle(said, 3.0)
+        assert telemetry.accuracy is None
+
+
+def test_the_date() -> None:
+    telemetry = Telemetry(7)
+    assert not telemetry.handle(frame(system_time(0)), 1.0)
+    assert telemetry.boot_ms == 1000
+    assert (telemetry.date, telemetry.rejected) == (None, 0), "not known yet is no error"
+    assert telemetry.handle(frame(system_time(1_800_000_000_500_000)), 2.0)
+    assert telemetry.date == Date(1_800_000_000.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("time_us", "plausible"),
+    [
+        (1, False),
+        (1_704_067_199_999_999, False),
+        (1_704_067_200_000_000, True),
+        (4_102_444_799_000_000, True),
+        (4_102_444_800_000_000, False),
+        (2**64 - 1, False),
+    ],
+)
+def test_dates_that_cannot_be_are_rejected(time_us: int, plausible: bool) -> None:
+    telemetry = Telemetry(7)
+    telemetry.handle(frame(system_time(1_800_000_000_000_000)), 1.0)
+    assert telemetry.handle(frame(system_time(time_us)), 2.0) is plausible
+    assert telemetry.rejected == (not plausible)
+    assert telemetry.date == (Date(time_us / 1e6, 2.0) if plausible else Date(1.8e9, 1.0))
+
+
 @pytest.mark.parametrize(("system", "component"), [(8, 1), (7, 191), (7, 0), (0, 1)])
 def test_others_are_not_believed(system: int, component: int) -> None:
     telemetry = Telemetry(7)
@@ -92,6 +133,8 @@ def test_others_are_not_believed(system: int, component: int) -> None:
         global_position_int(1.0, 2.0, 3.0, 4.0, 999),
         messages.local_position_ned(1.0, 2.0, 3.0, 999),
         messages.home_position(1.0, 2.0, 3.0),
+        gps_raw_int(1500),
+        system_time(1_800_000_000_000_000),
         reading(),
     ]
     assert not any(telemetry.handle(frame(message, system, component), 1.0) for message in others)

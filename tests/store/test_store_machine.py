@@ -86,6 +86,14 @@ class Stores(RuleBasedStateMachine):
         if self.model.data.pop(id, None) is not None and fate in (Fate.CORRUPTED, Fate.EXPIRED):
             self.model.losses.setdefault(id, fate)
 
+    @rule(ids=st.lists(IDS, max_size=4), off_s=st.floats(0.0, 1e9))
+    def amend(self, ids: list[DatumId], off_s: float) -> None:
+        for store in (self.sqlite, self.memory):
+            store.amend(ids, off_s)
+        for id in set(ids) & set(self.model.data):
+            datum = self.model.data[id]
+            self.model.data[id] = datum._replace(created=datum.created - off_s, at_least=False)
+
     @rule(id=IDS, fate=FATES)
     def lose(self, id: DatumId, fate: Fate) -> None:
         for store in (self.sqlite, self.memory):

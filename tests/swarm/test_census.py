@@ -107,7 +107,9 @@ def test_copies_of_what_has_arrived_fill_memory_but_do_not_wait(fleet: Fleet) ->
     fleet.commit()
     census = fleet.census
     census.look_at_bases(1.0)
-    census.sample([[arrived.id, waiting.id], [waiting.id]])
+    fleet.stores[2].put(waiting.arrived())
+    fleet.commit()
+    census.sample()
     assert (census.samples, census.stored, census.waiting, census.waiting_copies) == (1, 3, 1, 2)
 
 

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -19,13 +20,16 @@ import pytest
 from rass_mav.app.config import load_config
 from rass_mav.cli import main
 from rass_mav.commands.desk import arrival_line, opening_lines
+from rass_mav.core.datum import DatumId
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.mission.entry import Entry
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.autopilot import METRES_PER_DEGREE
 from rass_mav.swarm.children import Children
 from rass_mav.swarm.desk import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Desk, MockVehicle
 from rass_mav.swarm.wires import Wires
+from rass_mav.wire.measurement import Measurement
 
 DEADLINE_S = 60.0
 #: What a drone's installation need not have.
@@ -162,23 +166,25 @@ def test_the_vehicle_flies_past_the_source() -> None:
     assert max(north) - min(north) == pytest.approx(2 * RADIUS_M / METRES_PER_DEGREE, rel=0.01)
 
 
-MEASUREMENT = {"latitude": 45.0, "longitude": -73.0, "altitude": 110.0, "reading": 1.5, "risk": 0.25, "local": None}
+MEASUREMENT = Measurement(45.0, -73.0, 110.0, 1.5, 0.25)
 
 
 @pytest.mark.parametrize(
-    ("content", "shown"),
+    ("fields", "content", "shown"),
     [
-        ({"measurement": MEASUREMENT}, "at 45.000000 -73.000000 110 m, reading 1.50, risk 0.25"),
-        ({"measurement": {**MEASUREMENT, "latitude": None}}, "no position yet, reading 1.50, risk 0.25"),
+        ({"measurement": MEASUREMENT}, b"", "at 45.000000 -73.000000 110 m, reading 1.50, risk 0.25"),
+        ({"measurement": MEASUREMENT._replace(latitude=None)}, b"", "no position yet, reading 1.50, risk 0.25"),
         (
-            {"measurement": {**MEASUREMENT, "reading": None, "risk": 1.0}},
+            {"measurement": MEASUREMENT._replace(reading=None, risk=1.0)},
+            b"",
             "at 45.000000 -73.000000 110 m, no reading yet, risk 1.00",
         ),
-        ({"name": "a\x1b.jpg"}, "file a\\x1b.jpg"),
-        ({"content": b"hello\x07"}, "hello\\x07"),
-        ({"content": b"x" * 61}, "x" * 60 + " ..."),
+        ({"file": "a\x1b.jpg"}, b"", "file a\\x1b.jpg"),
+        ({}, b"hello\x07", "hello\\x07"),
+        ({}, b"x" * 61, "x" * 60 + " ..."),
     ],
 )
-def test_how_a_datum_is_shown(content: dict[str, object], shown: str) -> None:
-    line = arrival_line({"id": "2-0123abcd-4", "origin": 2, "created": 0.0, **content})
+def test_how_a_datum_is_shown(fields: dict[str, Any], content: bytes, shown: str) -> None:
+    entry = Entry(1, DatumId(2, 0x0123ABCD, 4), 0, 0, len(content), 1, 0.0, None, False, 1.0)
+    line = arrival_line(entry._replace(**fields), content)
     assert line[8:] == f" node 2 {shown}"

@@ -7,8 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import MalformedError
-from rass_mav.wire.measurement import MEASUREMENT_BYTES, Measurement, decode_measurement, encode_measurement
+from rass_mav.wire.measurement import MEASUREMENT_BYTES, UNITS, Measurement, decode_measurement, encode_measurement
 
+GOLDEN = Measurement(47.5, -8.25, 412.5, 0.75, 1.0)
+#: Its bytes.
+PLAIN = "0103c0ec4f1c602615fb544b06000000403fffff"
 positions = st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-2e6, 2e6))
 
 
@@ -49,7 +52,7 @@ def test_any_bytes_are_a_measurement_or_malformed(payload: bytes) -> None:
     try:
         m = decode_measurement(payload)
     except MalformedError:
-        assert len(payload) < MEASUREMENT_BYTES or payload[0] != 1
+        assert len(payload) < MEASUREMENT_BYTES + 3 or payload[0] != 1
     else:
         assert 0.0 <= m.risk <= 1.0
 
@@ -61,3 +64,62 @@ def test_a_local_position(local: tuple[float, float, float]) -> None:
     assert back.local == pytest.approx(local, abs=1e-3)
     # A position on Earth says more.
     assert decode_measurement(encode_measurement(Measurement(1.0, 2.0, 3.0, 1.0, 0.5, local))).local is None
+
+
+@pytest.mark.parametrize(
+    ("unit", "error_m", "flags", "more"),
+    [
+        (None, None, 3, ""),
+        ("usvh", None, 11, "01"),
+        ("counts", None, 11, "04"),
+        (None, 0.0, 19, "0000"),
+        (None, 2.51, 19, "1a00"),
+        (None, 6553.5, 19, "ffff"),
+        (None, 6553.6, 3, ""),
+        (None, math.inf, 3, ""),
+        (None, math.nan, 3, ""),
+        ("cpm", 12.8, 27, "028000"),
+    ],
+)
+def test_golden_bytes(unit: str | None, error_m: float | None, flags: int, more: str) -> None:
+    payload = encode_measurement(GOLDEN._replace(unit=unit, error_m=error_m))
+    assert payload.hex() == f"01{flags:02x}{PLAIN[4:]}{more}"
+    # A reader that does not know the two sees what it has always seen.
+    assert decode_measurement(bytes((1, payload[1] & 7)) + payload[2:]) == GOLDEN
+
+
+@given(
+    st.none() | positions,
+    st.none() | st.floats(width=32, allow_nan=False, allow_infinity=False),
+    st.none() | st.sampled_from(sorted(UNITS)),
+    st.none() | st.floats(0.0, 7000.0),
+    st.binary(max_size=5),
+)
+def test_unit_and_error_round_trip(
+    position: tuple[float, float, float] | None,
+    reading: float | None,
+    unit: str | None,
+    error_m: float | None,
+    padding: bytes,
+) -> None:
+    lat, lon, alt = position or (None, None, None)
+    payload = encode_measurement(Measurement(lat, lon, alt, reading, 0.5, None, unit, error_m))
+    back = decode_measurement(payload + padding)
+    assert back.unit == (None if reading is None else unit)
+    if position is None or error_m is None or error_m > 6553.5:
+        assert back.error_m is None
+    else:
+        assert back.error_m is not None
+        assert back.error_m == pytest.approx(error_m, abs=0.11)
+        assert back.error_m >= error_m - 1e-9, "it is a bound"
+    for size in range(len(payload)):
+        with pytest.raises(MalformedError):
+            decode_measurement(payload[:size])
+
+
+def test_a_unit_of_a_later_version_is_unknown_and_a_wrong_one_is_not_sent() -> None:
+    payload = bytearray(encode_measurement(GOLDEN._replace(unit="cps", error_m=1.0)))
+    payload[20] = 200
+    assert decode_measurement(bytes(payload)) == GOLDEN._replace(error_m=1.0)
+    with pytest.raises(ValueError, match="expected a unit, one of usvh, cpm, cps, counts, got 'Sv'"):
+        encode_measurement(GOLDEN._replace(unit="Sv"))

@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status ls put get doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --air --arena --attacker --base --baseline --binary --capacity --config --dask --drain --drift --drones --duplicate --failures --firmware --first-seed --for --group --jobs --keep --line --live --loss --name --nodes --off --out --output --own-runs --place --policy --range --record --reference-data --reorder --root --runs --seed --set --socket --steps --sysid --topology --transport --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_commands run check status put ls get export report doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --jobs --keep --kind --line --live --loss --name --nodes --off --out --output --own-runs --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --sysid --topology --transport --until --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -78,12 +78,6 @@ complete -c rass-mav -n '_shtab_rass_mav_using status' -s v -l verbose -d 'logs 
 complete -c rass-mav -n '_shtab_rass_mav_using status' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using status' -l socket -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s control socket, instead of a configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using status; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration'
-complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a ls -d 'List the data that the running node holds; at a base, all that have arrived.'
-complete -c rass-mav -n '_shtab_rass_mav_using ls' -s h -l help -d 'show this help message and exit'
-complete -c rass-mav -n '_shtab_rass_mav_using ls' -s v -l verbose -d 'logs on stderr; -vv for more'
-complete -c rass-mav -n '_shtab_rass_mav_using ls' -l json -d 'print exactly one JSON object'
-complete -c rass-mav -n '_shtab_rass_mav_using ls' -l socket -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s control socket, instead of a configuration'
-complete -c rass-mav -n '_shtab_rass_mav_using ls; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a put -d 'Give a file or a line to the running node; returns when it is on its disk.'
 complete -c rass-mav -n '_shtab_rass_mav_using put' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using put' -s v -l verbose -d 'logs on stderr; -vv for more'
@@ -92,13 +86,41 @@ complete -c rass-mav -n '_shtab_rass_mav_using put' -s c -l config -xka "(__fish
 complete -c rass-mav -n '_shtab_rass_mav_using put' -l socket -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s control socket, instead of a configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using put' -l line -x -d 'a line of text'
 complete -c rass-mav -n '_shtab_rass_mav_using put; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'a file, stored with its name; -: stdin, stored without a name'
-complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a get -d 'Fetch a datum from the running node.'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a ls -d 'List the data in a store; at a base, all that have arrived.'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l drone -x -d 'created by these nodes'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l kind -x -d 'of this kind: measurement, file, bytes or status'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l since -x -d 'created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l until -x -d 'created before'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l box -x -d 'with a position in this box, degrees; west above east: across the 180th meridian'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l above -x -d 'with a reading above this, in its own unit'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l sort -xka "arrival time drone reading" -d 'order of the list (arrival)'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l reverse -d 'the last first'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l follow -d 'then show what arrives, until Ctrl-C; with --json an object a line'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a get -d 'Fetch a datum from a store.'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l json -d 'print exactly one JSON object'
-complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration'
-complete -c rass-mav -n '_shtab_rass_mav_using get' -l socket -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s control socket, instead of a configuration'
+complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -x -d 'a node'"'"'s configuration, or a store'"'"'s file (a drone'"'"'s card); default: rass-*.db here, if there is one'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'file to write to (default: stdout)'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a export -d 'Write the data of a store to a file for other programs.'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -s o -l output -x -d 'the file to create, or the folder if it is several (default: named after the store, here)'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l format -xka "bgeigie csv files geojson gpkg kml" -d 'the format (default: by the ending of OUT)'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l drone -x -d 'created by these nodes'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l kind -x -d 'of this kind: measurement, file, bytes or status'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l since -x -d 'created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l until -x -d 'created before'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l box -x -d 'with a position in this box, degrees; west above east: across the 180th meridian'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l above -x -d 'with a reading above this, in its own unit'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a report -d 'Report what has become of the data of each drone: arrived, missing, lost, at risk.'
+complete -c rass-mav -n '_shtab_rass_mav_using report' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using report' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using report' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a doctor -d 'Check a node and its surroundings, running or not; exit code 1 if something failed.'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s v -l verbose -d 'logs on stderr; -vv for more'

@@ -11,6 +11,7 @@ caller drops spares; `crowded` and `yielding` determine when and which.
 from __future__ import annotations
 
 import enum
+from collections import Counter
 from collections.abc import Iterator
 from itertools import chain, islice
 from math import inf
@@ -206,6 +207,10 @@ class Holdings:
     def get(self, id: DatumId) -> Holding | None:
         """The record of a datum; None: no copy is here."""
         return self._all.get(id)
+
+    def alone(self) -> dict[int, int]:
+        """By origin: data in custody of which no other node keeps a copy for this one. Looks at all of them."""
+        return Counter(id.origin for id, holding in self.custody.items() if holding.partner is None)
 
     # -- capacity ------------------------------------------------------------------------------------------------------
 

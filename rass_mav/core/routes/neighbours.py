@@ -73,6 +73,12 @@ class Neighbour:
         return self.noticed < now - self.patience * self.turn_s or self.leaves <= now
 
     @property
+    def quality(self) -> float:
+        """Share of its recent beacons that were heard, 0..1."""
+        # Of the last five or so: the average decays by a fifth.
+        return 1.0 / (1.0 + 0.2 * self.missed)
+
+    @property
     def clean(self) -> bool:
         """Whether hardly any beacon is missed on this link: then a missing one means that the link has broken."""
         return self.missed < CLEAN_MISSED

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from rass_mav.app.clock import date_offset
+from rass_mav.app.clock import DateNote
 from rass_mav.core.datum import Kind
 from rass_mav.store.reader import SqliteReader
 from rass_mav.swarm.neighbours import Position
@@ -48,7 +48,7 @@ def measurements(stores: Iterable[Path], track: Track) -> dict[str, Any]:
     errors: list[float] = []
     for path in stores:
         with SqliteReader(path) as store:
-            offset = date_offset(store.meta())
+            offset = DateNote.of(store.meta()).offset_s
             for info in store.held():
                 datum = store.get(info.id)
                 if datum is None or datum.kind != Kind.MEASUREMENT or info.id in seen:

@@ -1,0 +1,179 @@
+"""`ls` and `get`: the data in a store, whether its node runs or not."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import contextlib
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rass_mav.errors import ConfigError, RassError, os_errors_as
+
+from .common import Subparsers, add_command, clean, print_json, say, start_logging, warn
+from .filters import add_filters, wanted
+
+if TYPE_CHECKING:
+    from rass_mav.mission.archive import Archive
+    from rass_mav.mission.entry import Entry, Filter
+
+#: Seconds between two looks with --follow.
+LOOK_S = 0.5
+#: Help of the argument that names a store.
+STORE_HELP = "a node's configuration, or a store's file (a drone's card); default: rass-*.db here, if there is one"
+_SORTS = ("arrival", "time", "drone", "reading")
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the commands."""
+    ls = add_command(
+        subparsers, "ls", _ls, help="list the data in a store; at a base, all that have arrived",
+        example="rass-mav ls base.yaml --drone 7 --since 10m --above 0.5",
+    )  # fmt: skip
+    ls.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    add_filters(ls)
+    ls.add_argument("--sort", choices=_SORTS, default="arrival", help="order of the list (arrival)")
+    ls.add_argument("--reverse", action="store_true", help="the last first")
+    ls.add_argument(
+        "--follow", action="store_true",
+        help="then show what arrives, until Ctrl-C; with --json an object a line",
+    )  # fmt: skip
+    get = add_command(
+        subparsers, "get", _get, help="fetch a datum from a store",
+        example="rass-mav get -c base.yaml 7-0123abcd-42 -o photo.jpg",
+    )  # fmt: skip
+    get.add_argument("-c", "--config", metavar="STORE|CONFIG", dest="store", help=STORE_HELP)
+    get.add_argument("id", metavar="ID", help="an id as printed by put and ls")
+    get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
+
+
+def open_archive(store: str | None) -> Archive:
+    """The archive that the command names. Raises `ConfigError`, `StoreError`."""
+    from rass_mav.mission.archive import Archive
+
+    if store is None:
+        found = sorted(Path().glob("rass-*.db"))
+        if len(found) != 1:
+            what = "no" if not found else "more than one"
+            raise ConfigError(f"{what} store rass-*.db in this directory: give the configuration or the store's file")
+        store = str(found[0])
+    return Archive.of(store)
+
+
+@contextlib.contextmanager
+def read_archive(store: str | None) -> Iterator[Archive]:
+    """The same; what is wrong with the store is said at the end."""
+    with open_archive(store) as archive:
+        try:
+            yield archive
+        finally:
+            for remark in archive.remarks:
+                warn(clean(remark))
+
+
+def _ls(options: argparse.Namespace) -> int:
+    start_logging(options.verbose)
+    filter = wanted(options)
+    if options.follow and (options.sort != "arrival" or options.reverse):
+        raise ConfigError("--follow: shows data as they arrive, so it cannot be combined with --sort or --reverse")
+    with read_archive(options.store) as archive:
+        if options.follow:
+            _follow(archive, filter, as_json=options.json)
+        elif options.json:
+            print_json({"data": [entry.plain() for entry in _sorted(archive.entries(filter), options)]})
+        else:
+            say(HEADER)
+            for entry in _sorted(archive.entries(filter), options):
+                say(datum_line(entry))
+    return 0
+
+
+def _sorted(entries: Iterable[Entry], options: argparse.Namespace) -> Iterable[Entry]:
+    if options.sort == "arrival" and not options.reverse:
+        return entries
+    keys = {
+        "arrival": lambda entry: 0,
+        "time": lambda entry: entry.utc,
+        "drone": lambda entry: entry.id,
+        # Data without a reading come first, as if it were the lowest.
+        "reading": lambda entry: (entry.reading is not None, entry.reading or 0.0),
+    }
+    ordered = sorted(entries, key=keys[options.sort])
+    return reversed(ordered) if options.reverse else ordered
+
+
+def _follow(archive: Archive, filter: Filter, *, as_json: bool) -> None:
+    if not as_json:
+        say(HEADER)
+    new = archive.entries(filter)
+    while True:
+        for entry in new:
+            if as_json:
+                print_json(entry.plain())
+            else:
+                say(datum_line(entry))
+        sys.stdout.flush()
+        time.sleep(LOOK_S)
+        archive.renew()
+        new = archive.entries(filter, after=archive.seen)
+
+
+#: The first line of a list.
+HEADER = f"{'ID':<28} {'CREATED (UTC)':<24} {'+/- S':>6} {'HOPS':>4} {'BYTES':>7}  CONTENT"
+
+
+def datum_line(entry: Entry) -> str:
+    """One datum of a list. A < before the date: or earlier; no +/-: nobody knows how wrong the date is."""
+    from rass_mav.mission.entry import iso
+
+    date = ("<" if entry.at_least else "") + iso(entry.utc) if entry.dated else "unknown"
+    error = "" if entry.error_s is None else f"{entry.error_s:.0f}"
+    return clean(f"{entry.name:<28} {date:<24} {error:>6} {entry.hops:>4} {entry.size:>7}  {content(entry)}")
+
+
+def content(entry: Entry) -> str:
+    """What a datum contains, in words."""
+    from rass_mav.mission.entry import UNIT_NAMES
+
+    if entry.malformed:
+        return f"{entry.kind_name}, {entry.malformed}"
+    if (status := entry.status) is not None:
+        return f"status, {status.held} in custody, {status.alone} of them nowhere else, risk {status.risk:.3f}"
+    if (m := entry.measurement) is None:
+        return entry.kind_name if entry.file is None else f"file {entry.file}"
+    parts = ["no reading"]
+    if m.reading is not None:
+        parts = [f"{m.reading:g} {UNIT_NAMES[m.unit]}" if m.unit else f"reading {m.reading:g}"]
+    parts.append(f"risk {m.risk:.3f}")
+    if entry.place is not None:
+        parts.append(f"at {m.latitude:.7f} {m.longitude:.7f} {m.altitude:.1f} m")
+    elif m.local is not None:
+        parts.append("at {:.2f} m north, {:.2f} m east, {:.2f} m down".format(*m.local))
+    if m.error_m is not None:
+        parts.append(f"+/- {m.error_m:.1f} m")
+    return ", ".join(parts)
+
+
+def _get(options: argparse.Namespace) -> int:
+    from rass_mav.app.payloads import unpack_file
+    from rass_mav.core.datum import Kind
+
+    start_logging(options.verbose)
+    with read_archive(options.store) as archive:
+        entry, payload = archive.entry(options.id), archive.datum(options.id).payload
+    whole = entry.kind == Kind.FILE and not entry.malformed
+    data = unpack_file(payload)[1] if whole else payload
+    found = {**entry.plain(), "bytes": len(data)}
+    if options.output is not None:
+        with os_errors_as(RassError, options.output):
+            options.output.write_bytes(data)
+    elif options.json:
+        found["content"] = base64.b64encode(data).decode()
+    else:
+        sys.stdout.buffer.write(data)
+    if options.json:
+        print_json(found)
+    return 0

@@ -1,0 +1,102 @@
+"""`export`: the data of a store for spreadsheets, maps and Safecast."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rass_mav.errors import ConfigError, RassError, os_errors_as
+
+from .common import Subparsers, add_command, answer, clean, lists, progress, start_logging
+from .data import STORE_HELP, read_archive
+from .filters import add_filters, wanted
+
+if TYPE_CHECKING:
+    from rass_mav.mission.archive import Archive
+    from rass_mav.mission.entry import Entry
+    from rass_mav.mission.formats import Format
+
+
+def register(subparsers: Subparsers) -> None:
+    """Add the command."""
+    parser = add_command(
+        subparsers, "export", _export, help="write the data of a store to a file for other programs",
+        example="rass-mav export base.yaml -o mission.gpkg --since 2h",
+    )  # fmt: skip
+    parser.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="OUT",
+        help="the file to create, or the folder if it is several (default: named after the store, here)",
+    )  # fmt: skip
+    format = parser.add_argument("--format", metavar="NAME", help="the format (default: by the ending of OUT)")
+    lists(format, _names)
+    add_filters(parser)
+
+
+def _names() -> tuple[str, ...]:
+    from rass_mav.mission.formats import NAMES
+
+    return NAMES
+
+
+def _export(options: argparse.Namespace) -> int:
+    from rass_mav.mission.formats import format_of
+
+    start_logging(options.verbose)
+    name = options.format or _by_ending(options.output)
+    if name not in _names():
+        raise ConfigError(f"--format: expected one of {', '.join(_names())}, got {name!r}")
+    format, filter = format_of(name), wanted(options)
+    with read_archive(options.store) as archive:
+        out = options.output or Path(archive.path.stem + (format.ending or f"-{name}"))
+        _refuse_existing(out)
+        with progress(archive.count(), "data", quiet=options.json) as advance:
+
+            def entries() -> Iterator[Entry]:
+                for entry in archive.entries():
+                    advance(1)
+                    if filter.admits(entry):
+                        yield entry
+
+            plain = _write(entries(), out, format, archive)
+    left_out = f"; {plain['left_out']} left out ({name} holds {format.holds})" if plain["left_out"] else ""
+    answer(options, {"out": str(out), "format": name, **plain}, [clean(f"{out}: {plain['data']} data{left_out}")])
+    return 0
+
+
+def _by_ending(out: Path | None) -> str:
+    """The format that the ending of a file means."""
+    from rass_mav.mission.formats import NAMES, format_of
+
+    endings = {format_of(name).ending: name for name in NAMES}
+    expected = f"expected --format, one of {', '.join(NAMES)}"
+    if out is None:
+        raise ConfigError(f"{expected}, or -o with an ending that names it")
+    if out.suffix not in endings or not out.suffix:
+        raise ConfigError(f"{out}: {expected}, or one of the endings {', '.join(filter(None, endings))}")
+    return endings[out.suffix]
+
+
+def _write(entries: Iterator[Entry], out: Path, format: Format, archive: Archive) -> dict[str, int]:
+    """Create `out`, completely or not at all; returns how many data and files."""
+    from tempfile import TemporaryDirectory  # a node does not need it, but loads this module for its command line
+
+    # In a folder of its own beside it, so that what is half done goes away with it.
+    with (
+        os_errors_as(RassError, out),
+        TemporaryDirectory(dir=out.absolute().parent, prefix=".rass-mav-") as folder,
+    ):
+        draft = Path(folder) / out.name
+        done = format.write(entries, draft, archive)
+        files = len(os.listdir(draft)) if draft.is_dir() else 1
+        _refuse_existing(out)
+        os.replace(draft, out)
+    return {"data": done.data, "left_out": done.left_out, "files": files}
+
+
+def _refuse_existing(out: Path) -> None:
+    if os.path.lexists(out):
+        raise ConfigError(f"{out}: exists already; nothing is overwritten: choose another name, or remove it")

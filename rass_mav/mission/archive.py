@@ -1,0 +1,195 @@
+"""The data in a store, read without its node: while that runs, after it has stopped, or from a drone's card."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from math import isinf
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rass_mav.app.clock import DateNote
+from rass_mav.app.payloads import parse_name, unpack_file
+from rass_mav.core.datum import Datum, DatumId, Fate, Kind, datum_crc
+from rass_mav.core.store import StoredInfo
+from rass_mav.errors import ConfigError, MalformedError, StoreDamagedError, StoreError
+from rass_mav.link.airtime import STALE_TURNS
+from rass_mav.store.errors import OutdatedStoreError
+from rass_mav.store.reader import SqliteReader
+from rass_mav.store.reading import salvaged_copy
+from rass_mav.store.schema import ARRIVAL_0_MS, Row
+from rass_mav.wire.measurement import decode_measurement
+from rass_mav.wire.nodestatus import decode_status
+
+from .entry import ALL, Entry, Filter
+
+#: Bytes of a payload that a list needs: the longest name of a file, and a measurement.
+_HEAD_BYTES = 256
+#: What a clock that is set by NTP or GPS may be wrong by, seconds; and the drift of a computer's clock without them.
+DATE_ERROR_S = 1.0
+DRIFT = 1e-4
+
+
+class Archive:
+    """The data in a store. It changes nothing, and needs no node.
+
+    A damaged store is read as far as it goes, and so is one of the previous version: `remarks` says what was done.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], now: Callable[[], float] = time.time) -> None:
+        """`now`: the date, seconds since 1970. Raises `StoreError` if there is nothing to read."""
+        self.path = Path(path)
+        self.remarks: list[str] = []
+        """About the state of the store, for people."""
+        self.seen = 0
+        """The latest `Entry.arrival` that was read."""
+        self._now = now
+        self._stack = ExitStack()
+        self._salvaged = False
+        try:
+            self._reader = self._stack.enter_context(SqliteReader(path))
+        except (StoreDamagedError, OutdatedStoreError) as error:
+            try:
+                self._salvage(error)
+            except BaseException:
+                self._stack.close()
+                raise
+        self._look_at_clock()
+
+    @classmethod
+    def of(cls, store_or_config: str) -> Archive:
+        """The archive of a store's file, or of the node of a configuration (`.yaml` or `.yml`). Raises `ConfigError`,
+        `StoreError`."""
+        path = Path(store_or_config)
+        if path.suffix in (".yaml", ".yml"):
+            from rass_mav.app.config import load_config
+
+            path = load_config(path).store_path
+        if not path.exists():
+            raise ConfigError(f"{path}: no such store")
+        return cls(path)
+
+    def _salvage(self, error: StoreError) -> None:
+        copy = Path(self._stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "salvaged.db"
+        found = salvaged_copy(self.path, copy)
+        if not found:
+            raise error
+        self._reader = self._stack.enter_context(SqliteReader(copy))
+        self._salvaged = True
+        self.remarks.append(f"{error}; {found} data could be read")
+
+    def _look_at_clock(self) -> None:
+        meta = self._reader.meta()
+        self._date = DateNote.of(meta)
+        # On a slow link a frame may wait for its turn, after the age in it was written.
+        self._hop_s = STALE_TURNS * max(meta.get("turn", 0) / 10, 1.0)
+
+    def renew(self) -> None:
+        """Read from now on what the store holds now."""
+        if not self._salvaged:
+            self._reader.renew()
+            self._look_at_clock()
+
+    def count(self) -> int:
+        """How many rows `entries` reads."""
+        try:
+            return self._reader.count()
+        except StoreDamagedError as error:
+            if self._salvaged:
+                raise
+            self._salvage(error)
+            return self._reader.count()
+
+    def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
+        """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
+        this `Entry.arrival`, and no second contents."""
+        for apart in (False, True) if after < 0 else (False,):
+            for row in self._rows(after, apart):
+                entry = self._entry(row, apart)
+                if wanted.admits(entry):
+                    yield entry
+
+    def _rows(self, after: int, apart: bool) -> Iterator[Row]:
+        unsound = 0
+        try:
+            for row in self._reader.rows(_HEAD_BYTES, after=after, apart=apart):
+                if row is None:
+                    unsound += 1
+                else:
+                    after = row.arrival
+                    if not apart:
+                        self.seen = max(self.seen, after)
+                    yield row
+        except StoreDamagedError as error:
+            if self._salvaged:
+                raise
+            self._salvage(error)
+            yield from self._rows(after, apart)
+        if unsound:
+            self.remarks.append(f"{self.path}: {unsound} damaged rows were left out")
+
+    def _entry(self, row: Row, apart: bool) -> Entry:
+        arrival, info, head = row
+        date = self._date
+        utc = info.created + date.offset_s
+        # A flipped bit on the disk must not put a datum in the future.
+        age_s = max(0.0, self._now() - utc if date.trusted or isinf(date.lived_s) else date.lived_s - info.created)
+        bounded = date.trusted and not info.at_least
+        arrived = date.offset_s + (arrival - ARRIVAL_0_MS) / 1000 if arrival >= ARRIVAL_0_MS and not apart else None
+        # Clocks drift until it arrives; where that is not known, until the store was last used.
+        aged_s = max(0.0, date.lived_s - info.created if arrived is None else arrived - utc)
+        entry = Entry(
+            arrival, info.id, info.crc, info.kind, info.size, info.hops, utc,
+            DATE_ERROR_S + DRIFT * aged_s + info.hops * self._hop_s if bounded else None,
+            info.at_least, age_s, arrived=arrived, apart=apart,
+        )  # fmt: skip
+        return entry._replace(**_content(info, head))
+
+    def datum(self, name: str) -> Datum:
+        """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
+        id, crc = parse_name(name)
+        datum = self._reader.get(id) if crc is None else self._reader.get_apart(id, crc)
+        if datum is None:
+            raise StoreError(f"{name}: not in {self.path}")
+        if not datum.intact:
+            raise StoreError(f"{name}: corrupt, its checksum does not match")
+        return datum
+
+    def entry(self, name: str) -> Entry:
+        """The same as an entry."""
+        datum, (_, crc) = self.datum(name), parse_name(name)
+        info = StoredInfo(*datum[:5], len(datum.payload), datum.at_least)
+        return self._entry(Row(-1, info, datum.payload[:_HEAD_BYTES]), crc is not None)
+
+    def losses(self) -> list[tuple[DatumId, Fate]]:
+        """What is known to be lost."""
+        return self._reader.losses()
+
+    def close(self) -> None:
+        """Release the files."""
+        self._stack.close()
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+
+def _content(info: StoredInfo, head: bytes) -> dict[str, Any]:
+    """The fields of an entry that its payload tells."""
+    if info.size == len(head) and datum_crc(info.id, info.kind, head) != info.crc:
+        return {"malformed": "corrupt, its checksum does not match"}
+    try:
+        if info.kind == Kind.MEASUREMENT:
+            return {"measurement": decode_measurement(head)}
+        if info.kind == Kind.STATUS:
+            return {"status": decode_status(head)}
+        if info.kind == Kind.FILE:
+            return {"file": unpack_file(head)[0]}
+    except MalformedError as error:
+        return {"malformed": str(error)}
+    return {}

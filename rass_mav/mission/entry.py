@@ -1,0 +1,146 @@
+"""A datum as people and other programs use it, and which of them somebody wants to see."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from datetime import datetime, timezone
+from typing import Any, NamedTuple
+
+from rass_mav.core.datum import DatumId, Kind
+from rass_mav.wire.measurement import Measurement
+from rass_mav.wire.nodestatus import NodeStatus
+
+#: Units of readings, as people write them.
+UNIT_NAMES = {"usvh": "uSv/h", "cpm": "cpm", "cps": "cps", "counts": "counts"}
+
+
+class Entry(NamedTuple):
+    """A datum in a store."""
+
+    arrival: int
+    """Rises in the order in which the store got its data."""
+    id: DatumId
+    crc: int
+    kind: int
+    """A `Kind`, or that of a later version."""
+    size: int
+    """Bytes of payload."""
+    hops: int
+    utc: float
+    """When it was created, seconds since 1970."""
+    error_s: float | None
+    """`utc` is at most this far from the truth, seconds; None: nobody knows how far."""
+    at_least: bool
+    """It may be older, by any time: `utc` is the latest possible date."""
+    age_s: float
+    """How old it is now, seconds. Where the date is not known: how old it was when the store was last used."""
+    measurement: Measurement | None = None
+    status: NodeStatus | None = None
+    file: str | None = None
+    """The name of a named file, as its drone gave it: not trustworthy."""
+    malformed: str = ""
+    """Why the contents cannot be read; empty: they can, or nobody has to read them."""
+    arrived: float | None = None
+    """When it came to the store, seconds since 1970; None: unknown."""
+    apart: bool = False
+    """It is a second content of an id."""
+
+    @property
+    def name(self) -> str:
+        """What `get` takes: the id, and for a second content a # and its checksum."""
+        return f"{self.id}#{self.crc:08x}" if self.apart else str(self.id)
+
+    @property
+    def dated(self) -> bool:
+        """Whether `utc` can be a date: the node of the store had one, and its note is not damaged."""
+        return self.utc >= _FIRST_DATE
+
+    @property
+    def kind_name(self) -> str:
+        """For people: measurement, file, bytes or status; the number of an unknown kind."""
+        try:
+            return Kind(self.kind).name.lower()
+        except ValueError:
+            return str(self.kind)
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude of a measurement, degrees; None: unknown."""
+        m = self.measurement
+        return None if m is None or m.latitude is None or m.longitude is None else (m.latitude, m.longitude)
+
+    @property
+    def reading(self) -> float | None:
+        """In the unit of the measurement; None: there is none."""
+        return None if self.measurement is None else self.measurement.reading
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values for JSON; what does not apply is left out."""
+        m = self.measurement
+        return {
+            "id": self.name,
+            "kind": self.kind if self.kind_name.isdigit() else self.kind_name,
+            "size": self.size,
+            "hops": self.hops,
+            "created": round(self.utc, 3),
+            **({"utc": iso(self.utc)} if self.dated else {}),
+            **({} if self.error_s is None else {"error_s": round(self.error_s, 3)}),
+            "age_s": round(self.age_s, 3),
+            **({} if self.arrived is None else {"arrived": round(self.arrived, 3)}),
+            **({"at_least": True} if self.at_least else {}),
+            **({"apart": True} if self.apart else {}),
+            **({} if m is None else {"measurement": m._asdict()}),
+            **({} if self.status is None else {"status": self.status._asdict()}),
+            **({} if self.file is None else {"name": self.file}),
+            **({"malformed": self.malformed} if self.malformed else {}),
+        }
+
+
+class Filter(NamedTuple):
+    """Which data somebody wants. None: all; what a datum does not tell does not match."""
+
+    drones: Collection[int] | None = None
+    kinds: Collection[str] | None = None
+    """As in `Entry.kind_name`."""
+    since: float | None = None
+    """Created then or later, seconds since 1970."""
+    until: float | None = None
+    """Created before, seconds since 1970."""
+    box: tuple[float, float, float, float] | None = None
+    """South, west, north, east, degrees. West above east: across the 180th meridian."""
+    above: float | None = None
+    """With a reading above this, in its own unit."""
+
+    def admits(self, entry: Entry) -> bool:
+        """Whether it is one of them."""
+        return (
+            (self.drones is None or entry.id.origin in self.drones)
+            and (self.kinds is None or entry.kind_name in self.kinds)
+            and (self.since is None or entry.utc >= self.since)
+            and (self.until is None or entry.utc < self.until)
+            and (self.above is None or (entry.reading is not None and entry.reading > self.above))
+            and (self.box is None or _inside(entry.place, *self.box))
+        )
+
+
+#: All data.
+ALL = Filter()
+
+
+def _inside(place: tuple[float, float] | None, south: float, west: float, north: float, east: float) -> bool:
+    if place is None or not south <= place[0] <= north:
+        return False
+    return west <= place[1] <= east if west <= east else place[1] >= west or place[1] <= east
+
+
+def iso(utc: float) -> str:
+    """A date as ISO 8601 in UTC, to the millisecond. `utc`: seconds since 1970; dates that no calendar has become the
+    first or the last."""
+    utc = min(max(utc, _FIRST), _LAST)
+    return datetime.fromtimestamp(utc, timezone.utc).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+# 2000-01-01.
+_FIRST_DATE = 946_684_800.0
+# The years 1 and 9999.
+_FIRST, _LAST = -62_135_596_800.0, 253_402_300_799.0

@@ -1,0 +1,50 @@
+"""Comma-separated values (RFC 4180), a line for each datum: for spreadsheets and scripts."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+
+from rass_mav.mission.entry import Entry, iso
+
+from . import Exported, Format, Source
+
+COLUMNS = (
+    "id", "drone", "kind", "created_utc", "time_error_s", "at_least_so_old", "latitude", "longitude", "altitude_m",
+    "position_error_m", "north_m", "east_m", "down_m", "reading", "unit", "risk", "hops", "bytes", "file",
+)  # fmt: skip
+
+
+def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+    """Numbers as JSON writes them, dates as ISO 8601 in UTC, nothing for what is unknown."""
+    count = 0
+    # With a byte order mark Excel reads names in UTF-8; Python's csv and LibreOffice skip it.
+    with out.open("x", encoding="utf-8-sig", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for entry in entries:
+            table.writerow(row(entry))
+            count += 1
+    return Exported(count, 0, [out])
+
+
+def row(entry: Entry) -> list[object]:
+    """The values of `COLUMNS`; None: unknown."""
+    m = entry.measurement
+    unknown = (None,) * 10
+    measured: tuple[object, ...] = unknown if m is None else (
+        m.latitude, m.longitude, m.altitude, m.error_m, *(m.local or (None,) * 3), m.reading, m.unit, m.risk,
+    )  # fmt: skip
+    return [
+        entry.name, entry.id.origin, entry.kind_name, iso(entry.utc), entry.error_s, int(entry.at_least), *measured,
+        entry.hops, entry.size, _harmless(entry.file),
+    ]  # fmt: skip
+
+
+def _harmless(text: str | None) -> str | None:
+    """A spreadsheet takes what begins like a formula for one, so a drone could have it run something."""
+    return f"'{text}" if text is not None and text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
+
+
+FORMAT = Format(".csv", "all data", write)

@@ -1,0 +1,79 @@
+"""What drones have put: each named file, and each datum of plain bytes, as a file; and a list of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from rass_mav.app.payloads import unpack_file
+from rass_mav.core.datum import Kind
+from rass_mav.errors import DatumError, StoreError
+from rass_mav.mission.entry import Entry
+
+from . import Exported, Format, Source, csv
+
+#: The longest name of a file, bytes in UTF-8.
+MOST_BYTES = 200
+#: The longest ending that is kept when a name is shortened, bytes in UTF-8.
+_MOST_ENDING = 16
+_RESERVED = frozenset('<>:"/\\|?*')
+#: The latest date that all file systems take, seconds since 1970.
+_LATEST_S = 4_294_967_295.0
+
+
+def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+    """Files into the folder `out`, dated as they were created, with `index.csv`, which has a line for each: the columns
+    of CSV, with the name in the folder. Their bytes are read one datum at a time; corrupt ones are left out."""
+    out.mkdir()
+    seen = 0
+
+    def written() -> Iterator[Entry]:
+        nonlocal seen
+        for entry in entries:
+            seen += 1
+            name = _write_file(entry, out, source)
+            if name is not None:
+                yield entry._replace(file=name)
+
+    count = csv.write(written(), out / "index.csv", source).data
+    # The folder, because the list of its files would grow with the data.
+    return Exported(count, seen - count, [out])
+
+
+def _write_file(entry: Entry, out: Path, source: Source) -> str | None:
+    """Write one datum; returns the name of its file, or None if there is nothing to write."""
+    if entry.kind not in (Kind.FILE, Kind.BYTES) or entry.malformed:
+        return None
+    try:
+        content = source.datum(entry.name).payload
+    except (DatumError, StoreError):
+        return None
+    if entry.kind == Kind.FILE:
+        content = unpack_file(content)[1]
+    name = safe_name(entry.name, entry.file or "")
+    # Not a Path for each: it would keep the name in Python's table of strings for a while.
+    path = os.path.join(out, name)
+    with open(path, "wb") as file:
+        file.write(content)
+    created = min(max(entry.utc, 0.0), _LATEST_S)
+    os.utime(path, (created, created))
+    return name
+
+
+def safe_name(id: str, name: str) -> str:
+    """A name for a datum's file, on any system, that leads out of no folder. `name`: as its drone gave it; empty: none.
+
+    The id comes first, so that no two are the same, and none is a device of Windows. At most `MOST_BYTES`.
+    """
+    kept = "".join("_" if c in _RESERVED or not c.isprintable() else c for c in name).strip(". ")
+    if not kept:
+        return f"{id}.bin"
+    root, ending = os.path.splitext(kept)
+    if len(ending.encode()) > _MOST_ENDING:
+        root, ending = kept, ""
+    room = MOST_BYTES - len(f"{id}-{ending}".encode())
+    return f"{id}-{root.encode()[:room].decode(errors='ignore')}{ending}".rstrip(". ")
+
+
+FORMAT = Format("", "named files and bytes", write)

@@ -1,0 +1,63 @@
+"""GeoJSON (RFC 7946): a point for each datum with a position, for maps, web pages and scripts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from math import isfinite
+from pathlib import Path
+
+from rass_mav.mission.entry import Entry
+
+from . import Exported, Format, Source
+from .csv import COLUMNS, row
+
+
+def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+    """A feature a line. Its properties are the columns of CSV, without those that are unknown.
+
+    The third coordinate is the altitude above mean sea level, as everywhere in this program; the RFC means the height
+    above the ellipsoid, which differs by up to 110 m.
+    """
+    count = left_out = 0
+    with out.open("x", encoding="ascii") as file:
+        file.write('{"type": "FeatureCollection", "features": [')
+        for entry in entries:
+            point = point_of(entry)
+            if point is None:
+                left_out += 1
+                continue
+            feature = {
+                "type": "Feature",
+                "id": entry.name,
+                "geometry": {"type": "Point", "coordinates": point},
+                "properties": known(entry),
+            }
+            file.write((",\n" if count else "\n") + json.dumps(feature))
+            count += 1
+        file.write("\n]}\n")
+    return Exported(count, left_out, [out])
+
+
+def point_of(entry: Entry) -> tuple[float, float, float] | None:
+    """Longitude and latitude, degrees, and metres above mean sea level; None: no place on Earth. A drone may send
+    degrees that no place has."""
+    if entry.measurement is None or entry.place is None:
+        return None
+    latitude, longitude = entry.place
+    if abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        return None
+    return longitude, latitude, entry.measurement.altitude or 0.0
+
+
+def known(entry: Entry) -> dict[str, object]:
+    """The columns of CSV that are known, by their names. A flipped bit on the disk makes infinite ages: left out."""
+    values = zip(COLUMNS, row(entry), strict=True)
+    return {
+        name: value
+        for name, value in values
+        if value is not None and not (isinstance(value, float) and not isfinite(value))
+    }
+
+
+FORMAT = Format(".geojson", "measurements with a position on Earth", write)

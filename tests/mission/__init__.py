@@ -1,0 +1,1 @@
+"""Lists and exports of a mission's data."""

@@ -1,0 +1,55 @@
+"""Stores that a mission may leave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rass_mav.app.clock import LivedClock, TimeSources
+from rass_mav.app.payloads import pack_file
+from rass_mav.core.datum import Datum, DatumId, Kind, make_datum
+from rass_mav.store import SqliteStore
+from rass_mav.wire.measurement import Measurement, encode_measurement
+from tests.store.store_helpers import commit, epochs
+
+#: 2026-11-22T10:00:00Z.
+WALL_S = 1_795_341_600.0
+EPOCH = 0xABC00001
+
+
+class Base:
+    """A base's store while data arrive. Its clock is right, and shows `WALL_S` at first."""
+
+    def __init__(self, path: Path, *, trusted: bool = True) -> None:
+        self.path = path
+        self.wall = WALL_S
+        self.store = SqliteStore.open(path, node_id=1, draw_epoch=epochs())
+        sources = TimeSources(
+            elapsed=lambda: self.wall - WALL_S, boot=lambda: 1, wall=lambda: self.wall, trusted=lambda: trusted
+        )
+        self.clock = LivedClock(self.store, sources)
+
+    def arrive(self, *data: Datum) -> None:
+        """They arrive now, in one commit."""
+        for datum in data:
+            self.store.put(datum)
+        self.clock.note()
+        assert commit(self.store)
+
+    def datum(
+        self, origin: int, sequence: int, kind: int, payload: bytes, *, age_s: float = 0.0, hops: int = 1
+    ) -> Datum:
+        """One that a drone made so long ago."""
+        return make_datum(DatumId(origin, EPOCH, sequence), kind, self.clock.now() - age_s, payload)._replace(hops=hops)
+
+    def measurement(self, origin: int, sequence: int, m: Measurement, *, age_s: float = 0.0, hops: int = 1) -> Datum:
+        return self.datum(origin, sequence, Kind.MEASUREMENT, encode_measurement(m), age_s=age_s, hops=hops)
+
+    def file(self, origin: int, sequence: int, name: str, content: bytes) -> Datum:
+        return self.datum(origin, sequence, Kind.FILE, pack_file(name, content))
+
+    def close(self) -> None:
+        self.store.close()
+
+
+#: A measurement of drone 7 over Zurich.
+HERE = Measurement(47.3769, 8.5417, 412.0, 0.142, 0.25, unit="usvh", error_m=2.1)

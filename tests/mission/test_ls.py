@@ -1,0 +1,153 @@
+"""`rass-mav ls` and `get` on stores, with and without a node."""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rass_mav.cli import main
+from rass_mav.commands.data import HEADER
+from rass_mav.core.datum import Kind
+from tests.app.app_nodes import environment
+from tests.patience import PATIENCE_S
+
+from .missions import EPOCH, HERE, Base
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Base]:
+    monkeypatch.chdir(tmp_path)
+    base = Base(tmp_path / "rass-1.db")
+    base.arrive(
+        base.measurement(7, 0, HERE, age_s=20.0),
+        base.measurement(8, 0, HERE._replace(reading=3.0), age_s=30.0)._replace(at_least=True),
+        base.file(7, 1, "photo\x1b[31m.jpg", b"\xff\xd8"),
+    )
+    yield base
+    base.close()
+
+
+def lines(capsys: Capture, *words: str) -> list[str]:
+    assert main(["ls", *words]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    header, *rest = said.out.splitlines()
+    assert header == HEADER
+    return rest
+
+
+def test_a_list_has_a_header_and_a_line_a_datum(base: Base, capsys: Capture) -> None:
+    measured, older, file = lines(capsys)
+    assert measured.split("  ")[-1] == "0.142 uSv/h, risk 0.250, at 47.3769000 8.5417000 412.0 m, +/- 2.1 m"
+    assert "7-abc00001-0 " in measured
+    assert " 2026-11-22T09:59:40.000Z " in measured
+    assert "<2026-11-22T09:59:30.000Z" in older
+    assert file.endswith(r"file photo\x1b[31m.jpg"), "nothing is executed on the terminal"
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--sort", "time"], ["8-0", "7-0", "7-1"]),
+        (["--sort", "time", "--reverse"], ["7-1", "7-0", "8-0"]),
+        (["--sort", "drone"], ["7-0", "7-1", "8-0"]),
+        (["--sort", "reading", "--reverse"], ["8-0", "7-0", "7-1"]),
+        (["--reverse"], ["7-1", "8-0", "7-0"]),
+        (["--drone", "7", "--kind", "measurement"], ["7-0"]),
+        (["--since", "2026-11-22T09:59:35"], ["7-0", "7-1"]),
+        (["--above", "1"], ["8-0"]),
+    ],
+)
+def test_it_is_sorted_and_filtered(base: Base, capsys: Capture, options: list[str], expected: list[str]) -> None:
+    names = [f"{line.split()[0]}" for line in lines(capsys, "rass-1.db", *options)]
+    assert names == [f"{name[0]}-{EPOCH:08x}-{name[2]}" for name in expected]
+    assert main(["ls", "rass-1.db", "--json", *options]) == 0
+    assert [entry["id"] for entry in json.loads(capsys.readouterr().out)["data"]] == names
+
+
+def test_as_json_it_has_units_dates_and_errors(base: Base, capsys: Capture) -> None:
+    assert main(["ls", "--json"]) == 0
+    measured, older, file = json.loads(capsys.readouterr().out)["data"]
+    assert measured["measurement"]["unit"] == "usvh"
+    assert measured["measurement"]["error_m"] == 2.1
+    assert measured["utc"] == "2026-11-22T09:59:40.000Z"
+    assert 1.0 <= measured["error_s"] < 10.0
+    assert older["at_least"] is True
+    assert "error_s" not in older
+    assert file["name"] == "photo\x1b[31m.jpg"
+
+
+class Following:
+    """`ls --follow --json`, as it runs."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        command = [sys.executable, "-m", "rass_mav", "ls", "rass-1.db", "--follow", "--json", *options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment(), cwd=folder, bufsize=0)
+        self.shown = b""
+
+    def line(self) -> dict[str, object]:
+        assert self.process.stdout is not None
+        while b"\n" not in self.shown:
+            ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
+            assert ready
+            self.shown += self.process.stdout.read(4096)
+        line, _, self.shown = self.shown.partition(b"\n")
+        shown: dict[str, object] = json.loads(line)
+        return shown
+
+
+def test_follow_shows_what_arrives_an_object_a_line(base: Base) -> None:
+    following = Following(base.path.parent, "--drone", "7", "9")
+    try:
+        assert [following.line()["kind"] for _ in range(2)] == ["measurement", "file"]
+        base.wall += 5.0
+        base.arrive(base.datum(8, 5, Kind.BYTES, b"not asked for"), base.datum(9, 0, Kind.BYTES, b"new"))
+        assert following.line()["id"] == f"9-{EPOCH:08x}-0"
+    finally:
+        following.process.kill()
+        following.process.communicate()
+
+
+def test_get_writes_the_content_from_a_stores_file(base: Base, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    assert main(["get", "-c", "rass-1.db", f"7-{EPOCH:08x}-1"]) == 0
+    assert capsysbinary.readouterr().out == b"\xff\xd8"
+    assert main(["get", f"7-{EPOCH:08x}-1", "-o", "copy.jpg", "--json"]) == 0
+    assert Path("copy.jpg").read_bytes() == b"\xff\xd8"
+    assert json.loads(capsysbinary.readouterr().out)["bytes"] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "error"),
+    [
+        (["ls", "nowhere.db"], 2, "nowhere.db: no such store"),
+        (["ls", "--follow", "--sort", "time"], 2, "--follow: shows data as they arrive"),
+        (["get", "7-00000000-0"], 1, "7-00000000-0: not in rass-1.db"),
+        (["get", "seven"], 2, "expected an id like 7-0123abcd-42, got 'seven'"),
+    ],
+)
+def test_a_mistake_is_one_line(base: Base, words: list[str], code: int, error: str, capsys: Capture) -> None:
+    assert main(words) == code
+    said = capsys.readouterr()
+    assert said.err.startswith(error)
+    assert len(said.err.splitlines()) == 1
+    assert said.out == ""
+
+
+def test_what_is_wrong_with_a_card_is_said_beside_what_could_be_read(base: Base, capsys: Capture) -> None:
+    base.close()
+    content = bytearray(base.path.read_bytes())
+    content[:100] = bytes(100)
+    base.path.write_bytes(content)
+    assert main(["ls", "rass-1.db"]) == 0
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 4
+    assert said.err.startswith("WARNING: rass-1.db: ")
+    assert "3 data could be read" in said.err

@@ -1,0 +1,157 @@
+"""What has become of the data, as a base can know it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.cli import main
+from rass_mav.core.datum import Datum, DatumId, Fate, Kind
+from rass_mav.mission.archive import Archive
+from rass_mav.mission.report import Numbers, Report
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
+
+from .missions import EPOCH, HERE, Base
+
+QUIET = NodeStatus(0, 0, 0, None, 0.0, 1, None, None, {}, {})
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Iterator[Base]:
+    base = Base(tmp_path / "base.db")
+    yield base
+    base.close()
+
+
+def report(base: Base) -> Report:
+    with Archive(base.path, now=lambda: base.wall) as archive:
+        return Report.of(archive)
+
+
+def status(base: Base, origin: int, sequence: int, said: NodeStatus, *, age_s: float = 0.0) -> Datum:
+    return base.datum(origin, sequence, Kind.STATUS, encode_status(said), age_s=age_s)
+
+
+def test_by_drone_what_arrived_what_is_missing_and_what_is_lost(base: Base) -> None:
+    hot = HERE._replace(reading=9.5, latitude=47.5)
+    base.arrive(
+        base.measurement(7, 0, HERE, age_s=50.0),
+        base.measurement(7, 1, hot, age_s=40.0),
+        base.measurement(7, 5, HERE._replace(longitude=8.6), age_s=10.0),
+        base.file(8, 2, "photo.jpg", b"x"),
+    )
+    base.store.lose(DatumId(7, EPOCH, 3), Fate.CORRUPTED)
+    base.store.lose(DatumId(7, EPOCH, 8), Fate.OVERFLOW)
+    base.store.lose(DatumId(9, EPOCH, 4), Fate.UNKNOWN)
+    base.arrive(base.measurement(8, 0, HERE))
+    found = report(base)
+    seven, eight, nine = (found.drones[id] for id in (7, 8, 9))
+    assert (seven.created, seven.arrived, seven.missing) == (9, 3, 4)
+    assert list(seven.epochs[EPOCH].missing()) == [(2, 2), (4, 4), (6, 7)]
+    assert seven.lost == {Fate.CORRUPTED: 1, Fate.OVERFLOW: 1}
+    assert seven.placed is not None
+    assert seven.placed[1] == (47.3769, 8.6)
+    assert seven.highest is not None
+    assert (seven.highest.reading, seven.highest.place) == (9.5, (47.5, 8.5417))
+    assert (eight.created, eight.arrived, eight.missing) == (3, 2, 1)
+    assert eight.kinds == {"file": 1, "measurement": 1}
+    assert nine.wounds == [Fate.UNKNOWN]
+    assert nine.missing == 0
+    plain = found.plain(base.wall)
+    assert (plain["created"], plain["arrived"], plain["missing"], plain["lost"]) == (12, 5, 5, 2)
+    assert plain["drones"][0]["missing_numbers"][0] == {"epoch": f"{EPOCH:08x}", "first": 2, "last": 2}
+    assert json.loads(json.dumps(plain)) is not None
+
+
+def test_a_datum_that_was_said_to_be_lost_and_arrived_is_not_lost(base: Base) -> None:
+    base.store.lose(DatumId(7, EPOCH, 0), Fate.CORRUPTED)
+    base.arrive(base.measurement(7, 0, HERE))
+    assert report(base).drones[7].lost == {}
+
+
+@given(st.sets(st.integers(0, 60)), st.sets(st.integers(0, 60)))
+def test_every_number_below_the_highest_is_arrived_lost_or_missing(arrived: set[int], lost: set[int]) -> None:
+    numbers = Numbers()
+    for number in arrived:
+        numbers.arrived.add(number, number + 1)
+    numbers.lost = dict.fromkeys(lost - arrived, Fate.DIED)
+    numbers.known = max(arrived | lost, default=-1) + 1
+    missing = {number for first, last in numbers.missing() for number in range(first, last + 1)}
+    assert missing == set(range(numbers.known)) - arrived - lost
+    for below in range(0, 62, 5):
+        assert numbers.missing_below(below) == len({number for number in missing if number < below})
+
+
+def test_delays_are_those_of_arrivals_whose_age_is_known(base: Base) -> None:
+    for number in range(20):
+        base.arrive(base.measurement(7, number, HERE, age_s=float(number)))
+    base.arrive(base.measurement(7, 20, HERE, age_s=5000.0)._replace(at_least=True))
+    found = report(base)
+    assert found.delay(0.5) == pytest.approx(10.0, abs=0.1)
+    assert found.delay(1.0) == pytest.approx(19.0, abs=0.1)
+    assert Report().delay(0.5) is None
+
+
+class TestAtRisk:
+    """What is lost if a drone fails: at most what it alone had at its last word and has not arrived since."""
+
+    def test_no_word_is_no_answer(self, base: Base) -> None:
+        base.arrive(base.measurement(7, 0, HERE))
+        assert report(base).at_risk(7) is None
+        assert report(base).at_risk(12) is None
+
+    def test_what_it_alone_had(self, base: Base) -> None:
+        said = QUIET._replace(held=9, alone=6, alone_by_origin={7: 4, 8: 2})
+        base.arrive(base.measurement(8, 0, HERE, age_s=500.0), status(base, 7, 10, said))
+        assert report(base).at_risk(7) == 6, "of drone 8 nobody knows how many there are"
+
+    def test_what_has_arrived_since_is_safe(self, base: Base) -> None:
+        said = QUIET._replace(held=9, alone=6, alone_by_origin={7: 4, 8: 2})
+        base.arrive(status(base, 7, 4, said, age_s=60.0))
+        base.arrive(*(base.measurement(7, number, HERE, age_s=70.0) for number in (0, 1)))
+        assert report(base).at_risk(7) == 2 + 2, "two of its own four are missing"
+        base.arrive(*(base.measurement(8, number, HERE, age_s=70.0) for number in (0, 2)))
+        assert report(base).at_risk(7) == 2 + 2, "drone 8 may have created more before"
+        base.arrive(base.measurement(8, 3, HERE, age_s=0.0))
+        assert report(base).at_risk(7) == 2 + 1, "of drone 8 only number 1 is missing"
+        base.arrive(
+            base.measurement(8, 1, HERE, age_s=70.0), base.measurement(7, 2, HERE), base.measurement(7, 3, HERE)
+        )
+        assert report(base).at_risk(7) == 0
+
+    def test_a_newer_word_counts_and_an_older_one_that_comes_late_does_not(self, base: Base) -> None:
+        base.arrive(status(base, 7, 3, QUIET, age_s=10.0))
+        base.arrive(status(base, 7, 0, QUIET._replace(held=5, alone=5), age_s=100.0))
+        assert report(base).at_risk(7) == 0
+
+    def test_where_numbers_were_lost_nothing_is_called_safe(self, base: Base) -> None:
+        base.store.lose(DatumId(7, EPOCH, 4), Fate.UNKNOWN)
+        base.arrive(status(base, 7, 2, QUIET._replace(held=9, alone=9, alone_by_origin={7: 9})))
+        assert report(base).at_risk(7) == 9
+
+
+def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:
+    assert main(["report", str(base.path), *words]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_command_tells_people_and_scripts(base: Base, capsys: pytest.CaptureFixture[str]) -> None:
+    base.arrive(
+        base.measurement(7, 0, HERE, age_s=5.0),
+        status(base, 7, 4, QUIET._replace(held=3, alone=2, battery=61, place=(47.0, 8.0)), age_s=1.0),
+    )
+    out = told(base, capsys)
+    assert out.startswith("5 created, 2 arrived, 3 missing, 0 lost; half arrived within ")
+    assert "47.0000000 8.0000000, 0.142 uSv/h at 47.3769000 8.5417000" in out
+    assert f"missing: {EPOCH:08x}-1..3" in out
+    assert "3 in custody, 2 of them nowhere else, 1 hops, risk 0.00, battery 61 %; newer: unknown" in out
+    plain = json.loads(told(base, capsys, "--json"))
+    [seven] = plain["drones"]
+    assert (seven["at_risk"], seven["status"]["battery"]) == (2, 61)
+    assert seven["heard"]["utc"] == "2026-11-22T09:59:59.000Z"

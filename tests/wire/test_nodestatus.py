@@ -1,0 +1,73 @@
+"""The payload of a status: it fits one frame, and what was meant is read."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.errors import MalformedError
+from rass_mav.wire.nodestatus import MOST_NEIGHBOURS, MOST_ORIGINS, NodeStatus, decode_status, encode_status
+from tests.core.build import make_node
+
+SAID = NodeStatus(12, 3, 4, 33, 0.25, 2, 81, (47.3769, 8.5417), {7: 1.0, 9: 0.5}, {7: 2, 3: 1})
+GOLDEN = "01010c000300040021000040025128243d1c285c1705020700ff090080020700020003000100"
+
+counts = st.integers(0, 65535)
+ids = st.integers(0, 65534)
+
+
+def test_the_bytes_are_these() -> None:
+    assert encode_status(SAID).hex() == GOLDEN
+    back = decode_status(bytes.fromhex(GOLDEN))
+    assert back._replace(risk=SAID.risk, neighbours=SAID.neighbours) == SAID
+    assert back.risk == pytest.approx(0.25, abs=1e-4)
+    assert back.neighbours == pytest.approx({7: 1.0, 9: 0.5}, abs=0.01)
+
+
+@given(
+    held=counts, alone=counts, spares=counts, free=st.none() | st.integers(0, 65534), risk=st.floats(0, 1),
+    hops=st.none() | st.integers(0, 254), battery=st.none() | st.integers(0, 100),
+    place=st.none() | st.tuples(st.floats(-90, 90), st.floats(-180, 180)),
+    neighbours=st.dictionaries(ids, st.floats(0, 1), max_size=MOST_NEIGHBOURS + 5),
+    alone_by_origin=st.dictionaries(ids, st.integers(1, 65535), max_size=MOST_ORIGINS + 5), base=st.booleans(),
+)  # fmt: skip
+def test_what_is_said_is_read_and_fits_one_frame(**fields: object) -> None:
+    said = NodeStatus(**fields)  # type: ignore[arg-type]
+    payload = encode_status(said)
+    assert len(payload) <= make_node(1).settings.inline_bytes
+    read = decode_status(payload + b"later")
+    for name in ("held", "alone", "spares", "free", "hops", "battery", "base"):
+        assert getattr(read, name) == getattr(said, name)
+    assert len(read.neighbours) == min(len(said.neighbours), MOST_NEIGHBOURS)
+    assert read.alone_by_origin.items() <= said.alone_by_origin.items()
+    assert len(read.alone_by_origin) == min(len(said.alone_by_origin), MOST_ORIGINS)
+    left_out = [count for origin, count in said.alone_by_origin.items() if origin not in read.alone_by_origin]
+    assert max(left_out, default=0) <= min(read.alone_by_origin.values(), default=0)
+    assert (read.place is None) is (said.place is None)
+    if said.place is not None:
+        assert read.place == pytest.approx(said.place, abs=1e-7)
+
+
+@given(st.binary(max_size=200))
+def test_anything_parses_or_is_malformed(payload: bytes) -> None:
+    try:
+        read = decode_status(payload)
+    except MalformedError:
+        return
+    assert 0.0 <= read.risk <= 1.0
+    assert read.battery is None or 0 <= read.battery <= 100
+
+
+def test_a_cut_one_is_malformed_wherever_it_is_cut() -> None:
+    whole = bytes.fromhex(GOLDEN)
+    for end in range(len(whole)):
+        with pytest.raises(MalformedError):
+            decode_status(whole[:end])
+    with pytest.raises(MalformedError, match="version 9"):
+        decode_status(b"\x09" + whole[1:])
+
+
+def test_counts_beyond_the_field_stay_at_its_end() -> None:
+    read = decode_status(encode_status(SAID._replace(held=70_000, alone=70_000, free=70_000)))
+    assert (read.held, read.alone, read.free) == (65535, 65535, 65534)
