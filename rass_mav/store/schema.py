@@ -223,13 +223,16 @@ def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator
     meanwhile may be seen or not.
     """
     after = -1
+    # Equal numbers are one object: a base keeps the ids of all its data.
+    one: dict[int, int] = {}
     while True:
         rows = connection.execute(_SELECT_INFOS.format(table), (after,)).fetchall()
         for row in rows:
             if tuple(map(type, row)) != _INFO_TYPES:
                 raise Unsound(f"row {row[0]} of table {table} has values of a wrong type")
             _, origin, epoch, sequence, kind, created, hops, crc, size, at_least = row
-            yield StoredInfo(DatumId(origin, epoch, sequence), kind, created, hops, crc, size, bool(at_least))
+            id = DatumId(origin, one.setdefault(epoch, epoch), one.setdefault(sequence, sequence))
+            yield StoredInfo(id, kind, created, hops, crc, size, bool(at_least))
         if not rows:
             return
         if rows[-1][0] <= after:
