@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from rass_mav.app.config import RunConfig
 
 
+#: Seconds between two looks with --watch.
+WATCH_S = 1.0
+# To the top left corner, and clear the screen.
+_CLEAR = "\x1b[H\x1b[2J"
+
+
 def register(subparsers: Subparsers) -> None:
     """Add the commands."""
     run = add_command(
@@ -44,6 +50,9 @@ def register(subparsers: Subparsers) -> None:
     put = add_command(
         subparsers, "put", _put, help="give a file or a line to the running node; returns when it is on its disk",
         example="rass-mav put -c drone.yaml --line 'all well'",
+    )  # fmt: skip
+    status.add_argument(
+        "--watch", action="store_true", help="again every second, until Ctrl-C; with --json an object a line"
     )  # fmt: skip
     status.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="the node's configuration")
     put.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
@@ -136,9 +145,15 @@ def _client(options: argparse.Namespace) -> ControlClient:
 
 def _status(options: argparse.Namespace) -> int:
     with _client(options) as client:
-        status = client.ask("status")["status"]
-    answer(options, status, status_lines(status))
-    return 0
+        while True:
+            status = client.ask("status")["status"]
+            if options.watch and not options.json and sys.stdout.isatty():
+                sys.stdout.write(_CLEAR)
+            answer(options, status, status_lines(status))
+            if not options.watch:
+                return 0
+            sys.stdout.flush()
+            time.sleep(WATCH_S)
 
 
 def _put(options: argparse.Namespace) -> int:

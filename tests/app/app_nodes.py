@@ -10,7 +10,8 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,34 @@ def command(directory: Path, *arguments: str, stdin: bytes = b"") -> subprocess.
         assert isinstance(buffer, BytesIO)
         said.append(buffer.getvalue())
     return subprocess.CompletedProcess(arguments, code, *said)
+
+
+@contextmanager
+def said_by(directory: Path, *arguments: str) -> Iterator[Iterator[bytes]]:
+    """The lines that a command prints, one after the other while it runs. It is killed at the end."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rass_mav", *arguments], cwd=directory, env=environment(), stdout=subprocess.PIPE,
+        bufsize=0,
+    )  # fmt: skip
+
+    def lines() -> Iterator[bytes]:
+        assert process.stdout is not None
+        said = b""
+        while True:
+            while b"\n" not in said:
+                ready, _, _ = select.select([process.stdout], [], [], PATIENCE_S)
+                assert ready
+                some = process.stdout.read(4096)
+                assert some, "it has ended"
+                said += some
+            line, _, said = said.partition(b"\n")
+            yield line
+
+    try:
+        yield lines()
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def environment() -> dict[str, str]:

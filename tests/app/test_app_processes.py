@@ -23,7 +23,7 @@ from rass_mav.mavlink.reader import FrameReader
 from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float
 
-from .app_nodes import RunningNode, command, environment, free_ports, line_of, process
+from .app_nodes import RunningNode, command, environment, free_ports, line_of, process, said_by
 
 STATUSTEXT = 253
 HEARTBEAT = 0
@@ -245,6 +245,15 @@ def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) 
     RunningNode(tmp_path, 7, links=elsewhere, store={"path": "nowhere/n7.db"})
     assert fails(tmp_path, "n7.yaml", 1).startswith("nowhere/n7.db")
     assert stat.S_IMODE((tmp_path / "n1.sock").stat().st_mode) == 0o600
+
+
+def test_status_can_be_watched_an_object_a_line(tmp_path: Path, tidy: Tidy) -> None:
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
+    with said_by(tmp_path, "status", "n1.yaml", "--watch", "--json") as lines:
+        first, second = (json.loads(next(lines)) for _ in range(2))
+    assert first["node_id"] == second["node_id"] == 1
+    assert second["uptime_s"] > first["uptime_s"]
+    assert node.signal(signal.SIGTERM) == 0
 
 
 def test_a_reader_that_has_seen_enough_does_no_harm(tmp_path: Path, tidy: Tidy) -> None:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import select
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,8 +11,7 @@ import pytest
 from rass_mav.cli import main
 from rass_mav.commands.data import HEADER
 from rass_mav.core.datum import Kind
-from tests.app.app_nodes import environment
-from tests.patience import PATIENCE_S
+from tests.app.app_nodes import said_by
 
 from .missions import EPOCH, HERE, Base
 
@@ -85,35 +81,12 @@ def test_as_json_it_has_units_dates_and_errors(base: Base, capsys: Capture) -> N
     assert file["name"] == "photo\x1b[31m.jpg"
 
 
-class Following:
-    """`ls --follow --json`, as it runs."""
-
-    def __init__(self, folder: Path, *options: str) -> None:
-        command = [sys.executable, "-m", "rass_mav", "ls", "rass-1.db", "--follow", "--json", *options]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment(), cwd=folder, bufsize=0)
-        self.shown = b""
-
-    def line(self) -> dict[str, object]:
-        assert self.process.stdout is not None
-        while b"\n" not in self.shown:
-            ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
-            assert ready
-            self.shown += self.process.stdout.read(4096)
-        line, _, self.shown = self.shown.partition(b"\n")
-        shown: dict[str, object] = json.loads(line)
-        return shown
-
-
 def test_follow_shows_what_arrives_an_object_a_line(base: Base) -> None:
-    following = Following(base.path.parent, "--drone", "7", "9")
-    try:
-        assert [following.line()["kind"] for _ in range(2)] == ["measurement", "file"]
+    with said_by(base.path.parent, "ls", "rass-1.db", "--follow", "--json", "--drone", "7", "9") as lines:
+        assert [json.loads(next(lines))["kind"] for _ in range(2)] == ["measurement", "file"]
         base.wall += 5.0
         base.arrive(base.datum(8, 5, Kind.BYTES, b"not asked for"), base.datum(9, 0, Kind.BYTES, b"new"))
-        assert following.line()["id"] == f"9-{EPOCH:08x}-0"
-    finally:
-        following.process.kill()
-        following.process.communicate()
+        assert json.loads(next(lines))["id"] == f"9-{EPOCH:08x}-0"
 
 
 def test_get_writes_the_content_from_a_stores_file(base: Base, capsysbinary: pytest.CaptureFixture[bytes]) -> None:

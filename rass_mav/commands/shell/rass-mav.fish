@@ -76,6 +76,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -
 complete -c rass-mav -n '_shtab_rass_mav_using status' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using status' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using status' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using status' -l watch -d 'again every second, until Ctrl-C; with --json an object a line'
 complete -c rass-mav -n '_shtab_rass_mav_using status' -l socket -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s control socket, instead of a configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using status; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a put -d 'Give a file or a line to the running node; returns when it is on its disk.'
