@@ -1,0 +1,109 @@
+"""What a report says is lost if a drone fails, against the ledger of swarms in which that drone then fails."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import pytest
+
+from rass_mav.agent.statuses import Statuses
+from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.core.store import Store
+from rass_mav.mission.entry import Entry
+from rass_mav.mission.report import Report
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.world import World
+from rass_mav.wire.nodestatus import decode_status
+from tests.extent import extents
+
+NODES, STEPS, DEATHS = 36, 240, 5
+
+
+class Death(NamedTuple):
+    drone: int
+    lost: set[DatumId]
+    """Data of which the last copy was there."""
+
+
+class Mortal:
+    """A swarm in which some drones fail, each right after it has created a status."""
+
+    def __init__(self, seed: int, **keys: object) -> None:
+        self.world = World(
+            load_scenario(
+                "demo",
+                # The part is so small that no drone dies by itself.
+                {"nodes": NODES, "seed": seed, "data.status_s": 8.0, "failures.die_fraction": 1e-9, **keys},
+            )
+        )
+        rng = random.Random(seed)
+        self.victims = rng.sample(range(1, NODES), DEATHS)
+        self.from_step = sorted(rng.sample(range(60, 180), DEATHS))
+        self.deaths: list[Death] = []
+        self.alone: dict[tuple[int, float], set[DatumId]] = {}
+        """What each drone alone had at each of its statuses."""
+
+    def run(self, monkeypatch: pytest.MonkeyPatch) -> Report:
+        told = Statuses._status
+
+        def tell(statuses: Statuses, now: float) -> object:
+            node = statuses._agent.node
+            custody = node.holdings.custody
+            self.alone[node.id, now] = {id for id, holding in custody.items() if holding.partner is None}
+            return told(statuses, now)
+
+        with monkeypatch.context() as watching:
+            watching.setattr(Statuses, "_status", tell)
+            self.world.run(STEPS, after=self._kill)
+        report = Report()
+        base = self.world.stores[0]
+        report.take(entries(base))
+        report.hear(base.losses())
+        return report
+
+    def _kill(self, world: World) -> None:
+        if not self.victims or world.t < self.from_step[0]:
+            return
+        drone = self.victims[0]
+        if any(id == drone and now >= (world.t - 1) * world.step_s - 1e-9 for id, now in self.alone):
+            before = set(world.ledger.lost)
+            world.crash(drone, None)
+            died = {id for id, fate in world.ledger.lost.items() if fate is Fate.DIED}
+            self.deaths.append(Death(drone, died - before))
+            del self.victims[0], self.from_step[0]
+
+
+def entries(store: Store) -> Iterator[Entry]:
+    for info in store.held():
+        datum = store.get(info.id)
+        assert datum is not None
+        status = decode_status(datum.payload) if info.kind == Kind.STATUS else None
+        yield Entry(0, info.id, info.crc, info.kind, info.size, info.hops, info.created, 0.0, False, 0.0, status=status)
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("mirror", [False, True], ids=["one copy", "mirrored"])
+@pytest.mark.parametrize("runs", extents(2, 20))
+def test_what_a_drone_alone_had_is_what_is_lost_with_it(
+    runs: int, mirror: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    said = lost = deaths = 0
+    for seed in range(1, runs + 1):
+        # Links come and go, and now and then a drone is cut off with what it has.
+        swarm = Mortal(seed, **{"topology": "random-walk", "radio.range_m": 2.2, "custody.mirror": mirror})
+        report = swarm.run(monkeypatch)
+        for drone, died in swarm.deaths:
+            at_risk, word = report.at_risk(drone), report.drone(drone).told
+            if at_risk is None or word is None:
+                continue
+            # Ages travel as milliseconds.
+            _, had = min((abs(now - word.utc), ids) for (id, now), ids in swarm.alone.items() if id == drone)
+            assert at_risk >= len(died & had), "of what it held at its last word that arrived"
+            said += at_risk
+            lost += len({id for id in died if swarm.world.ledger.born[id] * swarm.world.step_s <= word.utc})
+            deaths += 1
+    assert deaths > 2 * runs
+    # What came to it since, and copies that it counted on and that were gone too, are not in its word: they are few.
+    assert max(said, lost) < deaths or 0.9 * lost <= said <= 1.1 * lost
