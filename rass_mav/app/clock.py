@@ -37,8 +37,8 @@ DISAGREE_S = 60.0
 # Names of the last note in the store. Values in microseconds, except the boot's number, and 0 or 1 for trusted.
 _LIVED, _ELAPSED, _BOOT = "clock.lived_us", "clock.elapsed_us", "clock.boot"
 _WALL, _TRUSTED = "clock.wall_us", "clock.trusted"
-# A time of creation beyond this many seconds (the year 2242) is a flipped bit.
-_MOST_S = float(1 << 33)
+#: A time of creation beyond this many seconds (the year 2242) is a flipped bit.
+MOST_S = float(1 << 33)
 # The result of adjtimex(2) for an unsynchronised clock, and space for any kernel's `struct timex`.
 _TIME_ERROR = 5
 _TIMEX_BYTES = 512
@@ -244,7 +244,7 @@ def _begin(store: Store, sources: TimeSources) -> tuple[float, bool]:
     lived = store.get_meta(_LIVED)
     if lived is None:
         # The store of a version without notes. With a note, a datum with a later time has a flipped bit.
-        newest = max((info.created for info in store.held() if abs(info.created) < _MOST_S), default=None)
+        newest = max((info.created for info in store.held() if abs(info.created) < MOST_S), default=None)
         return (0.0, True) if newest is None else (newest, False)
     off = _off(store, sources)
     return lived / 1e6 + (off or 0.0), off is not None

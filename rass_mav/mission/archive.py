@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rass_mav.app.clock import DateNote
+from rass_mav.app.clock import MOST_S, DateNote
 from rass_mav.app.payloads import parse_name, unpack_file
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind, datum_crc
 from rass_mav.core.store import StoredInfo
@@ -134,11 +134,14 @@ class Archive:
     def _entry(self, row: Row, apart: bool) -> Entry:
         arrival, info, head = row
         date = self._date
+        arrived = date.offset_s + (arrival - ARRIVAL_0_MS) / 1000 if arrival >= ARRIVAL_0_MS and not apart else None
+        if not abs(info.created) < MOST_S:
+            latest = date.lived_s if arrived is None else arrived - date.offset_s
+            info = info._replace(created=0.0 if isinf(latest) else latest, at_least=True)
         utc = info.created + date.offset_s
         # A flipped bit on the disk must not put a datum in the future.
         age_s = max(0.0, self._now() - utc if date.trusted or isinf(date.lived_s) else date.lived_s - info.created)
         bounded = date.trusted and not info.at_least
-        arrived = date.offset_s + (arrival - ARRIVAL_0_MS) / 1000 if arrival >= ARRIVAL_0_MS and not apart else None
         # Clocks drift until it arrives; where that is not known, until the store was last used.
         aged_s = max(0.0, date.lived_s - info.created if arrived is None else arrived - utc)
         entry = Entry(

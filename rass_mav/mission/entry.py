@@ -65,9 +65,11 @@ class Entry(NamedTuple):
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Latitude and longitude of a measurement, degrees; None: unknown."""
+        """Latitude and longitude of a measurement, degrees; None: unknown, or degrees that no place on Earth has."""
         m = self.measurement
-        return None if m is None or m.latitude is None or m.longitude is None else (m.latitude, m.longitude)
+        if m is None or m.latitude is None or m.longitude is None:
+            return None
+        return (m.latitude, m.longitude) if abs(m.latitude) <= 90.0 and abs(m.longitude) <= 180.0 else None
 
     @property
     def reading(self) -> float | None:

@@ -17,6 +17,7 @@ _BASE = 2
 #: So many neighbours and origins fit one frame; of more, the best heard and those with most data.
 MOST_NEIGHBOURS = 10
 MOST_ORIGINS = 10
+_MOST_LAT, _MOST_LON = 900_000_000, 1_800_000_000
 _UNKNOWN_16, _UNKNOWN_8 = 0xFFFF, 0xFF
 
 
@@ -90,7 +91,7 @@ def decode_status(payload: bytes) -> NodeStatus:
         risk / 65535,
         None if hops == _UNKNOWN_8 else hops,
         battery if battery <= 100 else None,
-        (lat / 1e7, lon / 1e7) if flags & _HAS_POSITION else None,
+        (lat / 1e7, lon / 1e7) if flags & _HAS_POSITION and abs(lat) <= _MOST_LAT and abs(lon) <= _MOST_LON else None,
         {id: quality / 255 for id, quality in neighbours},
         dict(origins),
         bool(flags & _BASE),

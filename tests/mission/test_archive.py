@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from rass_mav.core.datum import Fate, Kind
+from rass_mav.commands.data import datum_line
+from rass_mav.commands.mission import report_lines
+from rass_mav.core.datum import DatumId, Fate, Kind, make_datum
 from rass_mav.errors import ConfigError, StoreError
 from rass_mav.mission.archive import DATE_ERROR_S, Archive
 from rass_mav.mission.entry import Filter
+from rass_mav.mission.report import Report
+from tests.extent import examples
 from tests.store.store_helpers import commit
 from tests.users import ordinary_user
 
@@ -76,6 +84,49 @@ def test_a_datum_before_its_time_has_no_negative_age(base: Base) -> None:
     base.arrive(base.measurement(7, 0, HERE, age_s=-1000.0))
     with Archive(base.path, now=lambda: base.wall) as archive:
         assert [entry.age_s for entry in archive.entries()] == [0.0]
+
+
+@pytest.mark.parametrize("created", [float("inf"), float("-inf"), 1e308, -1e18])
+def test_a_time_that_cannot_be_is_a_flipped_bit(base: Base, created: float) -> None:
+    base.arrive(base.measurement(7, 0, HERE)._replace(created=created))
+    with Archive(base.path, now=lambda: base.wall) as archive:
+        [entry] = archive.entries()
+        assert entry.utc == pytest.approx(WALL_S, abs=0.01), "it was created when it arrived, or earlier"
+        assert (entry.at_least, entry.error_s) == (True, None)
+
+
+def test_a_corrupt_measurement_is_none(base: Base) -> None:
+    base.arrive(base.measurement(7, 0, HERE))
+    base.close()
+    with closing(sqlite3.connect(base.path)) as connection:
+        connection.execute(
+            "UPDATE datum SET payload = CAST(substr(payload, 1, 2) || 'x' || substr(payload, 4) AS BLOB)"
+        )
+        connection.commit()
+    with Archive(base.path) as archive:
+        [entry] = archive.entries()
+        assert (entry.measurement, entry.malformed) == (None, "corrupt, its checksum does not match")
+
+
+@given(
+    payload=st.binary(min_size=1, max_size=120), kind=st.sampled_from([*Kind, 77]), created=st.floats(allow_nan=False),
+    origin=st.integers(0, 65535), sequence=st.integers(0, 2**32 - 1),
+)  # fmt: skip
+@settings(max_examples=examples(50))
+def test_whatever_drones_send_is_listed_and_reported(
+    payload: bytes, kind: int, created: float, origin: int, sequence: int
+) -> None:  # fmt: skip
+    with TemporaryDirectory() as folder:
+        base = Base(Path(folder) / "base.db")
+        base.arrive(make_datum(DatumId(origin, 5, sequence), kind, created, payload))
+        with Archive(base.path, now=lambda: base.wall) as archive:
+            [entry] = archive.entries()
+            assert "\n" not in datum_line(entry)
+            json.dumps(entry.plain(), allow_nan=False)
+            report = Report.of(archive).plain(base.wall)
+        json.dumps(report, allow_nan=False)
+        assert all(line.isprintable() or not line for line in report_lines(report))
+        base.close()
 
 
 def test_both_contents_of_an_id_are_there(base: Base) -> None:

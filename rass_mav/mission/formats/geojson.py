@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from math import isfinite
 from pathlib import Path
 
 from rass_mav.mission.entry import Entry
@@ -40,24 +39,16 @@ def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
 
 
 def point_of(entry: Entry) -> tuple[float, float, float] | None:
-    """Longitude and latitude, degrees, and metres above mean sea level; None: no place on Earth. A drone may send
-    degrees that no place has."""
+    """Longitude and latitude, degrees, and metres above mean sea level; None: no place on Earth."""
     if entry.measurement is None or entry.place is None:
         return None
     latitude, longitude = entry.place
-    if abs(latitude) > 90.0 or abs(longitude) > 180.0:
-        return None
     return longitude, latitude, entry.measurement.altitude or 0.0
 
 
 def known(entry: Entry) -> dict[str, object]:
-    """The columns of CSV that are known, by their names. A flipped bit on the disk makes infinite ages: left out."""
-    values = zip(COLUMNS, row(entry), strict=True)
-    return {
-        name: value
-        for name, value in values
-        if value is not None and not (isinstance(value, float) and not isfinite(value))
-    }
+    """The columns of CSV that are known, by their names."""
+    return {name: value for name, value in zip(COLUMNS, row(entry), strict=True) if value is not None}
 
 
 FORMAT = Format(".geojson", "measurements with a position on Earth", write)
