@@ -27,8 +27,8 @@ class DataSettings(Section):
     """Smallest size of a measurement. Random bytes fill the space after the measurement itself, which has up to 23."""
     lifetime_s: Positive | None = None
     """Data older than this expire; null: never."""
-    status_s: NonNegative = 0.0
-    """Seconds between two status data of a drone; 0: none."""
+    status_s: NonNegative | None = 0.0
+    """Seconds between two status data of a drone; 0: none; null: 60, and more on a slow link."""
 
 
 class GroundSettings(Section):

@@ -19,6 +19,9 @@ log = logging.getLogger(__name__)
 _SYS_STATUS: int = common.MAVLINK_MSG_ID_SYS_STATUS
 _system_status = common.MAVLink_sys_status_message.unpacker
 _BATTERY_REMAINING = 12
+#: By default a status comes once a minute, and on a slow link, where turns are long, once in so many.
+USUAL_S = 60.0
+LEAST_TURNS = 60
 #: Of an unlimited store in `Holdings.free`.
 _NO_LIMIT = 0xFFFF
 #: The part of the interval after which a node sends its first status is its id times this: they are spread evenly.
@@ -35,12 +38,13 @@ class Host(Protocol):
 
 
 class Statuses:
-    """A service of the agent. It creates a datum of kind STATUS every `interval_s` seconds."""
+    """A service of the agent. It creates data of kind STATUS."""
 
-    def __init__(self, agent: Host, interval_s: float, now: float) -> None:
+    def __init__(self, agent: Host, interval_s: float | None, now: float) -> None:
+        """`interval_s`: seconds between two; None: as usual."""
         self._agent = agent
         self._interval_s = interval_s
-        self._due = now + interval_s * (agent.node.id * _GOLDEN % 1.0)
+        self._due = now + self._interval_now_s() * (agent.node.id * _GOLDEN % 1.0)
         self._battery: int | None = None
 
     def hear(self, frame: Frame, now: float) -> None:
@@ -59,11 +63,16 @@ class Statuses:
         if now < self._due or (until is not None and self._agent.steps >= until):
             return
         # After a stop it does not make up for those that were missed.
-        self._due = max(self._due + self._interval_s, now)
+        self._due = max(self._due + self._interval_now_s(), now)
         try:
             self._agent.node.put(encode_status(self._status(now)), now, Kind.STATUS)
         except StoreFullError as error:
             log.info("no status: %s", error)
+
+    def _interval_now_s(self) -> float:
+        if self._interval_s is not None:
+            return self._interval_s
+        return max(USUAL_S, LEAST_TURNS * self._agent.node.pace.turn_s)
 
     def _status(self, now: float) -> NodeStatus:
         node, position = self._agent.node, self._agent.telemetry.position

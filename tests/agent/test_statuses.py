@@ -33,6 +33,14 @@ def test_it_comes_once_in_each_interval(interval: float) -> None:
     assert abs(len(statuses(agent)) - 10) <= 1
 
 
+@pytest.mark.parametrize(("turn", "expected"), [(1.0, 60.0), (5.0, 300.0)])
+def test_by_default_it_comes_once_a_minute_and_seldom_on_a_slow_link(turn: float, expected: float) -> None:
+    agent = make(3, data={"status_s": None, "interval_steps": 0})
+    agent.node.pace.turn_s = turn
+    run(agent, int(6 * expected))
+    assert abs(len(statuses(agent)) - 6) <= 1
+
+
 def test_nodes_take_their_turns() -> None:
     first = []
     for id in range(2, 12):
