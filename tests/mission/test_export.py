@@ -24,7 +24,7 @@ from rass_mav.commands.filters import add_filters, wanted
 from rass_mav.core.datum import Kind
 from rass_mav.errors import ConfigError
 from rass_mav.mission.entry import ALL, Filter
-from tests.app.app_nodes import environment
+from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 from .mission_stores import FILES, LIVED_S, SAFECAST, measured, mission, nowhere, put, stored
@@ -175,7 +175,7 @@ def test_a_full_disk_leaves_nothing_behind(name: str, store: Path) -> None:
     )
     done = subprocess.run(
         [sys.executable, "-c", limited, "export", str(path), "-o", "out", "--format", name, "--json"],
-        check=False, capture_output=True, text=True, timeout=PATIENCE_S, env=environment(),
+        check=False, capture_output=True, text=True, timeout=PATIENCE_S, env=unmeasured(),
     )  # fmt: skip
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
@@ -187,13 +187,16 @@ def test_a_full_disk_leaves_nothing_behind(name: str, store: Path) -> None:
 def test_an_interrupted_export_leaves_nothing_behind(store: Path) -> None:
     stored(store.with_name("large.db"), (measured(n) for n in range(20_000)), time.time())
     words = [sys.executable, "-m", "rass_mav", "export", "large.db", "-o", "out.kml"]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment()) as process:
-        deadline = time.monotonic() + PATIENCE_S
-        while not list(Path().glob(".rass-mav-*/out.kml")):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=PATIENCE_S)
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=unmeasured()) as process:
+        try:
+            deadline = time.monotonic() + PATIENCE_S
+            while not list(Path().glob(".rass-mav-*/out.kml")):
+                assert process.poll() is None
+                assert time.monotonic() < deadline
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
     assert (process.returncode, said) == (130, "interrupted\n")
     assert here() == []
 
