@@ -22,6 +22,8 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.store.settings import StoreSettings
 
+from .outlets import MetricsSection, OnArrivalSection, PostgresSection
+
 #: Messages that telemetry needs and an autopilot does not always send unasked, with the seconds between two.
 DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0, "GPS_RAW_INT": 1.0, "SYSTEM_TIME": 5.0}
 #: Longest path of a unix socket, bytes (Linux: 108 with the closing zero).
@@ -103,6 +105,12 @@ class RunConfig(Section):
     data: RunDataSettings = RunDataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
     control: ControlSection = ControlSection()
+    on_arrival: OnArrivalSection | None = None
+    """At a base, a command that is run for each datum that arrives; null: none."""
+    metrics: MetricsSection | None = None
+    """At a base, figures for Prometheus; null: none."""
+    postgres: PostgresSection | None = None
+    """At a base, a database that gets what arrives; null: none."""
     log: LogSection = LogSection()
 
     @property
@@ -127,6 +135,11 @@ class RunConfig(Section):
     def socket_path(self) -> Path:
         """The control socket."""
         return Path(self.control.socket) if self.control.socket else self.store_path.with_suffix(".sock")
+
+    @property
+    def outlets(self) -> list[str]:
+        """The names of the sections that something beside the node attends to."""
+        return [name for name in ("on_arrival", "metrics", "postgres") if getattr(self, name) is not None]
 
     def agent_settings(self) -> AgentSettings:
         """The settings that the agent needs."""
@@ -176,12 +189,24 @@ class RunConfig(Section):
             )
         if not self.mavlink.reading_name.isascii():
             mistakes.add("mavlink.reading_name", f"expected ASCII characters, got {self.mavlink.reading_name!r}")
+        self._look_over_outlets(mistakes)
         if self.store.path is not None and not self.store.path:
             mistakes.add("store.path", "expected a path, got ''")
         if mistakes.sound("node.id", "mavlink.system_id", "store.path", "control.socket"):
             socket = str(self.socket_path)
             if len(socket.encode()) > MAX_SOCKET_PATH:
                 mistakes.add("control.socket", f"expected a path of at most {MAX_SOCKET_PATH} bytes, got {socket!r}")
+
+    def _look_over_outlets(self, mistakes: Mistakes) -> None:
+        if not self.base and mistakes.sound("node.role"):
+            for name in self.outlets:
+                mistakes.add(name, "only a base can have this section")
+        if self.metrics is not None and mistakes.sound("metrics.listen"):
+            with mistakes.gathering("metrics.listen"):
+                self.metrics.check()
+        if self.postgres is not None and mistakes.sound("postgres.dsn"):
+            with mistakes.gathering("postgres.dsn"):
+                self.postgres.check()
 
     def _look_over_links(self, mistakes: Mistakes) -> None:
         if not self.base and not self.links and mistakes.sound("node.role", "links"):
@@ -204,9 +229,11 @@ class RunConfig(Section):
             mistakes.add(types[through[1]], "only one link can go through the autopilot")
 
     def warnings(self) -> list[str]:
-        """Settings that do not fit the computer's present state, although they may fit later. Asks the system."""
+        """Settings that do not fit the computer's present state, although they may fit later, and what others may see.
+        Asks the system."""
         found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
-        return [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
+        told = [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
+        return told + ([] if self.metrics is None else self.metrics.remarks())
 
 
 def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:

@@ -15,7 +15,7 @@ import logging
 import os
 import socket
 import stat
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -102,9 +102,10 @@ class _Client:
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
-    def __init__(self, driver: Driver, path: Path) -> None:
-        """`path`: the socket's file."""
+    def __init__(self, driver: Driver, path: Path, beside: Callable[[], dict[str, Any] | None] = lambda: None) -> None:
+        """`path`: the socket's file. `beside`: what `status` shows of the process beside the node."""
         self._driver = driver
+        self._beside = beside
         self._path = path
         self._started = driver.now()
         self._server: asyncio.Server | None = None
@@ -191,7 +192,7 @@ class ControlServer:
             raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
         if isinstance(request, PutRequest):
             return {"id": str(await self._driver.put(payload, request.kind))}
-        return {"status": status(self._driver, self._started)}
+        return {"status": {**status(self._driver, self._started), "beside": self._beside()}}
 
 
 def _request(line: bytes) -> Section:

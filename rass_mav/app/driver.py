@@ -13,6 +13,7 @@ import math
 import random
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import partial
 
 from rass_mav.agent.agent import Agent
@@ -40,6 +41,16 @@ log = logging.getLogger(__name__)
 #: Seconds between two reports of a failing disk to the ground, at least.
 ALARM_S = 30.0
 _CRITICAL = 2
+
+
+@dataclass
+class Steps:
+    """What became of the steps of this run."""
+
+    skipped: int = 0
+    """Left out because the machine was late."""
+    last: float | None = None
+    """When the last one was done, on the driver's timeline; None: none was."""
 
 
 class Driver:
@@ -71,8 +82,7 @@ class Driver:
         self.sensor = sensor
         self.ground = ground
         self._mute = mute
-        self.skipped_steps = 0
-        """Steps left out because the machine was late."""
+        self.steps = Steps()
         self.notifier = Notifier()
         """Notified when the loop goes round. The caller may set one with a receiver."""
         self.now = now
@@ -150,11 +160,12 @@ class Driver:
                 if behind >= late * step_s:
                     self._set_pace()
                     self._hand_out(self.agent.step(self.now()))
+                    self.steps.last = self.now()
                     if self.lived is not None:
                         self._keep_time(self.lived)
                     # On an absolute schedule, without drift. Missed steps are skipped: a burst would be of no use.
                     missed = int(behind / step_s)
-                    self.skipped_steps += missed
+                    self.steps.skipped += missed
                     last += (missed + 1) * step_s
                     late = jitter(self._rng)
                 self._tend()

@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.rates import MessageRates, message_ids
@@ -32,6 +32,9 @@ from .driver import Driver
 from .machine import Machine
 from .narration import Narration
 from .notify import Notifier
+
+if TYPE_CHECKING:
+    from .companion import Companion
 
 log = logging.getLogger(__name__)
 
@@ -60,12 +63,19 @@ class Runtime:
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
+        self._companion: Companion | None = None
+        if config.outlets:
+            from .companion import Companion  # most nodes have none
+
+            self._companion = Companion(config)
 
     def run(self) -> None:
         """Blocking. Raises `RassError`s: a port in use, a store that another node uses, a disk that fails."""
         try:
             asyncio.run(self._main())
         finally:
+            if self._companion is not None:
+                self._companion.stop()
             self._notifier.close()
 
     async def _main(self) -> None:
@@ -138,7 +148,7 @@ class Runtime:
             self._watch(agent, vehicle, sensor, clock.now())
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
-            control = ControlServer(driver, config.socket_path)
+            control = ControlServer(driver, config.socket_path, self._beside)
             try:
                 await control.start()
             except ControlError as error:
@@ -164,7 +174,13 @@ class Runtime:
                 raise
             store.close()
 
+    def _beside(self) -> dict[str, Any] | None:
+        """For `status`."""
+        return None if self._companion is None else self._companion.report()
+
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
+        if self._companion is not None:
+            self._companion.start()
         config = self._config
         node_id, role = config.agent_settings().node_id, config.node.role
         log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)

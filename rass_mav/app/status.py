@@ -39,7 +39,9 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         "epoch": f"{node.store.epoch:08x}",
         "uptime_s": round(now - started, 3),
         "steps": agent.steps,
-        "skipped_steps": driver.skipped_steps,
+        "skipped_steps": driver.steps.skipped,
+        "step_s": settings.step_s,
+        "step_age_s": None if driver.steps.last is None else round(now - driver.steps.last, 3),
         "clock": None
         if driver.lived is None
         else {"lived_s": round(now, 3), "trusted": driver.lived.trusted, "off_known": driver.lived.off_known},

@@ -11,19 +11,21 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rass_mav.errors import ConfigError, RassError, os_errors_as
+from rass_mav.errors import ConfigError, RassError, installing, os_errors_as
 
 from .common import Subparsers, add_command, clean, print_json, say, start_logging, warn
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
-    from rass_mav.mission.archive import Archive
-    from rass_mav.mission.entry import Entry, Filter
+    from rass_mav.mission.entry import Data, Entry, Filter
 
 #: Seconds between two looks with --follow.
 LOOK_S = 0.5
 #: Help of the argument that names a store.
-STORE_HELP = "a node's configuration, or a store's file (a drone's card); default: rass-*.db here, if there is one"
+STORE_HELP = (
+    "a node's configuration, a store's file (a drone's card), or a database (postgresql://...); "
+    "default: rass-*.db here, if there is one"
+)
 _SORTS = ("arrival", "time", "drone", "reading")
 
 
@@ -50,10 +52,13 @@ def register(subparsers: Subparsers) -> None:
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
 
-def open_archive(store: str | None) -> Archive:
+def open_archive(store: str | None) -> Data:
     """The archive that the command names. Raises `ConfigError`, `StoreError`."""
+    from rass_mav.app.outlets import SCHEMES
     from rass_mav.mission.archive import Archive
 
+    if store is not None and store.startswith(SCHEMES):
+        return _open_database(store)
     if store is None:
         found = sorted(Path().glob("rass-*.db"))
         if len(found) != 1:
@@ -63,10 +68,20 @@ def open_archive(store: str | None) -> Archive:
     return Archive.of(store)
 
 
+def _open_database(url: str) -> Data:
+    try:
+        from rass_mav.mission.database import Database
+    except ImportError as error:
+        raise ConfigError(
+            f"postgresql://: needs the Python package psycopg: {installing('postgres')} ({error})"
+        ) from None
+    return Database(url)
+
+
 @contextlib.contextmanager
-def read_archive(store: str | None) -> Iterator[Archive]:
+def read_archive(store: str | None) -> Iterator[Data]:
     """The same; what is wrong with the store is said at the end."""
-    with open_archive(store) as archive:
+    with contextlib.closing(open_archive(store)) as archive:
         try:
             yield archive
         finally:
@@ -105,7 +120,7 @@ def _sorted(entries: Iterable[Entry], options: argparse.Namespace) -> Iterable[E
     return reversed(ordered) if options.reverse else ordered
 
 
-def _follow(archive: Archive, filter: Filter, *, as_json: bool) -> None:
+def _follow(archive: Data, filter: Filter, *, as_json: bool) -> None:
     if not as_json:
         say(HEADER)
     new = archive.entries(filter)

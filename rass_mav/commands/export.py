@@ -15,8 +15,7 @@ from .data import STORE_HELP, read_archive
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
-    from rass_mav.mission.archive import Archive
-    from rass_mav.mission.entry import Entry
+    from rass_mav.mission.entry import Data, Entry
     from rass_mav.mission.formats import Format
 
 
@@ -80,7 +79,7 @@ def _by_ending(out: Path | None) -> str:
     return endings[out.suffix]
 
 
-def _write(entries: Iterator[Entry], out: Path, format: Format, archive: Archive) -> dict[str, int]:
+def _write(entries: Iterator[Entry], out: Path, format: Format, archive: Data) -> dict[str, int]:
     """Create `out`, completely or not at all; returns how many data and files."""
     from tempfile import TemporaryDirectory  # a node does not need it, but loads this module for its command line
 

@@ -47,6 +47,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         if link["trouble"]:
             yield f"WARNING: link {link['name']}: {link['trouble']}"
     yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
+    if (beside := s.get("beside")) is not None:
+        yield from _beside(beside)
     yield f"frames not understood: {s['malformed']} malformed, {s['foreign']} foreign"
     if s["commits"]["failed"]:
         yield f"WARNING: {s['commits']['failed']} commits failed"
@@ -66,6 +68,27 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield f"WARNING: nodes {nodes} share system id {shared['system_id']}, a ground station sees one vehicle"
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _beside(beside: dict[str, Any]) -> Iterator[str]:
+    """About the process beside a base."""
+    if beside["pid"] is None:
+        yield "WARNING: the process beside the node does not run; it is started again"
+    if beside["ends"]:
+        yield f"WARNING: the process beside the node has ended {beside['ends']} times; the log says why"
+    if (served := beside.get("metrics")) is not None and served["trouble"]:
+        yield f"WARNING: metrics: {served['trouble']}"
+    if (told := beside.get("on_arrival")) is not None:
+        yield f"on_arrival: {told['told']} told, {told['failed']} failed, {told['behind']} to come"
+        if told["last_failure"]:
+            yield f"WARNING: on_arrival: the last failure: {told['last_failure']}"
+        if told["trouble"]:
+            yield f"WARNING: on_arrival: {told['trouble']}"
+    if (posted := beside.get("postgres")) is not None:
+        state = "connected" if posted["connected"] else "not connected"
+        yield f"postgres: {state}, {posted['posted']} data written, {posted['behind']} to come"
+        if posted["trouble"]:
+            yield f"WARNING: postgres: {posted['trouble']}"
 
 
 def _ways(interfaces: Sequence[dict[str, Any]]) -> str:

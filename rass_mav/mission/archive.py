@@ -27,7 +27,7 @@ from rass_mav.wire.nodestatus import decode_status
 from .entry import ALL, Entry, Filter
 
 #: Bytes of a payload that a list needs: the longest name of a file, and a measurement.
-_HEAD_BYTES = 256
+HEAD_BYTES = 256
 #: What a clock that is set by NTP or GPS may be wrong by, seconds; and the drift of a computer's clock without them.
 DATE_ERROR_S = 1.0
 DRIFT = 1e-4
@@ -39,8 +39,11 @@ class Archive:
     A damaged store is read as far as it goes, and so is one of the previous version: `remarks` says what was done.
     """
 
-    def __init__(self, path: str | os.PathLike[str], now: Callable[[], float] = time.time) -> None:
-        """`now`: the date, seconds since 1970. Raises `StoreError` if there is nothing to read."""
+    def __init__(
+        self, path: str | os.PathLike[str], now: Callable[[], float] = time.time, *, salvage: bool = True
+    ) -> None:
+        """`now`: the date, seconds since 1970. Raises `StoreError` if there is nothing to read; without `salvage`, also
+        if the store is damaged or of the previous version."""
         self.path = Path(path)
         self.remarks: list[str] = []
         """About the state of the store, for people."""
@@ -48,10 +51,13 @@ class Archive:
         """The latest `Entry.arrival` that was read."""
         self._now = now
         self._stack = ExitStack()
+        self._may_salvage = salvage
         self._salvaged = False
         try:
             self._reader = self._stack.enter_context(SqliteReader(path))
         except (StoreDamagedError, OutdatedStoreError) as error:
+            if not salvage:
+                raise
             try:
                 self._salvage(error)
             except BaseException:
@@ -79,6 +85,7 @@ class Archive:
             raise error
         self._reader = self._stack.enter_context(SqliteReader(copy))
         self._salvaged = True
+        self._may_salvage = False
         self.remarks.append(f"{error}; {found} data could be read")
 
     def _look_at_clock(self) -> None:
@@ -93,15 +100,21 @@ class Archive:
             self._reader.renew()
             self._look_at_clock()
 
-    def count(self) -> int:
+    @property
+    def lineage(self) -> tuple[int, int]:
+        """The life and the epoch of the store, 32 bits each. While they stay the same, no `Entry.arrival` is used for
+        another datum."""
+        return self._reader.life, self._reader.epoch
+
+    def count(self, *, after: int = -1) -> int:
         """How many rows `entries` reads."""
         try:
-            return self._reader.count()
+            return self._reader.count(after)
         except StoreDamagedError as error:
-            if self._salvaged:
+            if not self._may_salvage:
                 raise
             self._salvage(error)
-            return self._reader.count()
+            return self._reader.count(after)
 
     def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
         """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
@@ -112,10 +125,14 @@ class Archive:
                 if wanted.admits(entry):
                     yield entry
 
+    def second_contents(self, after: int) -> Iterator[Entry]:
+        """The second contents of ids, in an order of their own: those behind this `Entry.arrival`; 0: all."""
+        return (self._entry(row, True) for row in self._rows(after, True))
+
     def _rows(self, after: int, apart: bool) -> Iterator[Row]:
         unsound = 0
         try:
-            for row in self._reader.rows(_HEAD_BYTES, after=after, apart=apart):
+            for row in self._reader.rows(HEAD_BYTES, after=after, apart=apart):
                 if row is None:
                     unsound += 1
                 else:
@@ -124,7 +141,7 @@ class Archive:
                         self.seen = max(self.seen, after)
                     yield row
         except StoreDamagedError as error:
-            if self._salvaged:
+            if not self._may_salvage:
                 raise
             self._salvage(error)
             yield from self._rows(after, apart)
@@ -149,7 +166,7 @@ class Archive:
             DATE_ERROR_S + DRIFT * aged_s + info.hops * self._hop_s if bounded else None,
             info.at_least, age_s, arrived=arrived, apart=apart,
         )  # fmt: skip
-        return entry._replace(**_content(info, head))
+        return entry._replace(**content(info, head))
 
     def datum(self, name: str) -> Datum:
         """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
@@ -165,7 +182,7 @@ class Archive:
         """The same as an entry."""
         datum, (_, crc) = self.datum(name), parse_name(name)
         info = StoredInfo(*datum[:5], len(datum.payload), datum.at_least)
-        return self._entry(Row(-1, info, datum.payload[:_HEAD_BYTES]), crc is not None)
+        return self._entry(Row(-1, info, datum.payload[:HEAD_BYTES]), crc is not None)
 
     def losses(self) -> list[tuple[DatumId, Fate]]:
         """What is known to be lost."""
@@ -182,8 +199,8 @@ class Archive:
         self.close()
 
 
-def _content(info: StoredInfo, head: bytes) -> dict[str, Any]:
-    """The fields of an entry that its payload tells."""
+def content(info: StoredInfo, head: bytes) -> dict[str, Any]:
+    """The fields of an entry that its payload tells. `head`: its first `HEAD_BYTES`."""
     if info.size == len(head) and datum_crc(info.id, info.kind, head) != info.crc:
         return {"malformed": "corrupt, its checksum does not match"}
     try:

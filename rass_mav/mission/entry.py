@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from datetime import datetime, timezone
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
-from rass_mav.core.datum import DatumId, Kind
+from rass_mav.core.datum import Datum, DatumId, Fate, Kind
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -127,6 +128,39 @@ class Filter(NamedTuple):
 
 #: All data.
 ALL = Filter()
+
+
+class Data(Protocol):
+    """The data of a mission: in a node's store, or in a database."""
+
+    path: Path
+    """Names it; the store's file, if it is one."""
+    remarks: list[str]
+    """About its state, for people."""
+    seen: int
+    """The latest `Entry.arrival` that was read."""
+
+    def renew(self) -> None:
+        """Read from now on what is there now."""
+
+    def count(self) -> int:
+        """How many data `entries` reads."""
+
+    def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
+        """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
+        this `Entry.arrival`, and no second contents."""
+
+    def datum(self, name: str) -> Datum:
+        """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
+
+    def entry(self, name: str) -> Entry:
+        """The same as an entry."""
+
+    def losses(self) -> list[tuple[DatumId, Fate]]:
+        """What is known to be lost."""
+
+    def close(self) -> None:
+        """Release the files or the connection."""
 
 
 def _inside(place: tuple[float, float] | None, south: float, west: float, north: float, east: float) -> bool:

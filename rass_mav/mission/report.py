@@ -11,8 +11,7 @@ from rass_mav.core.datum import WOUNDS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 from rass_mav.wire.nodestatus import NodeStatus
 
-from .archive import Archive
-from .entry import Entry, iso
+from .entry import Data, Entry, iso
 
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
@@ -142,8 +141,8 @@ class Report:
         """Second contents under an id: two drones with one id, or a forged datum."""
 
     @classmethod
-    def of(cls, archive: Archive) -> Report:
-        """The report of all that a store holds."""
+    def of(cls, archive: Data) -> Report:
+        """The report of all that a store or a database holds."""
         report = cls()
         report.take(archive.entries())
         report.hear(archive.losses())

@@ -73,9 +73,13 @@ class SqliteReader:
         with explained(self._path, "listing the data"):
             yield from schema.read_rows(self._connection, "apart" if apart else "datum", head_bytes, after)
 
-    def count(self) -> int:
-        """How many rows of data are stored, second contents and damaged ones included."""
+    def count(self, after: int = -1) -> int:
+        """How many rows of data are stored, damaged ones and second contents included. `after`: only what arrived
+        later, and no second contents."""
         with explained(self._path, "counting the data"):
+            if after >= 0:
+                rows = self._connection.execute("SELECT count(*) FROM datum WHERE arrival > ?", (after,)).fetchall()
+                return int(rows[0][0])
             tables = "SELECT (SELECT count(*) FROM datum) + (SELECT count(*) FROM apart)"
             return int(self._connection.execute(tables).fetchall()[0][0])
 

@@ -104,7 +104,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l json -d 'print exactly one JSON object'
-complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -x -d 'a node'"'"'s configuration, or a store'"'"'s file (a drone'"'"'s card); default: rass-*.db here, if there is one'
+complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -x -d 'a node'"'"'s configuration, a store'"'"'s file (a drone'"'"'s card), or a database (postgresql://...); default: rass-*.db here, if there is one'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'file to write to (default: stdout)'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a export -d 'Write the data of a store to a file for other programs.'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s h -l help -d 'show this help message and exit'

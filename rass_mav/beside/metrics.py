@@ -1,0 +1,181 @@
+"""/metrics for Prometheus and /healthz, over HTTP. The node is asked on its control socket, at most once a second."""
+
+from __future__ import annotations
+
+import socketserver
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client.core import Metric
+from prometheus_client.registry import Collector
+
+from rass_mav.app.client import ControlClient
+from rass_mav.app.outlets import MetricsSection
+from rass_mav.errors import ControlError, why
+from rass_mav.link.address import parse_address
+
+from .figures import figures
+
+#: A node that has not stepped for so many steps, and so many seconds, is not healthy.
+LATE_STEPS = 5
+LATE_S = 5.0
+#: The status is asked for again when it is older, seconds.
+FRESH_S = 1.0
+#: Clients at a time, and how long one may take for its request, seconds.
+MOST_CLIENTS = 8
+REQUEST_S = 5.0
+#: Seconds until an address that could not be used is tried again: at first, and at most; and between two looks at the
+#: event that ends it.
+AGAIN_S = 1.0
+MOST_AGAIN_S = 60.0
+_LOOK_S = 0.5
+
+
+class Node:
+    """The state of the node, as it last said."""
+
+    def __init__(self, socket: Path, store: Path) -> None:
+        self._socket = socket
+        self._store = store
+        self._lock = threading.Lock()
+        self._asked = -FRESH_S
+        self._status: dict[str, Any] | str = ""
+
+    def status(self) -> dict[str, Any]:
+        """Raises `ControlError` if it does not answer."""
+        with self._lock:
+            if time.monotonic() - self._asked >= FRESH_S:
+                try:
+                    with ControlClient(self._socket, timeout_s=LATE_S) as client:
+                        self._status = client.ask("status")["status"]
+                except ControlError as error:
+                    self._status = str(error)
+                self._asked = time.monotonic()
+            if isinstance(self._status, str):
+                raise ControlError(self._status)
+            return self._status
+
+    def collect(self) -> Iterator[Metric]:
+        """Raises `ControlError`."""
+        return figures(self.status(), self._store)
+
+    def illness(self) -> str:
+        """Why it does not work; empty: it does."""
+        try:
+            status = self.status()
+        except ControlError as error:
+            return str(error)
+        age_s, limit_s = status["step_age_s"], max(LATE_STEPS * status["step_s"], LATE_S)
+        if age_s is None:
+            return "no step was done yet"
+        return f"the last step was {age_s:.1f} s ago" if age_s > limit_s else ""
+
+
+class _Figures(Collector):
+    def __init__(self, node: Node) -> None:
+        self._node = node
+
+    def collect(self) -> Iterator[Metric]:
+        return self._node.collect()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    timeout = REQUEST_S
+    server: _Server
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        if path == "/healthz":
+            illness = self.server.node.illness()
+            self._answer(503 if illness else 200, f"{illness or 'ok'}\n".encode())
+        elif path == "/metrics":
+            try:
+                found = generate_latest(self.server.registry)
+            except ControlError as error:
+                self._answer(503, f"{error}\n".encode())
+            else:
+                self._answer(200, found, CONTENT_TYPE_LATEST)
+        else:
+            self._answer(404, b"/metrics or /healthz\n")
+
+    def _answer(self, code: int, body: bytes, type: str = "text/plain; charset=utf-8") -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", type)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """A scrape is not worth a line."""
+
+
+class _Server(socketserver.ThreadingTCPServer):
+    allow_reuse_address = True
+    daemon_threads = True
+    block_on_close = False
+    timeout = _LOOK_S
+
+    def __init__(self, address: tuple[str, int], node: Node) -> None:
+        self.node = node
+        self.registry = CollectorRegistry()
+        self._places = threading.BoundedSemaphore(MOST_CLIENTS)
+        super().__init__(address, _Handler)
+        self.registry.register(_Figures(node))
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Clients that hang take places, and no more: others are cut off until these have timed out."""
+        if self._places.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that goes away or takes too long is no fault; anything else is."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handle_error(request, client_address)
+
+
+class Metrics:
+    """Serves both pages."""
+
+    last_s: float | None = 1.0
+
+    def __init__(self, section: MetricsSection, socket: Path, store: Path) -> None:
+        self._address = parse_address(section.listen, any_port=True)
+        self._node = Node(socket, store)
+        self._listens: str | None = None
+        self._trouble = ""
+
+    def report(self) -> dict[str, Any]:
+        """For `status`."""
+        return {"listen": self._listens, "trouble": self._trouble or None}
+
+    def run(self, stopping: Event) -> None:
+        """Until the event is set."""
+        again_s = AGAIN_S
+        while not stopping.is_set():
+            try:
+                server = _Server(self._address, self._node)
+            except OSError as error:
+                self._trouble = f"{self._address[0]}:{self._address[1]}: {why(error)}"
+                stopping.wait(again_s)
+                again_s = min(2 * again_s, MOST_AGAIN_S)
+                continue
+            self._trouble = ""
+            with server:
+                self._listens = "{}:{}".format(*server.server_address[:2])
+                while not stopping.is_set():
+                    server.handle_request()

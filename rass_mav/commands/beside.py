@@ -1,0 +1,24 @@
+"""`python -m rass_mav.commands.beside`: the process beside a base, which its node starts (`rass_mav.app.companion`)."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+from .common import start_logging
+
+
+def main() -> int:
+    """The first line of standard input is a JSON object: the configuration, and the level of the log."""
+    from rass_mav.app.config import RunConfig
+    from rass_mav.app.jsonlines import load_line
+    from rass_mav.beside.process import work
+    from rass_mav.config.typed import build
+
+    order = load_line(sys.stdin.buffer.readline())
+    start_logging(0, logging.getLevelName(order["log"]))
+    return work(build(order["config"], RunConfig))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+"""The data of a mission in a database, to which several bases write. Read like a node's store."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import psycopg
+
+from rass_mav.app.payloads import parse_name
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.store import StoredInfo
+from rass_mav.errors import ConfigError, StoreError
+
+from .archive import HEAD_BYTES, content
+from .entry import ALL, Entry, Filter
+from .tables import check_version, connect, said, shown, split_url
+
+#: Rows that are fetched at a time.
+_ROWS = 500
+_COLUMNS = (
+    "d.number, d.origin, d.epoch, d.sequence, d.crc, d.kind, octet_length(d.payload), d.hops, d.utc, d.error_s, "
+    "d.at_least, d.age_s, d.apart, (SELECT min(a.utc) FROM rass.arrival a WHERE a.datum = d.number), "
+    f"substr(d.payload, 1, {HEAD_BYTES})"
+)
+_FATES = {fate.value: fate for fate in Fate}
+
+
+class Database:
+    """The data of one mission. Changes nothing.
+
+    What is read is of one moment, that of the first read since `renew`, however the database changes meanwhile.
+    """
+
+    def __init__(self, url: str, now: Callable[[], float] = time.time) -> None:
+        """`url`: as libpq takes it; `mission=NAME` among its options chooses one, where there are several. `now`: the
+        date, seconds since 1970. Raises `ConfigError`, `StoreError`."""
+        plain, mission = split_url(url)
+        self.remarks: list[str] = []
+        self.seen = 0
+        """The latest `Entry.arrival` that was read: here the number of its row."""
+        self._now = now
+        self._name = shown(url)
+        self._cursors = count()
+        with self._explained():
+            self._connection = connect(plain)
+        try:
+            with self._explained():
+                check_version(self._connection)
+                self._connection.read_only = True
+                self._connection.isolation_level = psycopg.IsolationLevel.REPEATABLE_READ
+                self._connection.autocommit = False
+                self._mission = self._chosen(mission)
+        except BaseException:
+            self._connection.close()
+            raise
+        self.path = Path(self._mission.replace("/", "_"))
+        """A name for files."""
+
+    def _chosen(self, mission: str | None) -> str:
+        rows = self._connection.execute("SELECT DISTINCT mission FROM rass.progress ORDER BY mission").fetchall()
+        found = [row[0] for row in rows]
+        if mission in found or (mission is None and len(found) == 1):
+            return mission or str(found[0])
+        if not found:
+            raise StoreError(f"{self._name}: no base has written to it yet")
+        raise ConfigError(f"{self._name}: expected ?mission= and one of {', '.join(found)} behind the database's name")
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Errors of the database are `StoreError`s, and so are those of ours about its state."""
+        try:
+            yield
+        except psycopg.Error as error:
+            raise StoreError(f"{self._name}: {said(error)}") from None
+        except StoreError as error:
+            raise StoreError(str(error) if self._name in str(error) else f"{self._name}: {error}") from None
+
+    def renew(self) -> None:
+        """Read from now on what is there now."""
+        with self._explained():
+            self._connection.rollback()
+
+    def count(self) -> int:
+        """How many data `entries` reads."""
+        with self._explained():
+            row = self._connection.execute(
+                "SELECT count(*) FROM rass.datum WHERE mission = %s", (self._mission,)
+            ).fetchone()
+        assert row is not None
+        return int(row[0])
+
+    def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
+        """The data in the order in which they came to the database, and then the second contents of ids. `after`: only
+        what came later than this `Entry.arrival`, and no second contents."""
+        for apart in (False, True) if after < 0 else (False,):
+            # A cursor of the server: the memory needed here does not depend on the number of data.
+            with self._explained(), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
+                cursor.itersize = _ROWS
+                cursor.execute(
+                    f"SELECT {_COLUMNS} FROM rass.datum d "
+                    "WHERE d.mission = %s AND d.number > %s AND d.apart = %s ORDER BY d.number",
+                    (self._mission, after, apart),
+                )
+                for row in cursor:
+                    if not apart:
+                        self.seen = max(self.seen, row[0])
+                    entry = self._entry(row)
+                    if wanted.admits(entry):
+                        yield entry
+
+    def _entry(self, row: tuple[Any, ...]) -> Entry:
+        number, origin, epoch, sequence, crc, kind, size, hops, utc, error_s, at_least, age_s, apart, arrived, head = (
+            row
+        )
+        info = StoredInfo(DatumId(origin, epoch, sequence), kind, utc, hops, crc, size, at_least)
+        entry = Entry(
+            number, info.id, crc, kind, size, hops, utc, error_s, at_least, age_s, arrived=arrived, apart=apart
+        )  # fmt: skip
+        # Where the date was not known, nobody knows how old it is now.
+        age_s = max(0.0, self._now() - utc) if entry.dated else age_s
+        return entry._replace(age_s=age_s, **content(info, bytes(head)))
+
+    def datum(self, name: str) -> Datum:
+        """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none."""
+        *id, kind, utc, hops, crc, payload, at_least = self._row(
+            name, "d.origin, d.epoch, d.sequence, d.kind, d.utc, d.hops, d.crc, d.payload, d.at_least"
+        )
+        datum = Datum(DatumId(*id), kind, utc, hops, crc, bytes(payload), at_least)
+        if not datum.intact:
+            raise StoreError(f"{name}: corrupt, its checksum does not match")
+        return datum
+
+    def entry(self, name: str) -> Entry:
+        """The same as an entry."""
+        return self._entry(self._row(name, _COLUMNS))
+
+    def _row(self, name: str, columns: str) -> tuple[Any, ...]:
+        id, crc = parse_name(name)
+        with self._explained():
+            row = self._connection.execute(
+                f"SELECT {columns} FROM rass.datum d WHERE d.mission = %s AND d.origin = %s AND d.epoch = %s "
+                "AND d.sequence = %s AND CASE WHEN %s::bigint IS NULL THEN NOT d.apart ELSE d.crc = %s END",
+                (self._mission, *id, crc, crc),
+            ).fetchone()
+        if row is None:
+            raise StoreError(f"{name}: not in {self._name}")
+        return row
+
+    def losses(self) -> list[tuple[DatumId, Fate]]:
+        """What some base knows to be lost."""
+        with self._explained():
+            rows = self._connection.execute(
+                "SELECT origin, epoch, sequence, fate FROM rass.loss WHERE mission = %s "
+                "ORDER BY origin, epoch, sequence",
+                (self._mission,),
+            ).fetchall()
+        return [(DatumId(*row[:3]), _FATES[row[3]]) for row in rows if row[3] in _FATES]
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._connection.close()
+
+    def __enter__(self) -> Database:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
