@@ -10,7 +10,7 @@ import sys
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ from rass_mav.errors import ConfigError
 from tests.app.app_nodes import RunningNode, command, line_of
 from tests.patience import PATIENCE_S
 
+from .conftest import Tidy
+
 pytest.importorskip("prometheus_client", reason="prometheus-client is not installed")
 
 from prometheus_client.parser import text_string_to_metric_families
@@ -31,18 +33,6 @@ from prometheus_client.parser import text_string_to_metric_families
 from rass_mav.beside.metrics import MOST_CLIENTS, Node
 
 METRICS = {"listen": "127.0.0.1:0"}
-Tidy = Callable[[RunningNode], RunningNode]
-
-
-@pytest.fixture
-def tidy() -> Iterator[Tidy]:
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
 
 
 def get(address: str, page: str) -> tuple[int, str]:

@@ -8,7 +8,6 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -27,20 +26,10 @@ from tests.app.app_nodes import RunningNode, command
 from tests.mission.missions import HERE, Base
 from tests.patience import PATIENCE_S
 
+from .conftest import Tidy
+
 #: Appends what it gets to a file, in one write, and its environment to another.
 TELL = ["sh", "-c", 'echo "$RASS_ID $RASS_DRONE $RASS_KIND" >> told.txt; cat >> told.jsonl']
-Tidy = Callable[[RunningNode], RunningNode]
-
-
-@pytest.fixture
-def tidy() -> Iterator[Tidy]:
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
 
 
 def base(directory: Path, **on_arrival: Any) -> RunningNode:

@@ -6,7 +6,6 @@ import json
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 from threading import Event
@@ -28,6 +27,7 @@ from tests.app.app_nodes import RunningNode, command
 from tests.mission.mission_stores import NOW, measured, mission, put, stored
 from tests.store.store_helpers import commit
 
+from .conftest import Tidy
 from .databases import Server, rows, server
 
 # After `databases`, which skips the file where the package is missing.
@@ -35,7 +35,6 @@ from rass_mav.beside.poster import Poster  # isort: skip
 from rass_mav.mission.database import Database  # isort: skip
 from rass_mav.mission.tables import shown, split_url  # isort: skip
 
-Tidy = Callable[[RunningNode], RunningNode]
 NAMES = count()
 
 
@@ -49,17 +48,6 @@ def shared() -> Iterator[Server]:
 def url(shared: Server) -> str:
     """An empty database."""
     return shared.create(f"rass{next(NAMES)}")
-
-
-@pytest.fixture
-def tidy() -> Iterator[Tidy]:
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
 
 
 class Until(Event):
