@@ -28,6 +28,7 @@ MAY_IMPORT["app"] = MAY_IMPORT["base"] = MAY_IMPORT["agent"] | {"agent"}
 MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
 MAY_IMPORT["mission"] = MAY_IMPORT["app"] | {"app"}
 MAY_IMPORT["beside"] = MAY_IMPORT["mission"] | {"mission"}
+MAY_IMPORT["page"] = MAY_IMPORT["mission"] | {"mission"}
 MAY_IMPORT["swarm"] = MAY_IMPORT["mission"] | {"mission"}
 MAY_IMPORT["replay"] = MAY_IMPORT["experiment"] = MAY_IMPORT["swarm"] | {"swarm"}
 MAY_IMPORT["commands"] = set(MAY_IMPORT) - {"commands"}
@@ -182,6 +183,11 @@ def test_pymavlink_is_imported_in_its_room_only_and_never_mavutil(path: Path) ->
     pymavlink = [m for m in imports(path) if m.split(".")[0] == "pymavlink"]
     assert not pymavlink or room(path) == "mavlink"
     assert not [m for m in pymavlink if "mavutil" in m]
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_aiohttp_is_imported_in_its_room_only(path: Path) -> None:
+    assert room(path) == "page" or not [m for m in imports(path) if m.split(".")[0] == "aiohttp"]
 
 
 @pytest.mark.parametrize("path", [p for p in FILES if room(p) == "core"], ids=name)

@@ -107,6 +107,10 @@ def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> 
     share = rass_mav.parents[1] / "share"
     assert (share / "man" / "man1" / "rass-mav.1").is_file()
     assert (share / "bash-completion" / "completions" / "rass-mav").is_file()
+    (package,) = rass_mav.parents[1].glob("lib/python*/site-packages/rass_mav")
+    static = ROOT / "rass_mav" / "page" / "static"
+    for file in (path.relative_to(static) for path in static.rglob("*") if path.is_file()):
+        assert (package / "page" / "static" / file).is_file()
     said = _run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path)
     assert json.loads(said)["steps"] == 5
 

@@ -131,6 +131,7 @@ def _follow(archive: Data, filter: Filter, *, as_json: bool) -> None:
             else:
                 say(datum_line(entry))
         sys.stdout.flush()
+        archive.rest()
         time.sleep(LOOK_S)
         archive.renew()
         new = archive.entries(filter, after=archive.seen)

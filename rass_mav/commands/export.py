@@ -51,7 +51,7 @@ def _export(options: argparse.Namespace) -> int:
     format, filter = format_of(name), wanted(options)
     with read_archive(options.store) as archive:
         out = options.output or Path(archive.path.stem + (format.ending or f"-{name}"))
-        _refuse_existing(out)
+        refuse_existing(out)
         with progress(archive.count(), "data", quiet=options.json) as advance:
 
             def entries() -> Iterator[Entry]:
@@ -91,11 +91,12 @@ def _write(entries: Iterator[Entry], out: Path, format: Format, archive: Data) -
         draft = Path(folder) / out.name
         done = format.write(entries, draft, archive)
         files = len(os.listdir(draft)) if draft.is_dir() else 1
-        _refuse_existing(out)
+        refuse_existing(out)
         os.replace(draft, out)
     return {"data": done.data, "left_out": done.left_out, "files": files}
 
 
-def _refuse_existing(out: Path) -> None:
+def refuse_existing(out: Path) -> None:
+    """Raises `ConfigError` if there is something already."""
     if os.path.lexists(out):
         raise ConfigError(f"{out}: exists already; nothing is overwritten: choose another name, or remove it")

@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
+
+from rass_mav.errors import RassError, os_errors_as
 
 from .common import Subparsers, add_command, answer, clean, start_logging
 from .data import STORE_HELP, read_archive
+from .export import refuse_existing
 
 
 def register(subparsers: Subparsers) -> None:
@@ -19,6 +23,9 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav report base.yaml",
     )  # fmt: skip
     report.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    report.add_argument(
+        "--html", type=Path, metavar="FILE", help="also write it with a map to one file, to mail or to print"
+    )
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -26,7 +33,14 @@ def _report(options: argparse.Namespace) -> int:
 
     start_logging(options.verbose)
     with read_archive(options.store) as archive:
-        plain = Report.of(archive).plain(time.time())
+        if options.html is None:
+            plain = Report.of(archive).plain(time.time())
+        else:
+            from rass_mav.mission import html
+
+            refuse_existing(options.html)
+            with os_errors_as(RassError, options.html):
+                plain = html.write(archive, options.html, time.time())
     answer(options, plain, report_lines(plain))
     return 0
 

@@ -100,6 +100,11 @@ class Archive:
             self._reader.renew()
             self._look_at_clock()
 
+    def rest(self) -> None:
+        """Read nothing until `renew`."""
+        if not self._salvaged:
+            self._reader.rest()
+
     @property
     def lineage(self) -> tuple[int, int]:
         """The life and the epoch of the store, 32 bits each. While they stay the same, no `Entry.arrival` is used for

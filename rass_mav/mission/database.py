@@ -85,6 +85,10 @@ class Database:
         with self._explained():
             self._connection.rollback()
 
+    def rest(self) -> None:
+        """Read nothing until `renew`."""
+        self.renew()
+
     def count(self) -> int:
         """How many data `entries` reads."""
         with self._explained():

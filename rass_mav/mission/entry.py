@@ -143,6 +143,9 @@ class Data(Protocol):
     def renew(self) -> None:
         """Read from now on what is there now."""
 
+    def rest(self) -> None:
+        """Read nothing until `renew`, so that whoever writes is not held up."""
+
     def count(self) -> int:
         """How many data `entries` reads."""
 

@@ -108,6 +108,16 @@ class Drone:
         return sum(last - first + 1 for numbers in self.epochs.values() for first, last in numbers.missing())
 
     @property
+    def missing_numbers(self) -> list[dict[str, Any]]:
+        """The same as ranges of numbers, as plain values for JSON; of many the latest."""
+        ranges = [
+            {"epoch": f"{epoch:08x}", "first": first, "last": last}
+            for epoch, numbers in self.epochs.items()
+            for first, last in numbers.missing()
+        ]
+        return ranges[-MOST_RANGES:]
+
+    @property
     def status(self) -> NodeStatus | None:
         """What it last said about itself."""
         return None if self.told is None else self.told.status
@@ -228,18 +238,13 @@ class Report:
 
     def _plain(self, drone: Drone, now: float) -> dict[str, Any]:
         status, highest = drone.status, drone.highest
-        missing = [
-            {"epoch": f"{epoch:08x}", "first": first, "last": last}
-            for epoch, numbers in drone.epochs.items()
-            for first, last in numbers.missing()
-        ]
         return {
             "drone": drone.id,
             "created": drone.created,
             "arrived": drone.arrived,
             "kinds": dict(drone.kinds),
             "missing": drone.missing,
-            "missing_numbers": missing[-MOST_RANGES:],
+            "missing_numbers": drone.missing_numbers,
             "lost": {fate.value: count for fate, count in drone.lost.items()},
             "wounds": [fate.value for fate in drone.wounds],
             "heard": None if drone.heard is None else {"utc": iso(drone.heard.utc), "age_s": _age(drone.heard, now)},

@@ -19,7 +19,8 @@ from .reading import connect_alone
 class SqliteReader:
     """What was durable in a store at the moment of opening, however it changes meanwhile.
 
-    Needs no lock, and changes no data. While it is open the node cannot shorten its write-ahead log, so close it soon.
+    Needs no lock, and changes no data. While it is open the node cannot shorten its write-ahead log, so close it soon,
+    or let it `rest`.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -49,10 +50,15 @@ class SqliteReader:
     def renew(self) -> None:
         """Read from now on what is durable now."""
         with explained(self._path, "reading the store"):
-            self._connection.execute("ROLLBACK")
+            self.rest()
             self._connection.execute("BEGIN")
             self._meta = schema.read_numbers(self._connection, "meta")
             schema.read_own(self._meta)
+
+    def rest(self) -> None:
+        """Let the node shorten its log, until `renew`."""
+        if self._connection.in_transaction:
+            self._connection.execute("ROLLBACK")
 
     def meta(self) -> dict[str, int]:
         """The numbers that the node keeps, without the store's own."""

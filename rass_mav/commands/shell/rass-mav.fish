@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status put ls get export report doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --jobs --keep --kind --line --live --loss --name --nodes --off --out --output --own-runs --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --sysid --topology --transport --until --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -122,6 +122,15 @@ complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -
 complete -c rass-mav -n '_shtab_rass_mav_using report' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using report' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using report' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using report' -l html -xka "(__fish_complete_path (commandline -ct))" -d 'also write it with a map to one file, to mail or to print'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a page -d 'Show a map and the state of a mission in a browser, until Ctrl-C.'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l listen -x -d 'where browsers find it (127.0.0.1:8080)'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l token-file -xka "(__fish_complete_path (commandline -ct))" -d 'its first line is the token that browsers have to give'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l name -x -d 'another name of this computer, by which browsers may ask for the page; may be repeated'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l tiles -x -d 'the crew'"'"'s own map, images in MBTiles'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a doctor -d 'Check a node and its surroundings, running or not; exit code 1 if something failed.'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s v -l verbose -d 'logs on stderr; -vv for more'

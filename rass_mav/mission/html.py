@@ -1,0 +1,346 @@
+"""The report as one file to mail or to print: a map and tables, without scripts, and with nothing from elsewhere."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from html import escape
+from math import cos, floor, log, log10, radians
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .entry import UNIT_NAMES, Data, Entry, iso
+from .field import DEGREE_M, Field
+from .formats.kml import COLOURS
+from .report import Report
+from .slots import Slots
+
+#: Places of a drone that are drawn.
+MOST_PLACES = 300
+#: Ranges of missing numbers that are listed for a drone, the latest.
+MOST_RANGES = 8
+# The map, in its own units, and the least that it shows, metres.
+_WIDTH, _HEIGHT, _EDGE, _LEAST_M = 900.0, 560.0, 30.0, 40.0
+# The lowest reading of the scale is at least this part of the highest.
+_DYNAMIC = 1e-3
+_CONTROLS = re.compile("[^\t\n\x20-\x7e\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+_STYLE = """
+body { font: 11pt/1.4 system-ui, sans-serif; color: #14181d; background: #fff; max-width: 62rem; margin: 1rem auto;
+  padding: 0 1rem; }
+h1 { font-size: 1.4rem; margin: 0; } h2 { font-size: 1.1rem; margin: 1.4rem 0 .4rem; }
+p { margin: .3rem 0; } .quiet { color: #505a66; font-size: .9em; }
+.totals { display: flex; gap: 2.5rem; margin: 1rem 0; } .totals b { display: block; font-size: 1.6rem; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; font-size: .92em; }
+th, td { text-align: right; padding: .25rem .45rem; border-bottom: 1px solid #c6ccd4; vertical-align: top; }
+th { color: #505a66; } td.text, th.text { text-align: left; overflow-wrap: anywhere; }
+svg { width: 100%; height: auto; border: 1px solid #c6ccd4; background: #f3f4f6; }
+svg text { font: 12px system-ui, sans-serif; fill: #14181d; } .warning { background: #fff6d9; padding: .4rem .6rem; }
+@media print { body { margin: 0; max-width: none; } tr, svg { break-inside: avoid; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
+"""
+
+Place = tuple[float, float]
+
+
+class Drawing:
+    """What the map shows, from the data one after the other."""
+
+    def __init__(self) -> None:
+        self.tracks: dict[int, Slots[Place]] = {}
+        """By drone."""
+        self.bases: set[int] = set()
+        self.fields: dict[str, Field] = {}
+        """Readings by unit; empty: unknown."""
+        self.first: float | None = None
+        self.last: float | None = None
+        """When the first and the last datum with a date were created, seconds since 1970."""
+
+    def watch(self, entries: Iterable[Entry]) -> Iterator[Entry]:
+        """Take the data on their way to another reader."""
+        for entry in entries:
+            if not entry.apart:
+                self._take(entry)
+            yield entry
+
+    def _take(self, entry: Entry) -> None:
+        if entry.dated:
+            self.first = entry.utc if self.first is None else min(self.first, entry.utc)
+            self.last = entry.utc if self.last is None else max(self.last, entry.utc)
+        status, m = entry.status, entry.measurement
+        if status is not None and status.base:
+            self.bases.add(entry.id.origin)
+        place = entry.place if status is None else status.place
+        if place is None or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+            return
+        self.tracks.setdefault(entry.id.origin, Slots(MOST_PLACES)).put(entry.utc, place)
+        if m is not None and m.reading is not None:
+            unit = m.unit or ""
+            if unit not in self.fields:
+                self.fields[unit] = Field(place)
+            self.fields[unit].add(place, m.reading)
+
+    @property
+    def main_unit(self) -> str | None:
+        """The unit of most readings; None: there is none."""
+        counts = {unit: sum(count for _, count in field.sums.values()) for unit, field in self.fields.items()}
+        return max(counts, key=counts.__getitem__, default=None)
+
+
+class Frame(NamedTuple):
+    """How places become points of the map."""
+
+    north: float
+    west: float
+    """Degrees."""
+    scale: float
+    """Units of the map for a metre."""
+    metres: Place
+    """In a degree to the south and to the east."""
+
+    def point(self, place: Place) -> Place:
+        """To the right and down, in units of the map."""
+        # Across the 180th meridian too.
+        east = (place[1] - self.west + 180.0) % 360.0 - 180.0
+        south = self.north - place[0]
+        return _EDGE + east * self.metres[1] * self.scale, _EDGE + south * self.metres[0] * self.scale
+
+
+def write(archive: Data, out: Path, now: float) -> dict[str, Any]:
+    """Write the report of a store to a file, and return it as `Report.plain` does. `now`: the date, seconds since 1970.
+    `OSError`, `StoreError`."""
+    drawing, report = Drawing(), Report()
+    report.take(drawing.watch(archive.entries()))
+    report.hear(archive.losses())
+    plain = report.plain(now)
+    text = page(plain, drawing, archive.path.name, list(archive.remarks), now)
+    out.write_text(text, encoding="utf-8")
+    return plain
+
+
+def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable[str], now: float) -> str:
+    """The whole file. `report`: as of `Report.plain`; `store`: its name."""
+    warnings = list(remarks)
+    if report["apart"]:
+        warnings.append(f"{report['apart']} data have an id of another: two drones with one id, or forged data")
+    delay = report["delay_s"]
+    period = ""
+    if drawing.first is not None and drawing.last is not None:
+        period = f"; data created from {_date(drawing.first)} to {_date(drawing.last)}"
+    totals = "".join(f"<div><b>{report[name]:,}</b>{name}</div>" for name in ("created", "arrived", "missing", "lost"))
+    body = [
+        "<h1>Report of a mission</h1>",
+        f'<p class="quiet">Store {_text(store)}, read at {_date(now)}{period}. Times are in UTC.</p>',
+        *(f'<p class="warning">{_text(warning)}</p>' for warning in warnings),
+        f'<div class="totals">{totals}</div>',
+    ]
+    if delay["p50"] is not None:
+        body.append(f"<p>Half of the data arrived within {_span(delay['p50'])}, 95 % within {_span(delay['p95'])}.</p>")
+    body += ["<h2>Map</h2>", *_map(drawing), "<h2>Drones</h2>", _drones(report["drones"])]
+    body += [
+        "<h2>Lost, by reason</h2>",
+        _losses(report["drones"]),
+        "<h2>Missing numbers</h2>",
+        _missing(report["drones"]),
+    ]
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">"
+        f"<title>Report of a mission, {_text(store)}</title><style>{_STYLE}</style>"
+    )
+    lines = "\n".join(body)
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{lines}\n</body></html>\n'
+
+
+def _drones(drones: list[dict[str, Any]]) -> str:
+    names = ("Drone", "Created", "Arrived", "Missing", "Lost", "At risk", "Heard")
+    head = "".join(f'<th scope="col">{name}</th>' for name in names)
+    rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
+    note = (
+        '<p class="quiet">Created: at least so many. Missing: on their way, or lost without anybody knowing. At risk: '
+        "at most so many are lost if the drone fails; the age is that of its last status, newer data are unknown.</p>"
+    )
+    last = '<th scope="col" class="text">Last place, highest reading</th>'
+    return f"<table><thead><tr>{head}{last}</tr></thead>\n<tbody>{rows}</tbody></table>{note}"
+
+
+def _drone(drone: dict[str, Any]) -> Iterator[str]:
+    status, heard, highest = drone["status"], drone["heard"], drone["highest"]
+    base = " (base)" if status is not None and status["base"] else ""
+    yield f"<td>{drone['drone']}{base}</td>"
+    for name in ("created", "arrived", "missing"):
+        yield f"<td>{drone[name]:,}</td>"
+    yield f"<td>{sum(drone['lost'].values()):,}{' or more' if drone['wounds'] else ''}</td>"
+    if status is None or drone["at_risk"] is None:
+        yield "<td>unknown</td>"
+    else:
+        yield f"<td>{drone['at_risk']:,}, {_span(status['age_s'])} ago</td>"
+    yield f"<td>{'never' if heard is None else _span(heard['age_s']) + ' ago'}</td>"
+    words = ["nowhere yet" if drone["place"] is None else _place(drone["place"])]
+    if highest is not None:
+        where = "" if highest["place"] is None else f" at {_place(highest['place'])}"
+        words.append(f"{_number(highest['reading'])} {UNIT_NAMES.get(highest['unit'], '')}".strip() + where)
+    yield f'<td class="text">{_text("; ".join(words))}</td>'
+
+
+def _losses(drones: list[dict[str, Any]]) -> str:
+    counts: dict[str, int] = {}
+    for drone in drones:
+        for reason, count in drone["lost"].items():
+            counts[reason] = counts.get(reason, 0) + count
+    lines = [f"{count:,} {_text(reason)}" for reason, count in counts.items()]
+    wounds = {
+        "unknown": "may have created data that nobody knows of: its numbers were lost in a crash",
+        "damaged": "had a damaged store, and data in it may be lost",
+    }
+    for drone in drones:
+        lines += [f"Drone {drone['drone']} {wounds.get(wound, wound)}" for wound in sorted(set(drone["wounds"]))]
+    return "".join(f"<p>{line}.</p>" for line in lines or ["None reported"])
+
+
+def _missing(drones: list[dict[str, Any]]) -> str:
+    rows = []
+    for drone in drones:
+        ranges = drone["missing_numbers"]
+        shown = [
+            f"{row['epoch']}-{row['first']}" + ("" if row["first"] == row["last"] else f"..{row['last']}")
+            for row in ranges[-MOST_RANGES:]
+        ]
+        if shown:
+            more = f"; and {len(ranges) - len(shown)} or more ranges before" if len(ranges) > len(shown) else ""
+            rows.append(f'<tr><td>{drone["drone"]}</td><td class="text">{", ".join(shown)}{more}</td></tr>\n')
+    if not rows:
+        return "<p>None.</p>"
+    head = '<tr><th scope="col">Drone</th><th scope="col" class="text">Numbers</th></tr>'
+    return f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+# -- the map -----------------------------------------------------------------------------------------------------------
+
+
+def _map(drawing: Drawing) -> Iterator[str]:
+    frame = _frame([place for track in drawing.tracks.values() for _, place in track])
+    if frame is None:
+        yield "<p>No place is known.</p>"
+        return
+    unit = drawing.main_unit
+    field = None if unit is None else drawing.fields[unit]
+    parts: list[str] = []
+    note = ""
+    if field is not None:
+        squares, note = _squares(field, frame, UNIT_NAMES.get(unit or "", "without a unit"))
+        parts += squares
+    for id, track in sorted(drawing.tracks.items()):
+        parts += _track(id, [frame.point(place) for _, place in track], base=id in drawing.bases)
+    parts += _bar(frame)
+    title = "<title>The tracks and last places of the drones, and the readings on the ground</title>"
+    yield f'<svg viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" role="img">{title}{"".join(parts)}</svg>'
+    if note:
+        yield f'<p class="quiet">{note}</p>'
+    if len(drawing.fields) > 1:
+        yield '<p class="quiet">Readings in other units are not on the map.</p>'
+
+
+def _frame(places: list[Place]) -> Frame | None:
+    """One with all places in it; None: there are none."""
+    if not places:
+        return None
+    middle = places[0][1]
+    longitudes = [(place[1] - middle + 180.0) % 360.0 - 180.0 for place in places]
+    north, south = max(place[0] for place in places), min(place[0] for place in places)
+    west, east = min(longitudes) + middle, max(longitudes) + middle
+    metres = DEGREE_M, DEGREE_M * max(cos(radians((north + south) / 2)), 0.01)
+    high, wide = max((north - south) * metres[0], _LEAST_M), max((east - west) * metres[1], _LEAST_M)
+    scale = min((_WIDTH - 2 * _EDGE) / wide, (_HEIGHT - 2 * _EDGE) / high)
+    # In the middle of what is left over.
+    west -= ((_WIDTH - 2 * _EDGE) / scale - (east - west) * metres[1]) / 2 / metres[1]
+    north += ((_HEIGHT - 2 * _EDGE) / scale - (north - south) * metres[0]) / 2 / metres[0]
+    return Frame(north, west, scale, metres)
+
+
+def _squares(field: Field, frame: Frame, unit: str) -> tuple[list[str], str]:
+    """The readings, and what their colours mean."""
+    painted = field.painted()
+    high = max(square.reading for square in painted)
+    positive = [square.reading for square in painted if square.reading > 0]
+    if not positive:
+        return [], ""
+    low = max(min(positive), high * _DYNAMIC)
+    side = field.grid.side_m * frame.scale
+    parts = ['<g shape-rendering="crispEdges">']
+    for square in painted:
+        left, bottom = frame.point(field.grid.corner(square.row, square.column))
+        part = log(max(square.reading, low) / low) / log(high / low) if high > low else 0.5
+        parts.append(
+            f'<rect x="{left:.2f}" y="{bottom - side:.2f}" width="{side:.2f}" height="{side:.2f}" '
+            f'fill="{_colour(part)}" fill-opacity="{0.7 if square.readings else 0.5}"/>'
+        )
+    stops = "".join(
+        f'<rect x="{10 + 8 * n}" y="10" width="8" height="10" fill="{_colour(n / 19)}"/>' for n in range(20)
+    )
+    parts.append(f'</g>{stops}<text x="10" y="36">{_number(low)} to {_number(high)} {escape(unit)}</text>')
+    note = (
+        f"Colours: means of the readings in squares of {field.grid.side_m:g} m, from violet (low) to yellow (high), on "
+        "a logarithmic scale. Paler squares have no reading: they are interpolated from those at most "
+        f"{field.reach_m:g} m away. Farther away nothing is painted."
+    )
+    return parts, note
+
+
+def _track(id: int, points: list[Place], *, base: bool) -> Iterator[str]:
+    way = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    yield f'<polyline points="{way}" fill="none" stroke="#3a5068" stroke-opacity="0.5"/>'
+    x, y = points[-1]
+    mark = (
+        f'<rect x="{x - 9:.1f}" y="{y - 9:.1f}" width="18" height="18"'
+        if base
+        else f'<circle cx="{x:.1f}" cy="{y:.1f}" r="10"'
+    )
+    yield f'{mark} fill="#fff" stroke="#14181d" stroke-width="1.5"/>'
+    yield f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{id}</text>'
+
+
+def _bar(frame: Frame) -> Iterator[str]:
+    """A length of 1, 2 or 5 times a power of ten metres."""
+    most = 200.0 / frame.scale
+    power = 10.0 ** floor(log10(most))
+    metres = next(n * power for n in (5, 2, 1) if n * power <= most)
+    x, y = _WIDTH - 20.0, _HEIGHT - 14.0
+    yield f'<path d="M{x - metres * frame.scale:.1f} {y}H{x}" stroke="#14181d" stroke-width="3"/>'
+    text = f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
+    yield f'<text x="{x}" y="{y - 8}" text-anchor="end">{text}</text>'
+
+
+def _colour(part: float) -> str:
+    """A colour between the steps of `COLOURS`, 0..1."""
+    at = min(max(part, 0.0), 1.0) * (len(COLOURS) - 1)
+    low = min(int(at), len(COLOURS) - 2)
+    mixed = (round(a + (b - a) * (at - low)) for a, b in zip(COLOURS[low], COLOURS[low + 1], strict=True))
+    return "#" + "".join(f"{value:02x}" for value in mixed)
+
+
+# -- words -------------------------------------------------------------------------------------------------------------
+
+
+def _text(text: str) -> str:
+    """Untrusted text: escaped, and control characters shown."""
+    return escape(_CONTROLS.sub("\ufffd", text))
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.3g}"
+
+
+def _place(place: Place) -> str:
+    return f"{place[0]:.6f}, {place[1]:.6f}"
+
+
+def _date(utc: float) -> str:
+    return iso(utc)[:19].replace("T", " ")
+
+
+def _span(seconds: float) -> str:
+    for size, unit in ((86_400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"

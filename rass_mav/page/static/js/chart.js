@@ -1,0 +1,116 @@
+// Charts over time.
+
+import { colour } from "./theme.js";
+import { clock, reading, span, unitName } from "./words.js";
+
+const HEIGHT = 190;
+
+function axis(more) {
+  return { stroke: colour("quiet"), grid: { stroke: colour("edge"), width: 0.5 }, ticks: { stroke: colour("edge") }, font: "12px system-ui", ...more };
+}
+
+/** Times of day, with seconds where minutes would repeat. */
+function timeAxis() {
+  return axis({
+    space: 70,
+    values: (_, ticks) => ticks.map((utc) => (ticks.length > 1 && ticks[1] - ticks[0] < 60 ? clock(utc, utc) : clock(utc, utc).replace(/:\d\d$/, ""))),
+  });
+}
+
+/** A chart that is made when there is something to draw, and made again with new colours. */
+class Chart {
+  constructor(element) {
+    this._element = element;
+    this._chart = null;
+    this._shape = "";
+    new ResizeObserver(() => this._resize()).observe(element);
+  }
+
+  _draw(shape, options, data) {
+    if (this._chart !== null && this._shape === shape) {
+      this._chart.setData(data);
+      return;
+    }
+    this.clear();
+    this._shape = shape;
+    this._element.replaceChildren();
+    this._chart = new uPlot({ width: this._width, height: HEIGHT, cursor: { drag: { x: false, y: false } }, ...options }, data, this._element);
+    this._chart.root.querySelector("canvas").setAttribute("aria-hidden", "true");
+  }
+
+  get _width() {
+    return Math.max(this._element.clientWidth, 100);
+  }
+
+  _resize() {
+    if (this._chart !== null && this._chart.width !== this._width) this._chart.setSize({ width: this._width, height: HEIGHT });
+  }
+
+  clear() {
+    this._chart?.destroy();
+    this._chart = null;
+    this._shape = "";
+  }
+}
+
+/** Arrivals in each span of time, and their delays. */
+export class ArrivalsChart extends Chart {
+  /**
+   * @param {{span_s: number, start: number[], count: number[], p50: (number | null)[], p95: (number | null)[]}} arrivals
+   * @param {number} until arrivals up to this time, seconds since 1970
+   */
+  show(arrivals, until) {
+    const end = arrivals.start.findIndex((start) => start > until);
+    const shown = end < 0 ? arrivals.start.length : end;
+    if (shown === 0) {
+      this.clear();
+      this._element.textContent = "Nothing has arrived yet.";
+      return;
+    }
+    const part = (name) => arrivals[name].slice(0, shown);
+    const time = { value: (_, utc) => (utc === null ? "-" : clock(utc)), label: "Time" };
+    const delay = (label, stroke, dash) => ({
+      label, scale: "s", stroke, width: 1.5, dash, spanGaps: true, points: { size: 4 }, value: (_, s) => (s === null ? "-" : span(s)),
+    });
+    const options = {
+      scales: { x: { range: (_, low, high) => [low, high + arrivals.span_s] }, n: { range: (_, low, high) => [0, Math.max(high ?? 1, 1)] }, s: { range: (_, low, high) => [0, Math.max(high ?? 1, 1)] } },
+      axes: [
+        timeAxis(),
+        axis({ scale: "n", size: 46, label: `data in ${span(arrivals.span_s)}`, labelSize: 16, labelFont: "12px system-ui" }),
+        axis({ scale: "s", side: 1, size: 56, grid: { show: false }, label: "delay", labelSize: 16, labelFont: "12px system-ui", values: (_, ticks) => ticks.map((s) => (s === 0 ? "0" : span(s))) }),
+      ],
+      series: [
+        time,
+        { label: "Arrived", scale: "n", fill: `${colour("bar")}66`, width: 0, paths: uPlot.paths.bars({ size: [0.9, 40], align: 1 }), points: { show: false }, value: (_, n) => (n === null ? "-" : String(n)) },
+        delay("Delay of half", colour("curve")),
+        delay("of 95 %", colour("curve-high"), [4, 3]),
+      ],
+    };
+    this._draw(`arrivals ${arrivals.span_s}`, options, [part("start"), part("count"), part("p50"), part("p95")]);
+  }
+}
+
+/** The readings of a drone. */
+export class ReadingsChart extends Chart {
+  /**
+   * @param {string} unit
+   * @param {{utc: number[], value: number[]}} readings
+   */
+  show(unit, readings) {
+    const options = {
+      legend: { show: true },
+      axes: [timeAxis(), axis({ size: 60, values: (_, ticks) => ticks.map(reading) })],
+      series: [
+        { value: (_, utc) => (utc === null ? "-" : clock(utc)), label: "Time" },
+        { label: unitName(unit), stroke: colour("bar"), width: 1.5, points: { size: 3 }, value: (_, value) => (value === null ? "-" : reading(value)) },
+      ],
+    };
+    this._draw(`readings ${unit}`, options, [readings.utc, readings.value]);
+  }
+
+  /** Say that there are none. */
+  none() {
+    this.clear();
+    this._element.textContent = "None.";
+  }
+}

@@ -1,0 +1,287 @@
+// The map: drones, their tracks and links, and the readings on the ground.
+
+import { riskColours } from "./colours.js";
+import { by, make, say } from "./dom.js";
+import { MetricGrid } from "./grid.js";
+import { Heat, scaleOf } from "./heat.js";
+import { colour } from "./theme.js";
+import { age, reading, unitName } from "./words.js";
+
+/** A drone that was not heard for so long is marked, seconds. */
+const SILENT_S = 180;
+/** Below this zoom drones have only their numbers. */
+const SAYING_ZOOM = 16;
+/** Below this difference of its squares a map cannot be fitted, degrees. */
+const LEAST_BOUNDS = 0.0005;
+/** On a narrower page the key is folded, pixels. */
+const NARROW_PX = 960;
+
+/** The map of the page. */
+export class MissionMap {
+  /**
+   * @param {import("./state.js").State} state
+   * @param {(id: number) => void} choose called when somebody chooses a drone
+   */
+  constructor(state, choose) {
+    this._state = state;
+    this._choose = choose;
+    this._map = L.map("map", { attributionControl: false, zoomSnap: 0.5, renderer: L.canvas({ padding: 0.3 }), maxZoom: 22 });
+    this._map.setView([0, 0], 2);
+    this._map.createPane("heat").style.zIndex = "350";
+    this._map.createPane("grid").style.zIndex = "360";
+    this._map.getPane("grid").style.pointerEvents = "none";
+    by("legend").open = window.innerWidth > NARROW_PX;
+    L.control.scale({ imperial: false, position: "topleft" }).addTo(this._map);
+    this._grid = new MetricGrid({ maxZoom: 22, keepBuffer: 1, pane: "grid" });
+    this._heat = new Heat(reading);
+    this._tracks = L.layerGroup();
+    this._links = L.layerGroup();
+    this._tiles = null;
+    this._lines = new Map();
+    this._joins = new Map();
+    this._marks = new Map();
+    this._peak = null;
+    this._fitted = false;
+    this._unit = null;
+    this._layers();
+    const zoomed = () => by("map").classList.toggle("far", this._map.getZoom() < SAYING_ZOOM);
+    this._map.on("zoomend", zoomed);
+    this._tooltip = L.tooltip({ direction: "top" });
+    this._map.on("click", ({ latlng }) => this._tellSquare(latlng));
+    by("fit").addEventListener("click", () => this.fit());
+    new ResizeObserver(() => this._map.invalidateSize()).observe(by("map"));
+    zoomed();
+  }
+
+  _layers() {
+    const layers = { heat: this._heat, tracks: this._tracks, links: this._links, grid: this._grid };
+    for (const [name, layer] of Object.entries(layers)) {
+      const box = by(`show-${name}`);
+      const set = () => (box.checked ? layer.addTo(this._map) : layer.remove());
+      box.addEventListener("change", set);
+      set();
+    }
+    by("unit").addEventListener("change", () => {
+      this._unit = by("unit").value;
+      this.show();
+    });
+  }
+
+  /** Draw the crew's own map. */
+  _showTiles(tiles) {
+    if (this._tiles !== null || !tiles) return;
+    this._tiles = L.tileLayer("/tiles/{z}/{x}/{y}", {
+      minNativeZoom: tiles.least_zoom,
+      maxNativeZoom: tiles.most_zoom,
+      maxZoom: 22,
+      ...(tiles.bounds && { bounds: [[tiles.bounds[1], tiles.bounds[0]], [tiles.bounds[3], tiles.bounds[2]]] }),
+    });
+    this._tiles.addTo(this._map).bringToBack();
+    by("tiles-row").hidden = false;
+    by("show-tiles").addEventListener("change", (event) => {
+      if (event.target.checked) this._tiles.addTo(this._map).bringToBack();
+      else this._tiles.remove();
+    });
+    // Lines would hide the map.
+    by("show-grid").checked = false;
+    this._grid.remove();
+    // The owner's text may have marks; they are left out, not followed.
+    say(by("credit"), new DOMParser().parseFromString(tiles.attribution, "text/html").body.textContent);
+  }
+
+  /** Show everything there is. */
+  fit() {
+    const places = this._state.shown.flatMap((figures) => (figures.place ? [figures.place] : []));
+    for (const id of this._state.tracks.keys()) places.push(...this._state.track(id));
+    if (places.length === 0) return false;
+    let bounds = L.latLngBounds(places);
+    if (bounds.getNorth() - bounds.getSouth() < LEAST_BOUNDS) bounds = bounds.getCenter().toBounds(200);
+    // The buttons are above, and the key is below.
+    const below = 45 + by("legend").offsetHeight;
+    this._map.fitBounds(bounds, { paddingTopLeft: [55, 60], paddingBottomRight: [40, below], maxZoom: 19, animate: false });
+    return true;
+  }
+
+  /** Bring a drone into view. */
+  reveal(id) {
+    const figures = this._state.figures(id);
+    if (figures?.place && !this._map.getBounds().pad(-0.05).contains(figures.place)) this._map.panTo(figures.place);
+  }
+
+  /** New colours. */
+  repaint() {
+    this._grid.redraw();
+    this.show();
+  }
+
+  /** Draw the state. */
+  show() {
+    const state = this._state;
+    if (state.frame === null) return;
+    this._showTiles(state.frame.tiles);
+    this._drawUnits();
+    this._drawTracks();
+    this._drawLinks();
+    this._drawDrones();
+    if (!this._fitted && this.fit()) {
+      // While the store is read there is more to come.
+      this._fitted = !state.frame.behind;
+      const base = state.shown.find((figures) => figures.base && figures.place);
+      const first = base ?? state.shown.find((figures) => figures.place);
+      if (first) this._grid.setOrigin(first.place);
+    }
+    this._drawHeat();
+  }
+
+  _drawUnits() {
+    const units = this._state.units;
+    if (this._unit === null || !units.includes(this._unit)) this._unit = units[0] ?? null;
+    const select = by("unit");
+    if (select.options.length !== units.length) {
+      select.replaceChildren(...units.map((unit) => make("option", { value: unit }, unitName(unit))));
+      select.value = this._unit ?? "";
+      by("unit-row").hidden = units.length < 2;
+    }
+  }
+
+  _drawHeat() {
+    const field = this._unit === null ? undefined : this._state.field(this._unit);
+    // Earlier times have the colours of now, so that they can be compared.
+    const latest = this._unit === null ? undefined : this._state.fields.get(this._unit);
+    const scale = latest ? scaleOf(latest) : null;
+    this._heat.setField(field ?? null, scale);
+    by("heat-scale").hidden = by("heat-note").hidden = !scale;
+    if (!scale) {
+      this._peak?.remove();
+      return;
+    }
+    say(by("heat-unit"), unitName(this._unit));
+    say(by("heat-low"), reading(scale.low));
+    say(by("heat-high"), reading(scale.high));
+    say(by("heat-note"), `Means of ${latest.side_m} m squares, paler where interpolated, at most ${latest.reach_m} m away`);
+    this._drawPeak();
+  }
+
+  /** Where the highest reading is. */
+  _drawPeak() {
+    let highest = null;
+    for (const { highest: found } of this._state.shown) {
+      if (found?.place && found.unit === this._unit && (highest === null || found.reading > highest.reading)) highest = found;
+    }
+    if (highest === null || !by("show-heat").checked) {
+      this._peak?.remove();
+      return;
+    }
+    const text = `max ${reading(highest.reading)} ${unitName(highest.unit)}`;
+    if (this._peak === null) {
+      const icon = L.divIcon({ className: "peak", html: make("span"), iconAnchor: [-6, 8] });
+      this._peak = L.marker(highest.place, { icon, interactive: false, keyboard: false, zIndexOffset: -500 });
+    }
+    this._peak.setLatLng(highest.place).addTo(this._map);
+    say(this._peak.getElement().firstChild, text);
+  }
+
+  _drawTracks() {
+    const seen = new Set();
+    for (const { drone } of this._state.shown) {
+      seen.add(drone);
+      const chosen = drone === this._state.chosen;
+      const style = { color: colour(chosen ? "accent" : "track"), weight: chosen ? 2.5 : 1, opacity: chosen ? 0.9 : 0.45, interactive: false };
+      if (!this._lines.has(drone)) this._lines.set(drone, L.polyline([], style).addTo(this._tracks));
+      this._lines.get(drone).setLatLngs(this._state.track(drone)).setStyle(style);
+    }
+    prune(this._lines, seen, this._tracks);
+  }
+
+  /** Links as the drones told them: blue lines go to a neighbour that is fewer hops from a base. */
+  _drawLinks() {
+    const seen = new Set();
+    for (const figures of this._state.shown) {
+      for (const [id, quality] of figures.neighbours ?? []) {
+        const other = this._state.figures(id);
+        if (!figures.place || !other?.place) continue;
+        const key = `${figures.drone} ${id}`;
+        seen.add(key);
+        const nearer = isNearer(figures, other);
+        const style = {
+          color: colour(nearer ? "up" : "side"), weight: nearer ? 1 + 2.5 * quality : 1 + quality, opacity: nearer ? 0.9 : 0.5,
+          dashArray: nearer ? "" : "3 6", interactive: false,
+        };
+        if (!this._joins.has(key)) this._joins.set(key, L.polyline([], style).addTo(this._links));
+        this._joins.get(key).setLatLngs([figures.place, other.place]).setStyle(style);
+      }
+    }
+    prune(this._joins, seen, this._links);
+  }
+
+  _drawDrones() {
+    const seen = new Set();
+    for (const figures of this._state.shown) {
+      if (!figures.place) continue;
+      seen.add(figures.drone);
+      if (!this._marks.has(figures.drone)) this._marks.set(figures.drone, this._newMark(figures));
+      const mark = this._marks.get(figures.drone).setLatLng(figures.place);
+      this._paint(mark.getElement(), figures);
+      mark.setZIndexOffset(figures.drone === this._state.chosen ? 1000 : 0);
+    }
+    prune(this._marks, seen, this._map);
+  }
+
+  _newMark({ drone, place }) {
+    const body = make("div", {}, make("span", { class: "dot" }), make("span", { class: "said", "aria-hidden": "true" }));
+    const icon = L.divIcon({ className: "mark", html: body, iconSize: [26, 26] });
+    const mark = L.marker(place, { icon, keyboard: true, riseOnHover: true }).addTo(this._map);
+    mark.on("click", () => this._choose(drone));
+    mark.getElement().addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      this._choose(drone);
+    });
+    return mark;
+  }
+
+  _paint(element, figures) {
+    const [ground, text] = riskColours(figures.risk);
+    const old = this._state.now - figures.placed;
+    const silent = old > SILENT_S;
+    element.classList.toggle("base", figures.base === true);
+    element.classList.toggle("unknown", figures.risk === null);
+    element.classList.toggle("silent", silent);
+    element.classList.toggle("chosen", figures.drone === this._state.chosen);
+    const [dot, said] = element.firstChild.children;
+    dot.style.background = ground;
+    dot.style.color = text;
+    say(dot, String(figures.drone));
+    const risk = figures.risk === null ? "?" : figures.risk.toFixed(2);
+    say(said, silent ? `${risk}, ${age(old)}` : risk);
+    const what = figures.base ? "Base" : "Drone";
+    element.setAttribute("aria-label", `${what} ${figures.drone}, risk ${risk}, place known ${age(old)} ago`);
+  }
+
+  _tellSquare(latlng) {
+    const square = by("show-heat").checked ? this._heat.at(latlng) : null;
+    if (square === null) {
+      this._tooltip.remove();
+      return;
+    }
+    const from = square.readings ? `mean of ${square.readings}` : "interpolated";
+    const text = `${reading(square.value)} ${unitName(this._unit)}, ${from}`;
+    this._tooltip.setLatLng(latlng).setContent(make("span", {}, text)).addTo(this._map);
+  }
+}
+
+/**
+ * Whether a neighbour is fewer hops from a base, so that data may go there.
+ */
+export function isNearer(figures, other) {
+  if (other.base) return true;
+  return figures.hops !== null && figures.hops !== undefined && other.hops !== null && other.hops !== undefined && other.hops < figures.hops;
+}
+
+function prune(layers, seen, group) {
+  for (const [key, layer] of layers) {
+    if (seen.has(key)) continue;
+    group.removeLayer(layer);
+    layers.delete(key);
+  }
+}

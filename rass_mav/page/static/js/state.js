@@ -1,0 +1,115 @@
+// What the page knows of the mission, and what of it is shown: the latest, or an earlier time.
+
+/** Points of a track that are kept here; the server keeps fewer. */
+const MOST_POINTS = 2000;
+
+/** The state of the page. */
+export class State {
+  constructor() {
+    /** The latest frame: totals, losses, arrivals and so on; null: nothing has come yet. */
+    this.frame = null;
+    /** Figures by drone. @type {Map<number, any>} */
+    this.drones = new Map();
+    /** Tracks by drone. @type {Map<number, {span: number, points: Map<number, number[]>}>} */
+    this.tracks = new Map();
+    /** Radiation by unit. @type {Map<string, any>} */
+    this.fields = new Map();
+    /** An earlier state as the server tells it; null: now. */
+    this.past = null;
+    /** The drone whose panel is open. @type {number | null} */
+    this.chosen = null;
+    this.node = null;
+    this._offset = 0;
+  }
+
+  /** Everything, from the beginning. */
+  takeMission(mission) {
+    this.drones.clear();
+    this.tracks.clear();
+    this.fields.clear();
+    this.takeNews(mission);
+  }
+
+  /** What has changed. */
+  takeNews(news) {
+    if (this.frame === null && news.version === undefined) return;
+    this.takeNow(news.now);
+    this.node = news.node;
+    this.frame = { ...this.frame, ...news };
+    for (const figures of news.drones) this.drones.set(figures.drone, figures);
+    for (const [id, track] of Object.entries(news.tracks)) mergeTrack(this.tracks, Number(id), track);
+    for (const [unit, field] of Object.entries(news.fields)) mergeField(this.fields, unit, field);
+  }
+
+  /** The server's clock: ages do not depend on this computer's. */
+  takeNow(now) {
+    this._offset = now - Date.now() / 1000;
+  }
+
+  /** Seconds since 1970 at the time that is shown. */
+  get now() {
+    return this.past === null ? Date.now() / 1000 + this._offset : this.past.at;
+  }
+
+  /** The figures that are shown, by the drone's number. @returns {any[]} */
+  get shown() {
+    const drones = this.past === null ? [...this.drones.values()] : this.past.drones;
+    return drones.sort((one, other) => one.drone - other.drone);
+  }
+
+  /** The figures of a drone that are shown. */
+  figures(id) {
+    return this.past === null ? this.drones.get(id) : this.past.drones.find((figures) => figures.drone === id);
+  }
+
+  /** The totals that are shown. */
+  get totals() {
+    return this.past === null ? this.frame.totals : this.past.totals;
+  }
+
+  /** The radiation that is shown, of a unit. */
+  field(unit) {
+    if (this.past === null) return this.fields.get(unit);
+    const field = this.past.fields[unit];
+    return field && mergedField(undefined, field);
+  }
+
+  /** The units of all readings. @returns {string[]} */
+  get units() {
+    return [...this.fields.keys()];
+  }
+
+  /** The places of a drone up to the time that is shown. @returns {number[][]} latitude and longitude */
+  track(id) {
+    const track = this.tracks.get(id);
+    if (track === undefined) return [];
+    const until = this.past === null ? Infinity : this.past.at;
+    return [...track.points.values()]
+      .filter(([utc]) => utc <= until)
+      .sort((one, other) => one[0] - other[0])
+      .map(([, latitude, longitude]) => [latitude, longitude]);
+  }
+}
+
+function mergeTrack(tracks, id, { span_s: span, whole, points }) {
+  let track = tracks.get(id);
+  if (track === undefined || whole || track.span !== span || track.points.size > MOST_POINTS) {
+    track = { span, points: new Map() };
+    tracks.set(id, track);
+  }
+  for (const point of points) {
+    const slot = Math.floor(point[0] / span);
+    const known = track.points.get(slot);
+    if (known === undefined || known[0] <= point[0]) track.points.set(slot, point);
+  }
+}
+
+function mergeField(fields, unit, field) {
+  fields.set(unit, mergedField(fields.get(unit), field));
+}
+
+function mergedField(known, field) {
+  const squares = known === undefined || field.whole ? new Map() : known.squares;
+  for (const square of field.squares) squares.set(`${square[0]} ${square[1]}`, square);
+  return { ...field, squares };
+}

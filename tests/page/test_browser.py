@@ -1,0 +1,229 @@
+"""The page in a real browser, while data arrive."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from rass_mav.mission.archive import Archive
+from tests.patience import PATIENCE_S
+
+from .flights import Flight
+
+pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
+pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
+
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from rass_mav.page.access import Access
+from rass_mav.page.follow import Follower
+from rass_mav.page.server import Page as ServedPage
+from rass_mav.page.server import serve
+
+from .serving import TOKEN
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+
+DESK, PHONE = {"width": 1400, "height": 900}, {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as programs:
+        # A sandbox inside a sandbox is not possible everywhere; this browser sees our own page only.
+        found = programs.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@contextmanager
+def served(store: Path, token: str | None = None) -> Iterator[str]:
+    """The page of a store, on a thread of its own; yields its address."""
+    page = ServedPage(Follower(lambda: Archive(store)), Access("127.0.0.1", token))
+    loop, stopped = asyncio.new_event_loop(), asyncio.Event()
+    found: list[str] = []
+    up = threading.Event()
+
+    def ready(host: str, port: int) -> None:
+        found.append(f"http://{host}:{port}/")
+        up.set()
+
+    thread = threading.Thread(target=loop.run_until_complete, args=(serve(page, "127.0.0.1", 0, ready, stopped),))
+    thread.start()
+    try:
+        assert up.wait(PATIENCE_S)
+        yield found[0]
+    finally:
+        loop.call_soon_threadsafe(stopped.set)
+        thread.join(PATIENCE_S)
+        loop.close()
+
+
+@contextmanager
+def opened(browser: Browser, url: str, *, size: dict[str, int] = DESK, scheme: str = "light") -> Iterator[Page]:
+    """The page in a window of its own. At its end there was no error, and no request to another host."""
+    context = browser.new_context(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+    context.set_default_timeout(PATIENCE_S * 1000)
+    page = context.new_page()
+    trouble: list[str] = []
+    hosts: set[str] = set()
+    page.on("console", lambda said: trouble.append(said.text) if said.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on("request", lambda request: hosts.add(urlsplit(request.url).netloc))
+    page.goto(url)
+    yield page
+    assert trouble == []
+    assert hosts <= {urlsplit(url).netloc, ""}, "the second are data: addresses"
+    context.close()
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[Flight]:
+    flight = Flight(tmp_path / "rass-1.db", drones=5)
+    flight.fly(600)
+    yield flight
+    flight.close()
+
+
+def number(page: Page, id: str) -> int:
+    return int(page.locator(f"#{id}").inner_text().replace(",", ""))
+
+
+def arrived(flight: Flight) -> int:
+    with Archive(flight.base.path) as archive:
+        return archive.count()
+
+
+def shoot(page: Page, name: str) -> None:
+    """A picture, where somebody wants to look at them."""
+    if folder := os.environ.get("RASS_SHOTS"):
+        page.screenshot(path=f"{folder}/{name}.png")
+
+
+def wait_for_data(page: Page, flight: Flight) -> None:
+    expect(page.locator("#n-arrived")).to_have_text(f"{arrived(flight):,}", timeout=PATIENCE_S * 1000)
+    expect(page.locator("#link")).to_have_text("Live")
+
+
+def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        before = number(page, "n-arrived")
+        assert page.locator(".mark").count() == 6
+        assert page.locator("#drones tbody tr").count() == 6
+        flight.fly(120)
+        wait_for_data(page, flight)
+        assert number(page, "n-arrived") > before
+        shoot(page, "browser-light")
+
+        # A drone's panel, by mouse and by keyboard.
+        page.locator("#drones button[data-drone='3']").click()
+        expect(page.locator("#drone-title")).to_have_text("Drone 3")
+        expect(page.locator("#drone-facts")).to_contain_text("newer: unknown")
+        expect(page.locator("#drone-readings canvas")).to_be_visible()
+        shoot(page, "browser-drone")
+        page.keyboard.press("Escape")
+        expect(page.locator("#drone")).to_be_hidden()
+        assert page.evaluate("document.activeElement.dataset.drone") == "3", "the focus goes back"
+        page.locator(".mark[aria-label^='Drone 4,']").focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("#drone-title")).to_have_text("Drone 4")
+        page.locator("#drone-close").click()
+
+        # Back in time, and to the present.
+        total = number(page, "n-arrived")
+        page.locator("#slider").focus()
+        page.keyboard.press("Home")
+        expect(page.locator("#past-note")).to_be_visible()
+        page.keyboard.press("PageUp")
+        page.keyboard.press("PageUp")
+        expect(page.locator("#link")).to_contain_text("At ")
+        expect(page.locator("#n-lost")).to_have_text("-")
+        expect(page.locator("#n-arrived")).not_to_have_text(f"{total:,}")
+        earlier = number(page, "n-arrived")
+        assert earlier < total
+        page.locator("#play").click()
+        expect(page.locator("#play")).to_have_text("Pause")
+        expect(page.locator("#n-arrived")).not_to_have_text(f"{earlier:,}")
+        page.locator("#live").click()
+        expect(page.locator("#n-arrived")).to_have_text(f"{total:,}")
+        expect(page.locator("#past-note")).to_be_hidden()
+
+
+def test_both_themes(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url:
+        for scheme, other in (("light", "dark"), ("dark", "light")):
+            with opened(browser, url, scheme=scheme) as page:
+                wait_for_data(page, flight)
+                theme = "document.documentElement.dataset.theme"
+                ground = "getComputedStyle(document.body).backgroundColor"
+                assert page.evaluate(theme) == scheme
+                was = page.evaluate(ground)
+                shoot(page, f"browser-theme-{scheme}")
+                page.locator("#theme").click()
+                assert page.evaluate(theme) == other
+                assert page.evaluate(ground) != was
+                page.reload()
+                wait_for_data(page, flight)
+                assert page.evaluate(theme) == other, "what was chosen stays"
+
+
+def test_a_phone(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url, opened(browser, url, size=PHONE) as page:
+        wait_for_data(page, flight)
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], "nothing is beside the page"
+        table = page.locator("#drones")
+        assert table.evaluate("(t) => t.scrollWidth <= t.parentElement.clientWidth"), "the table fits"
+        for id in ("play", "slider", "live", "theme", "fit"):
+            box = page.locator(f"#{id}").bounding_box()
+            assert box is not None
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= PHONE["width"]
+            assert box["height"] >= 30, "a thumb hits it"
+        page.locator("#drones button[data-drone='2']").click()
+        expect(page.locator("#drone-title")).to_be_in_viewport()
+        shoot(page, "browser-phone")
+
+
+def test_hostile_names_are_text(browser: Browser, tmp_path: Path) -> None:
+    name = "<img src=x onerror=alert(1)>&amp;.db"
+    flight = Flight(tmp_path / name, drones=2)
+    flight.fly(60)
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        expect(page.locator("#store")).to_have_text(name)
+        assert page.locator("img[src='x']").count() == 0
+    flight.close()
+
+
+def test_the_login(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path, TOKEN) as url, opened(browser, url) as page:
+        assert urlsplit(page.url).path == "/login"
+        page.locator("#token").fill(TOKEN)
+        page.keyboard.press("Enter")
+        wait_for_data(page, flight)
+        assert page.evaluate("document.cookie") == "", "scripts do not see the cookie"
+        page.locator("#logout button").click()
+        page.wait_for_url("**/login")
+
+
+def test_every_control_has_a_name(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        page.locator("#layers summary").click()
+        nameless = page.evaluate(
+            """() => [...document.querySelectorAll("button, input, select, [role=button], [tabindex='0']")]
+              .filter((e) => e.checkVisibility() && !e.ariaLabel && !e.getAttribute("aria-labelledby")
+                && !e.textContent.trim() && !(e.labels && e.labels.length))
+              .map((e) => e.outerHTML)"""
+        )
+        assert nameless == []
