@@ -27,8 +27,8 @@ MAY_IMPORT["agent"] = {"config", "core", "policy", "wire", "mavlink", "link", "s
 MAY_IMPORT["app"] = MAY_IMPORT["base"] = MAY_IMPORT["agent"] | {"agent"}
 MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
 MAY_IMPORT["mission"] = MAY_IMPORT["app"] | {"app"}
-MAY_IMPORT["beside"] = MAY_IMPORT["mission"] | {"mission"}
 MAY_IMPORT["page"] = MAY_IMPORT["mission"] | {"mission"}
+MAY_IMPORT["beside"] = MAY_IMPORT["page"] | {"page"}
 MAY_IMPORT["swarm"] = MAY_IMPORT["mission"] | {"mission"}
 MAY_IMPORT["replay"] = MAY_IMPORT["experiment"] = MAY_IMPORT["swarm"] | {"swarm"}
 MAY_IMPORT["commands"] = set(MAY_IMPORT) - {"commands"}

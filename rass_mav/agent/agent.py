@@ -149,7 +149,7 @@ class Agent:
         self._turns = Turns(settings.step_s, now)
         self.services: list[VehicleService] = []
         """The other listeners on the autopilot's port."""
-        if settings.data.status_s != 0 and not self.node.base and not self.node.policy.replicates:
+        if settings.data.status_s != 0 and not self.node.policy.replicates:
             self.services.append(Statuses(self, settings.data.status_s, now))
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
         """None: there is no ground station."""

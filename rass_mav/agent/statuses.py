@@ -77,16 +77,18 @@ class Statuses:
     def _status(self, now: float) -> NodeStatus:
         node, position = self._agent.node, self._agent.telemetry.position
         holdings, route, free = node.holdings, node.routing.route, node.holdings.free()
-        alone = holdings.alone()
+        # At a base data are at their goal, and no risk matters.
+        alone = {} if node.base else holdings.alone()
         return NodeStatus(
             held=len(holdings.custody),
             alone=sum(alone.values()),
             spares=len(holdings) - len(holdings.custody),
             free=None if free == _NO_LIMIT else free,
-            risk=node.risk.risk(now),
+            risk=0.0 if node.base else node.risk.risk(now),
             hops=None if route is None else route.hops,
             battery=self._battery,
             place=None if position is None else (position.latitude, position.longitude),
             neighbours={id: neighbour.quality for id, neighbour in node.routing.neighbours.items()},
             alone_by_origin=alone,
+            base=node.base,
         )

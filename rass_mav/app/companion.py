@@ -34,11 +34,13 @@ class Companion:
     """Keeps the process running from `start` to `stop`, on a thread that only waits for it."""
 
     def __init__(self, config: RunConfig) -> None:
-        """Raises `ConfigError` if a package is missing for what the configuration says."""
+        """Raises `ConfigError` if a package or a token is missing for what the configuration says."""
         for name in NEEDS.keys() & set(config.outlets):
             module, extra = NEEDS[name]
             if find_spec(module) is None:
                 raise ConfigError(f"{name}: needs the Python package {module}: {installing(extra)}")
+        if config.page is not None:
+            config.page.token()
         self._config = filled_in(config)
         self._thread = threading.Thread(target=self._supervise, name="companion", daemon=True)
         self._stopping = threading.Event()
@@ -106,7 +108,7 @@ class Companion:
             pass  # it has ended in the middle of something, or was told to end
         process.wait()
         with self._lock:
-            self._process = None
+            self._process, self._told = None, {}
             _close(process.stdin)
             process.stdout.close()
         return heard

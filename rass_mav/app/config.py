@@ -22,7 +22,7 @@ from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
 from rass_mav.store.settings import StoreSettings
 
-from .outlets import MetricsSection, OnArrivalSection, PostgresSection
+from .outlets import MetricsSection, OnArrivalSection, PageSection, PostgresSection
 
 #: Messages that telemetry needs and an autopilot does not always send unasked, with the seconds between two.
 DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0, "GPS_RAW_INT": 1.0, "SYSTEM_TIME": 5.0}
@@ -107,6 +107,8 @@ class RunConfig(Section):
     control: ControlSection = ControlSection()
     on_arrival: OnArrivalSection | None = None
     """At a base, a command that is run for each datum that arrives; null: none."""
+    page: PageSection | None = None
+    """At a base, the mission on a map, in browsers; null: none."""
     metrics: MetricsSection | None = None
     """At a base, figures for Prometheus; null: none."""
     postgres: PostgresSection | None = None
@@ -139,7 +141,7 @@ class RunConfig(Section):
     @property
     def outlets(self) -> list[str]:
         """The names of the sections that something beside the node attends to."""
-        return [name for name in ("on_arrival", "metrics", "postgres") if getattr(self, name) is not None]
+        return [name for name in ("on_arrival", "page", "metrics", "postgres") if getattr(self, name) is not None]
 
     def agent_settings(self) -> AgentSettings:
         """The settings that the agent needs."""
@@ -201,6 +203,9 @@ class RunConfig(Section):
         if not self.base and mistakes.sound("node.role"):
             for name in self.outlets:
                 mistakes.add(name, "only a base can have this section")
+        if self.page is not None and mistakes.sound("page.listen", "page.token_file"):
+            with mistakes.gathering("page.listen"):
+                self.page.check()
         if self.metrics is not None and mistakes.sound("metrics.listen"):
             with mistakes.gathering("metrics.listen"):
                 self.metrics.check()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+from pathlib import Path
 from typing import Annotated, Literal
 
 from rass_mav.config.bounds import Positive
 from rass_mav.config.sections import Meta, Section
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, os_errors_as
 from rass_mav.link.address import parse_address
 
 #: Of data, as people write them.
@@ -25,6 +26,57 @@ class OnArrivalSection(Section):
     """Only for data of these kinds; null: for all."""
 
 
+#: The shortest token that is taken, and the longest, characters: nobody can guess it.
+LEAST_TOKEN, MOST_TOKEN = 16, 200
+
+
+class PageSection(Section):
+    """The mission on a map, in browsers (docs/page.md)."""
+
+    listen: str = "127.0.0.1:8080"
+    """host:port; port 0: any."""
+    token_file: str | None = None
+    """Its first line is the token that browsers have to give; null: none, for this computer alone."""
+    names: tuple[str, ...] = ()
+    """Other names of this computer by which browsers may ask for the page."""
+    tiles: str | None = None
+    """The crew's own map, a file; null: a grid in metres."""
+
+    def check(self) -> None:
+        """Raise `ConfigError`."""
+        host, _ = parse_address(self.listen, any_port=True)
+        if self.token_file is None and not is_loopback(host):
+            raise ConfigError(
+                f"{host} can be reached by others: give a token file too, or listen on 127.0.0.1 or localhost"
+            )
+
+    def token(self) -> str | None:
+        """The first line of the token file; None: there is none. Raises `ConfigError`: it cannot be read, or is no
+        token."""
+        if self.token_file is None:
+            return None
+        path = Path(self.token_file)
+        with os_errors_as(ConfigError, path):
+            text = path.read_bytes()[: 2 * MOST_TOKEN].decode("ascii", "replace")
+        token = (text.splitlines() or [""])[0].strip()
+        if not (
+            LEAST_TOKEN <= len(token) <= MOST_TOKEN and token.isascii() and token.isprintable() and " " not in token
+        ):
+            raise ConfigError(
+                f"{path}: expected a token in the first line, {LEAST_TOKEN} to {MOST_TOKEN} characters without blanks "
+                "(for example from `openssl rand -hex 16`)"
+            )
+        return token
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this computer reaches an address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 class MetricsSection(Section):
     """Figures for Prometheus, and a check for health, over HTTP."""
 
@@ -37,12 +89,7 @@ class MetricsSection(Section):
 
     def remarks(self) -> list[str]:
         """What a person should know."""
-        host, _ = parse_address(self.listen, any_port=True)
-        try:
-            alone = ipaddress.IPv4Address(host).is_loopback
-        except ValueError:
-            alone = host == "localhost"
-        if alone:
+        if is_loopback(parse_address(self.listen, any_port=True)[0]):
             return []
         return [
             f"metrics.listen: anybody who can reach {self.listen} can read the node's figures; use 127.0.0.1, and a "
@@ -69,4 +116,8 @@ class PostgresSection(Section):
 
 
 #: What a section needs that is not installed with every node: the module, and the extra that brings it.
-NEEDS = {"metrics": ("prometheus_client", "metrics"), "postgres": ("psycopg", "postgres")}
+NEEDS = {
+    "page": ("aiohttp", "ground"),
+    "metrics": ("prometheus_client", "metrics"),
+    "postgres": ("psycopg", "postgres"),
+}

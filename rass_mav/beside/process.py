@@ -39,6 +39,10 @@ def tasks_of(config: RunConfig) -> dict[str, Task]:
         from .teller import Teller
 
         tasks["on_arrival"] = Teller(config.on_arrival, config.store_path)
+    if config.page is not None:
+        from .site import Site
+
+        tasks["page"] = Site(config.page, config.socket_path, config.store_path)
     if config.metrics is not None:
         from .metrics import Metrics
 

@@ -28,46 +28,39 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     page.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
     page.add_argument("--listen", metavar="HOST:PORT", default=LISTEN, help=f"where browsers find it ({LISTEN})")
-    page.add_argument(
-        "--token-file", type=Path, metavar="FILE", help="its first line is the token that browsers have to give"
-    )
+    page.add_argument("--token-file", metavar="FILE", help="its first line is the token that browsers have to give")
     page.add_argument(
         "--name", action="append", default=[], metavar="NAME", dest="names",
         help="another name of this computer, by which browsers may ask for the page; may be repeated",
     )  # fmt: skip
-    page.add_argument("--tiles", type=Path, metavar="FILE.mbtiles", help="the crew's own map, images in MBTiles")
+    page.add_argument("--tiles", metavar="FILE.mbtiles", help="the crew's own map, images in MBTiles")
 
 
 def _page(options: argparse.Namespace) -> int:
     import asyncio
 
-    from rass_mav.link.address import parse_address
-    from rass_mav.page.access import Access, check_listen, read_token
-    from rass_mav.page.follow import Follower
-    from rass_mav.page.tiles import Tiles
+    from rass_mav.app.outlets import PageSection
 
     try:
-        from rass_mav.page.server import Page
+        from rass_mav.page.server import page_of
     except ModuleNotFoundError as error:
         if error.name != "aiohttp":
             raise
         raise RassError(f"page: needs the package aiohttp: {installing('ground')}") from None
     start_logging(options.verbose)
+    section = PageSection(
+        listen=options.listen, token_file=options.token_file, names=tuple(options.names), tiles=options.tiles
+    )
     try:
-        host, port = parse_address(options.listen, any_port=True)
+        section.check()
     except ConfigError as error:
         raise ConfigError(f"--listen: {error}") from None
-    token = None if options.token_file is None else read_token(options.token_file)
-    check_listen(host, token)
-    if token is not None and options.token_file.stat().st_mode & 0o077:
-        warn(f"{clean(str(options.token_file))}: others on this computer can read the token: chmod 600 it")
-    tiles = None if options.tiles is None else Tiles(options.tiles)
-    follower = Follower(lambda: open_archive(options.store))
-    for remark in follower.remarks:
+    if options.token_file is not None and section.token() and Path(options.token_file).stat().st_mode & 0o077:
+        warn(f"{clean(options.token_file)}: others on this computer can read the token: chmod 600 it")
+    page = page_of(section, lambda: open_archive(options.store), _socket_of(options.store))
+    for remark in page.remarks:
         warn(clean(remark))
-    access = Access(host, token, options.names)
-    page = Page(follower, access, tiles=tiles, socket=_socket_of(options.store))
-    asyncio.run(_serve(page, host, port, options))
+    asyncio.run(_serve(page, options))
     return 0
 
 
@@ -80,7 +73,7 @@ def _socket_of(store: str | None) -> Path | None:
     return load_config(store).socket_path
 
 
-async def _serve(page: Page, host: str, port: int, options: argparse.Namespace) -> None:
+async def _serve(page: Page, options: argparse.Namespace) -> None:
     import asyncio
 
     from rass_mav.page.server import serve
@@ -90,10 +83,9 @@ async def _serve(page: Page, host: str, port: int, options: argparse.Namespace) 
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopped.set)
 
-    def ready(address: str, actual: int) -> None:
-        url = f"http://{address}:{actual}/"
+    def ready(url: str) -> None:
         answer(options, {"url": url}, [f"{url} shows the mission, until Ctrl-C"])
         sys.stdout.flush()
 
-    with os_errors_as(LinkError, f"--listen: {host}:{port}"):
-        await serve(page, host, port, ready, stopped)
+    with os_errors_as(LinkError, f"--listen: {options.listen}"):
+        await serve(page, options.listen, ready, stopped)

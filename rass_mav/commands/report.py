@@ -76,8 +76,11 @@ def _beside(beside: dict[str, Any]) -> Iterator[str]:
         yield "WARNING: the process beside the node does not run; it is started again"
     if beside["ends"]:
         yield f"WARNING: the process beside the node has ended {beside['ends']} times; the log says why"
-    if (served := beside.get("metrics")) is not None and served["trouble"]:
-        yield f"WARNING: metrics: {served['trouble']}"
+    for name in ("page", "metrics"):
+        if (served := beside.get(name)) is not None and served["trouble"]:
+            yield f"WARNING: {name}: {served['trouble']}"
+    if (page := beside.get("page")) is not None and page["url"]:
+        yield f"page: {page['url']}, {page['browsers']} open"
     if (told := beside.get("on_arrival")) is not None:
         yield f"on_arrival: {told['told']} told, {told['failed']} failed, {told['behind']} to come"
         if told["last_failure"]:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
-from collections.abc import Sequence
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from importlib import import_module
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, RassError
 
 from .common import (
     Subparsers,
@@ -25,10 +31,16 @@ from .common import (
     start_logging,
     warn,
 )
+from .page import LISTEN
 from .summary import summary_lines
 
 if TYPE_CHECKING:
     from rass_mav.swarm.scenario import Scenario
+    from rass_mav.swarm.world import World
+
+#: With a page, drones say so often how they are, seconds. Where the paper's world is simulated they do not.
+STATUS_S = 30.0
+_NO_STATUSES = ("paper-", "reference-")
 
 
 def register(subparsers: Subparsers) -> None:
@@ -55,6 +67,20 @@ def register(subparsers: Subparsers) -> None:
     _add_name(parser, "--transport", "in virtual time, or as processes in real time")
     parser.add_argument("--record", type=Path, metavar="FILE.tlog", help="write every frame put on the air")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="udp: keep configurations, stores and logs here")
+    parser.add_argument(
+        "--store",
+        type=Path,
+        metavar="FILE.db",
+        help="write what arrives to a store, for report, export and page",
+    )
+    parser.add_argument(
+        "--page", nargs="?", const=LISTEN, metavar="HOST:PORT",
+        help=f"show the mission in a browser, at this address ({LISTEN}), until Ctrl-C",
+    )  # fmt: skip
+    parser.add_argument(
+        "--pace", type=_positive, default=10.0, metavar="X",
+        help="with --page: how many seconds of the mission pass in a second (10)",
+    )  # fmt: skip
     parser.add_argument("--check", action="store_true", help="check all invariants in full after every step")
     add_set(parser)
 
@@ -71,12 +97,22 @@ def _add_name(parser: argparse.ArgumentParser, option: str, help: str) -> None:
     lists(parser.add_argument(option, metavar="NAME", help=help), names)
 
 
+def _positive(text: str) -> float:
+    """Raises `ValueError`."""
+    number = float(text)
+    if not 0.0 < number < inf:
+        raise ValueError
+    return number
+
+
 def _scenario(options: argparse.Namespace) -> Scenario:
     from rass_mav.swarm.catalogue import DEFAULT, DEFAULT_UDP, load_scenario
     from rass_mav.swarm.scenario import OPTION_KEYS
 
     keys = {key: getattr(options, name) for name, key in OPTION_KEYS.items() if getattr(options, name) is not None}
     name = options.scenario or (DEFAULT_UDP if options.transport == "udp" else DEFAULT)
+    if options.page is not None and not name.startswith(_NO_STATUSES):
+        keys["data.status_s"] = STATUS_S
     return load_scenario(name, keys, options.assignments)
 
 
@@ -89,8 +125,14 @@ def _swarm(options: argparse.Namespace) -> int:
         answer(options, {"scenarios": titles}, (f"{name:22} {title}" for name, title in titles.items()))
         return 0
     scenario = _scenario(options)
-    summary = (_in_real_time if scenario.transport == "udp" else _in_virtual_time)(scenario, options)
-    answer(options, summary, summary_lines(summary))
+    if scenario.transport == "udp":
+        summary = _in_real_time(scenario, options)
+        answer(options, summary, summary_lines(summary))
+        return 0
+    with ExitStack() as stack:
+        summary = _in_virtual_time(scenario, options, stack)
+        answer(options, summary, summary_lines(summary))
+        sys.stdout.flush()
     return 0
 
 
@@ -100,6 +142,8 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
 
     if options.check:
         raise ConfigError("--check needs --transport loopback: separate processes cannot be checked at one moment")
+    if options.page is not None or options.store is not None:
+        raise ConfigError("--page and --store need --transport loopback; --keep keeps the stores of processes")
     reached = _reached(scenario, Surroundings(scenario).graph.neighbours)
     with (
         keeping(lambda: kept_files(options.record, options.keep)),
@@ -125,7 +169,8 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     return reached
 
 
-def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
+def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: ExitStack) -> dict[str, Any]:
+    """`stack`: what may outlive the swarm: its page."""
     from rass_mav.swarm.invariants import check
     from rass_mav.swarm.stopwatch import Stopwatch
     from rass_mav.swarm.world import World
@@ -133,6 +178,7 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
     with recorder(options.record, scenario.node.step_s) as record:
         world = World(scenario, record=record)
         reached = _reached(scenario, world.neighbours)
+        after = stack.enter_context(_harvested(world, scenario, options))
         # The swarm lives to the end, so the garbage collector need not scan it again and again.
         gc.collect()
         gc.freeze()
@@ -145,6 +191,54 @@ def _in_virtual_time(scenario: Scenario, options: argparse.Namespace) -> dict[st
                 world.step()
                 if options.check:
                     check(world)
+                after()
                 advance(1)
         took = watch.figures(scenario.nodes * scenario.steps)
     return {**world.statistics.summary(), "reachable": reached, **took}
+
+
+@contextlib.contextmanager
+def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) -> Iterator[Callable[[], None]]:
+    """Write what arrives to a store, and show it, if that is wanted. Yields what to call after each step."""
+    if options.store is None and options.page is None:
+        yield lambda: None
+        return
+    from tempfile import TemporaryDirectory
+
+    from rass_mav.swarm.harvest import Harvest
+
+    with ExitStack() as stack:
+        path = options.store
+        if path is None:
+            path = Path(stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "swarm.db"
+        harvest = stack.enter_context(contextlib.closing(Harvest(path, world, scenario.bases, time.time())))
+        harvest.gather()
+        if options.page is None:
+            yield harvest.gather
+            return
+        page = stack.enter_context(_page(path, options))
+        begun = time.monotonic()
+
+        def after() -> None:
+            harvest.gather()
+            time.sleep(max(0.0, begun + world.t * world.step_s / options.pace - time.monotonic()))
+
+        yield after
+        sys.stderr.write("the swarm has done its steps; its page stays until Ctrl-C\n")
+        with contextlib.suppress(KeyboardInterrupt):
+            page.wait()
+
+
+@contextlib.contextmanager
+def _page(store: Path, options: argparse.Namespace) -> Iterator[subprocess.Popen[str]]:
+    """The page of a store, in a process of its own: the swarm needs all of this one."""
+    command = [sys.executable, "-m", "rass_mav", "page", str(store), "--listen", options.page]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as page:
+        try:
+            assert page.stdout is not None
+            if not (said := page.stdout.readline()):
+                raise RassError("--page: there is no page, for the reason above")
+            sys.stderr.write(said)
+            yield page
+        finally:
+            page.terminate()

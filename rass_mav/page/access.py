@@ -4,47 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import ipaddress
 import secrets
 from collections.abc import Iterable
-from pathlib import Path
 
-from rass_mav.errors import ConfigError, os_errors_as
-
-#: The shortest token that is taken, and the longest, characters: nobody can guess it.
-LEAST_TOKEN, MOST_TOKEN = 16, 200
 #: Browsers that are logged in at the same time; of more, the last ones.
 MOST_SESSIONS = 64
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
-
-
-def read_token(path: Path) -> str:
-    """The first line of a file. Raises `ConfigError`: it cannot be read, or is no token."""
-    with os_errors_as(ConfigError, path):
-        text = path.read_bytes()[: 2 * MOST_TOKEN].decode("ascii", "replace")
-    token = (text.splitlines() or [""])[0].strip()
-    if not (LEAST_TOKEN <= len(token) <= MOST_TOKEN and token.isascii() and token.isprintable() and " " not in token):
-        raise ConfigError(
-            f"{path}: expected a token in the first line, {LEAST_TOKEN} to {MOST_TOKEN} characters without blanks "
-            "(for example from `openssl rand -hex 16`)"
-        )
-    return token
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches an address."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def check_listen(host: str, token: str | None) -> None:
-    """Raises `ConfigError` if others could reach the page and no token protects it."""
-    if token is None and not is_loopback(host):
-        raise ConfigError(
-            f"--listen: {host} can be reached by others: give --token-file FILE, or listen on 127.0.0.1 or localhost"
-        )
 
 
 class Access:

@@ -15,6 +15,9 @@ from typing import Any, TypeVar
 from aiohttp import web
 
 from rass_mav import __version__
+from rass_mav.app.outlets import PageSection
+from rass_mav.link.address import parse_address
+from rass_mav.mission.entry import Data
 
 from .access import Access
 from .follow import Follower, ask_node
@@ -80,6 +83,11 @@ class Page:
         self.tasks: list[asyncio.Task[None]] = []
         """They end only with a fault."""
 
+    @property
+    def remarks(self) -> list[str]:
+        """What is wrong with the store, for people."""
+        return self._follower.remarks
+
     def app(self) -> web.Application:
         """The application."""
 
@@ -129,7 +137,7 @@ class Page:
     async def _watch(self, socket: Path) -> None:
         while True:
             self._node = await asyncio.to_thread(ask_node, socket)
-            self.hub.publish(event("node", {"node": self._node, "now": self._now()}))
+            self.hub.publish(event("node", {"node": self._node, "now": self._date()}))
             await asyncio.sleep(ASK_S)
 
     async def _in_turn(self, work: Callable[[], T]) -> T:
@@ -145,10 +153,14 @@ class Page:
             **self._follower.mission.snapshot(),
         }  # fmt: skip
 
+    def _date(self) -> float:
+        """Now, seconds since 1970. A mock swarm is ahead of the clock: then the time of what came last."""
+        return max(self._now(), self._follower.mission.end)
+
     def _about(self) -> dict[str, Any]:
         follower = self._follower
         return {
-            "now": self._now(), "store": follower.name, "trouble": follower.trouble, "remarks": follower.remarks,
+            "now": self._date(), "store": follower.name, "trouble": follower.trouble, "remarks": follower.remarks,
             "behind": follower.behind, "node": self._node,
         }  # fmt: skip
 
@@ -280,7 +292,7 @@ class Page:
         try:
             return await asyncio.wait_for(client.news.get(), BEAT_S)
         except asyncio.TimeoutError:
-            return event("beat", {"now": self._now()})
+            return event("beat", {"now": self._date()})
 
 
 def answer(plain: dict[str, Any]) -> web.Response:
@@ -304,14 +316,24 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
     response.headers["Server"] = "rass-mav"
 
 
-async def serve(page: Page, host: str, port: int, ready: Callable[[str, int], None], stopped: asyncio.Event) -> None:
-    """Serve until `stopped`. `ready` is called with the address and the port. `OSError`: it cannot be used."""
+def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None) -> Page:
+    """The page with these settings. `open` and `socket`: as a `Follower` and a `Page` take them. Raises `ConfigError`,
+    and what `open` raises."""
+    host, _ = parse_address(section.listen, any_port=True)
+    access = Access(host, section.token(), section.names)
+    tiles = None if section.tiles is None else Tiles(Path(section.tiles))
+    return Page(Follower(open), access, tiles=tiles, socket=socket)
+
+
+async def serve(page: Page, listen: str, ready: Callable[[str], None], stopped: asyncio.Event) -> None:
+    """Serve until `stopped`. `ready` is called with the page's URL. `OSError`: the address cannot be used."""
+    host, port = parse_address(listen, any_port=True)
     runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=1.0)
     await runner.setup()
     try:
         await web.TCPSite(runner, host, port).start()
         address = runner.addresses[0]
-        ready(str(address[0]), int(address[1]))
+        ready(f"http://{address[0]}:{address[1]}/")
         waits = [asyncio.create_task(stopped.wait()), *page.tasks]
         done, _ = await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for task in done:

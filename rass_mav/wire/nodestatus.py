@@ -45,6 +45,7 @@ class NodeStatus(NamedTuple):
     alone_by_origin: Mapping[int, int]
     """Node id -> how many of `alone` it created. At most `MOST_ORIGINS`; the rest are of others."""
     base: bool = False
+    """Whether it is a base, where data are at their goal."""
 
 
 def encode_status(s: NodeStatus) -> bytes:

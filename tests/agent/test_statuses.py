@@ -52,8 +52,17 @@ def test_nodes_take_their_turns() -> None:
     assert max(first) - min(first) > 50
 
 
-@pytest.mark.parametrize("sections", [{"data": {}}, {"base": True}, {"policy": {"name": "stigmergy"}}])
-def test_none_where_it_is_off_at_a_base_and_where_every_node_has_everything(sections: dict[str, object]) -> None:
+def test_a_base_says_that_it_is_one() -> None:
+    agent = make(3, base=True, data={"status_s": 5.0, "interval_steps": 0})
+    run(agent, 30)
+    said = statuses(agent)
+    assert said
+    for status in said:
+        assert (status.base, status.hops, status.alone, status.risk) == (True, 0, 0, 0.0)
+
+
+@pytest.mark.parametrize("sections", [{"data": {}}, {"policy": {"name": "stigmergy"}}])
+def test_none_where_it_is_off_and_where_every_node_has_everything(sections: dict[str, object]) -> None:
     sections = {"data": {"status_s": 5.0, "interval_steps": 0}, **sections}
     agent = make(3, **sections)  # type: ignore[arg-type]
     run(agent, 30)

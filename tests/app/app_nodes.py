@@ -118,7 +118,7 @@ class RunningNode:
         self.faulty = False
         """Whether it is expected to hit faults."""
         node = {"id": node_id, "step_s": STEP_S, **sections.pop("node", {})}
-        data = {"interval_steps": 0, **sections.pop("data", {})}
+        data = {"interval_steps": 0, "status_s": 0, **sections.pop("data", {})}
         store = {"path": f"{self.name}.db", **sections.pop("store", {})}
         plain = {"node": node, "data": data, "store": store, **sections}
         (directory / self.config).write_text(yaml.safe_dump(plain))

@@ -226,6 +226,27 @@ def test_what_came_to_two_bases_is_one_datum_and_two_contents_stay_two(tmp_path:
         assert (report["arrived"], report["lost"], report["apart"], report["missing"]) == (2, 1, 1, 3)
 
 
+def test_the_page_follows_a_database(tmp_path: Path, url: str) -> None:
+    pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
+    from rass_mav.page.follow import Follower
+
+    post(url, stored(tmp_path / "1.db", [measured(0), measured(1)]), 1)
+    follower = Follower(lambda: Database(url))
+    assert follower.look()
+    assert (follower.name, follower.mission.taken) == ("m", 2)
+    assert not follower.look()
+    post(url, stored(tmp_path / "2.db", [measured(1), measured(2)]), 2)
+    assert follower.look()
+    assert (follower.mission.taken, follower.mission.report.drones[7].arrived) == (3, 3)
+    # The server ends the connection, and another one is made.
+    rows(url, "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE pid <> pg_backend_pid()")
+    assert follower.look()
+    assert follower.trouble
+    assert follower.look()
+    assert (follower.trouble, follower.mission.taken) == ("", 3)
+    follower.close()
+
+
 def test_missions_do_not_mix_and_one_has_to_be_chosen(tmp_path: Path, url: str) -> None:
     path = stored(tmp_path / "base.db", [measured(0)])
     post(url, path, mission="one")

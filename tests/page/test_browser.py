@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +17,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from rass_mav.mission.archive import Archive
+from tests.app.app_nodes import environment
 from tests.patience import PATIENCE_S
 
 from .flights import Flight
@@ -53,11 +57,11 @@ def served(store: Path, token: str | None = None) -> Iterator[str]:
     found: list[str] = []
     up = threading.Event()
 
-    def ready(host: str, port: int) -> None:
-        found.append(f"http://{host}:{port}/")
+    def ready(url: str) -> None:
+        found.append(url)
         up.set()
 
-    thread = threading.Thread(target=loop.run_until_complete, args=(serve(page, "127.0.0.1", 0, ready, stopped),))
+    thread = threading.Thread(target=loop.run_until_complete, args=(serve(page, "127.0.0.1:0", ready, stopped),))
     thread.start()
     try:
         assert up.wait(PATIENCE_S)
@@ -157,6 +161,32 @@ def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Fli
         page.locator("#live").click()
         expect(page.locator("#n-arrived")).to_have_text(f"{total:,}")
         expect(page.locator("#past-note")).to_be_hidden()
+
+
+def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
+    words = ["swarm", "field-wifi-6m", "--nodes", "12", "--steps", "600", "--page", "127.0.0.1:0", "--pace", "20"]
+    command = [sys.executable, "-m", "rass_mav", *words]
+    with subprocess.Popen(
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as swarm:  # fmt: skip
+        try:
+            assert swarm.stderr is not None
+            url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
+            with opened(browser, url) as page:
+                mark = page.locator(".mark[aria-label^='Drone 1,']")
+                mark.wait_for()
+                was, arrived = mark.get_attribute("style"), number(page, "n-arrived")
+                page.wait_for_function(
+                    "was => document.querySelector(\".mark[aria-label^='Drone 1,']\").style.cssText != was", arg=was
+                )
+                page.wait_for_function(
+                    "was => Number(document.querySelector('#n-arrived').textContent.replace(',', '')) > was",
+                    arg=arrived,
+                )
+                expect(page.locator(".mark[aria-label^='Base 0,']")).to_be_visible()
+        finally:
+            swarm.send_signal(signal.SIGINT)
+            swarm.communicate(timeout=PATIENCE_S)
 
 
 def test_both_themes(browser: Browser, flight: Flight) -> None:

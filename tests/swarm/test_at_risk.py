@@ -25,6 +25,10 @@ class Death(NamedTuple):
     drone: int
     lost: set[DatumId]
     """Data of which the last copy was there."""
+    at_risk: int
+    """As the report said then."""
+    word_s: float
+    """When the drone had sent the status that this comes from."""
 
 
 class Mortal:
@@ -45,7 +49,7 @@ class Mortal:
         self.alone: dict[tuple[int, float], set[DatumId]] = {}
         """What each drone alone had at each of its statuses."""
 
-    def run(self, monkeypatch: pytest.MonkeyPatch) -> Report:
+    def run(self, monkeypatch: pytest.MonkeyPatch) -> None:
         told = Statuses._status
 
         def tell(statuses: Statuses, now: float) -> object:
@@ -57,6 +61,9 @@ class Mortal:
         with monkeypatch.context() as watching:
             watching.setattr(Statuses, "_status", tell)
             self.world.run(STEPS, after=self._kill)
+
+    def _report(self) -> Report:
+        """As the base would give it now."""
         report = Report()
         base = self.world.stores[0]
         report.take(entries(base))
@@ -68,10 +75,12 @@ class Mortal:
             return
         drone = self.victims[0]
         if any(id == drone and now >= (world.t - 1) * world.step_s - 1e-9 for id, now in self.alone):
-            before = set(world.ledger.lost)
+            before, report = set(world.ledger.lost), self._report()
             world.crash(drone, None)
             died = {id for id, fate in world.ledger.lost.items() if fate is Fate.DIED}
-            self.deaths.append(Death(drone, died - before))
+            at_risk, word = report.at_risk(drone), report.drone(drone).told
+            if at_risk is not None and word is not None:
+                self.deaths.append(Death(drone, died - before, at_risk, word.utc))
             del self.victims[0], self.from_step[0]
 
 
@@ -93,16 +102,13 @@ def test_what_a_drone_alone_had_is_what_is_lost_with_it(
     for seed in range(1, runs + 1):
         # Links come and go, and now and then a drone is cut off with what it has.
         swarm = Mortal(seed, **{"topology": "random-walk", "radio.range_m": 2.2, "custody.mirror": mirror})
-        report = swarm.run(monkeypatch)
-        for drone, died in swarm.deaths:
-            at_risk, word = report.at_risk(drone), report.drone(drone).told
-            if at_risk is None or word is None:
-                continue
+        swarm.run(monkeypatch)
+        for drone, died, at_risk, word_s in swarm.deaths:
             # Ages travel as milliseconds.
-            _, had = min((abs(now - word.utc), ids) for (id, now), ids in swarm.alone.items() if id == drone)
+            _, had = min((abs(now - word_s), ids) for (id, now), ids in swarm.alone.items() if id == drone)
             assert at_risk >= len(died & had), "of what it held at its last word that arrived"
             said += at_risk
-            lost += len({id for id in died if swarm.world.ledger.born[id] * swarm.world.step_s <= word.utc})
+            lost += len({id for id in died if swarm.world.ledger.born[id] * swarm.world.step_s <= word_s})
             deaths += 1
     assert deaths > 2 * runs
     # What came to it since, and copies that it counted on and that were gone too, are not in its word: they are few.

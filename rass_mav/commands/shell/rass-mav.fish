@@ -51,7 +51,7 @@ function _shtab_rass_mav_using
 end
 
 set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -205,6 +205,9 @@ complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l capacity -x -d 'data th
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l transport -xka "loopback udp" -d 'in virtual time, or as processes in real time'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l record -xka "(__fish_complete_path (commandline -ct))" -d 'write every frame put on the air'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l keep -xka "(__fish_complete_directories)" -d 'udp: keep configurations, stores and logs here'
+complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l store -x -d 'write what arrives to a store, for report, export and page'
+complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l page -x -d 'show the mission in a browser, at this address (127.0.0.1:8080), until Ctrl-C'
+complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l pace -x -d 'with --page: how many seconds of the mission pass in a second (10)'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l check -d 'check all invariants in full after every step'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm; and test $_shtab_rass_mav_npos -eq 0' -ka "(string split ' ' 'demo field-lora field-sik-250k field-sik-64k field-wifi-1m field-wifi-6m five-drones hostile islands paper-grid paper-lennard-jones paper-random-walk paper-scale-free power-cuts reference-grid reference-lennard-jones reference-random-walk reference-scale-free thousand udp-line'; __fish_complete_path (commandline -ct))" -d 'a YAML file, or one of these'
