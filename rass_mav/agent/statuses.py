@@ -89,4 +89,5 @@ class Statuses:
             place=None if position is None else (position.latitude, position.longitude),
             neighbours={id: neighbour.quality for id, neighbour in node.routing.neighbours.items()},
             alone_by_origin=alone,
+            next_hop=node.routing.next_hop,
         )
