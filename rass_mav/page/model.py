@@ -302,6 +302,7 @@ def _state(spot: tuple[float, Spot] | None, status: NodeStatus | None, told: flo
             "hops": status.hops,
             "battery": status.battery,
             "base": status.base,
+            "next_hop": status.next_hop,
             "neighbours": [[id, round(quality, 2)] for id, quality in status.neighbours.items()],
         }
     if spot is not None:

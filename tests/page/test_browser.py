@@ -129,6 +129,8 @@ def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Fli
         page.locator("#drones button[data-drone='3']").click()
         expect(page.locator("#drone-title")).to_have_text("Drone 3")
         expect(page.locator("#drone-facts")).to_contain_text("newer: unknown")
+        expect(page.locator("#drone-facts")).to_contain_text("Next hopnode 4")
+        expect(page.locator("#drone-neighbours tr", has_text="next hop")).to_have_count(1)
         expect(page.locator("#drone-readings canvas")).to_be_visible()
         shoot(page, "browser-drone")
         page.keyboard.press("Escape")
