@@ -76,7 +76,7 @@ class Field:
         self._changed: set[Square] = set()
 
     def add(self, place: tuple[float, float], reading: float) -> None:
-        """Add a reading at a latitude and longitude, degrees."""
+        """Add a reading, as `Entry.painted` has it, at a latitude and longitude, degrees: no sum of them overflows."""
         square = self.grid.square(place)
         total, count = self.sums.get(square, (0.0, 0))
         self.sums[square] = total + reading, count + 1

@@ -128,7 +128,7 @@ class Drone:
         self.kinds[entry.kind_name] += 1
         if self.heard is None or entry.utc >= self.heard.utc:
             self.heard = entry
-        place = entry.place if entry.status is None else entry.status.place
+        place = entry.whereabouts
         if place is not None and (self.placed is None or entry.utc >= self.placed[0]):
             self.placed = entry.utc, place
         if entry.reading is not None and (self.highest is None or entry.reading > (self.highest.reading or 0.0)):
