@@ -56,7 +56,7 @@ def _page(options: argparse.Namespace) -> int:
         raise RassError(f"page: needs the package aiohttp: {installing('ground')}") from None
     start_logging(options.verbose)
     try:
-        host, port = parse_address(options.listen, any_port=True)
+        host, port = parse_address(options.listen, any_port=True, ipv6=True)
     except ConfigError as error:
         raise ConfigError(f"--listen: {error}") from None
     token = None if options.token_file is None else read_token(options.token_file)
@@ -85,6 +85,7 @@ def _socket_of(store: str | None) -> Path | None:
 async def _serve(page: Page, host: str, port: int, options: argparse.Namespace) -> None:
     import asyncio
 
+    from rass_mav.link.address import show_address
     from rass_mav.page.server import serve
 
     stopped = asyncio.Event()
@@ -93,9 +94,9 @@ async def _serve(page: Page, host: str, port: int, options: argparse.Namespace) 
         loop.add_signal_handler(number, stopped.set)
 
     def ready(address: str, actual: int) -> None:
-        url = f"http://{address}:{actual}/"
+        url = f"http://{show_address((address, actual))}/"
         answer(options, {"url": url}, [f"{url} shows the mission, until Ctrl-C"])
         sys.stdout.flush()
 
-    with os_errors_as(LinkError, f"--listen: {host}:{port}"):
+    with os_errors_as(LinkError, f"--listen: {show_address((host, port))}"):
         await serve(page, host, port, ready, stopped)

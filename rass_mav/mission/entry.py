@@ -168,6 +168,9 @@ class Data(Protocol):
         """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
         this `Entry.arrival`, and no second contents."""
 
+    def second_contents(self, after: int) -> Iterator[Entry]:
+        """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
+
     def datum(self, name: str) -> Datum:
         """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
 

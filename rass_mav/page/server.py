@@ -7,8 +7,9 @@ import json
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +17,7 @@ from aiohttp import web
 
 from rass_mav import __version__
 
-from .access import Access
+from .access import Access, GuessedError
 from .follow import Follower, ask_node
 from .hub import END, Client, CrowdedError, Hub
 from .tiles import NOTHING, Tiles
@@ -184,7 +185,9 @@ class Page:
         return await handler(request)
 
     def _admitted(self, request: web.Request) -> bool:
-        return self._access.admits(request.headers.get("Authorization"), request.cookies.get(COOKIE))
+        with _guessed():
+            given = request.headers.get("Authorization"), request.cookies.get(COOKIE)
+            return self._access.admits(*given, request.remote)
 
     async def _login_form(self, request: web.Request) -> web.StreamResponse:
         if self._admitted(request):
@@ -193,9 +196,10 @@ class Page:
 
     async def _login(self, request: web.Request) -> web.StreamResponse:
         given = (await request.post()).get("token")
-        if not isinstance(given, str) or not self._access.is_token(given.strip()):
-            log.warning("%s: a wrong token", request.remote)
-            return self._file("wrong.html", status=401)
+        with _guessed():
+            if not isinstance(given, str) or not self._access.is_token(given.strip(), request.remote):
+                log.warning("%s: a wrong token", request.remote)
+                return self._file("wrong.html", status=401)
         found = web.HTTPSeeOther("/")
         found.set_cookie(COOKIE, self._access.log_in(), httponly=True, samesite="Strict", path="/")
         raise found
@@ -281,6 +285,14 @@ class Page:
             return await asyncio.wait_for(client.news.get(), BEAT_S)
         except asyncio.TimeoutError:
             return event("beat", {"now": self._now()})
+
+
+@contextmanager
+def _guessed() -> Iterator[None]:
+    try:
+        yield
+    except GuessedError as error:
+        raise web.HTTPTooManyRequests(text=f"{error}\n", headers={"Retry-After": str(error.wait_s)}) from None
 
 
 def answer(plain: dict[str, Any]) -> web.Response:
