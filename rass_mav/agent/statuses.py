@@ -91,4 +91,5 @@ class Statuses:
             neighbours={id: neighbour.quality for id, neighbour in node.routing.neighbours.items()},
             alone_by_origin=alone,
             base=node.base,
+            next_hop=node.routing.next_hop,
         )

@@ -44,7 +44,7 @@ class PageSection(Section):
 
     def check(self) -> None:
         """Raise `ConfigError`."""
-        host, _ = parse_address(self.listen, any_port=True)
+        host, _ = parse_address(self.listen, any_port=True, ipv6=True)
         if self.token_file is None and not is_loopback(host):
             raise ConfigError(
                 f"{host} can be reached by others: give a token file too, or listen on 127.0.0.1 or localhost"

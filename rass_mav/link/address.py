@@ -16,18 +16,38 @@ _SERIAL_EXAMPLE = "serial:/dev/ttyAMA0:921600"
 _WILDCARDS = ("", "0.0.0.0")
 
 
-def parse_address(text: str, *, any_port: bool = False) -> Address:
-    """`host:port` as (host, port); IPv4 or a name. `any_port`: port 0 is allowed, and the system chooses one.
+def parse_address(text: str, *, any_port: bool = False, ipv6: bool = False) -> Address:
+    """`host:port` as (host, port); IPv4 or a name. `any_port`: port 0 is allowed, and the system chooses one. `ipv6`:
+    `[address]:port` too.
 
     Raises `ConfigError`: `expected host:port, got ...`.
     """
     host, colon, port = text.rpartition(":")
     least = 0 if any_port else 1
-    if not colon or not host or ":" in host or any(c.isspace() or c == "/" for c in host):
-        raise ConfigError(f"expected host:port (IPv4 address or name), got {text!r}")
+    if ipv6 and host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+        good = _is_ipv6(host)
+    else:
+        good = bool(host) and ":" not in host and not any(c.isspace() or c == "/" for c in host)
+    if not colon or not good:
+        kinds = "IPv4 address, [IPv6 address] or name" if ipv6 else "IPv4 address or name"
+        raise ConfigError(f"expected host:port ({kinds}), got {text!r}")
     if not (port.isascii() and port.isdecimal() and len(port) <= 5 and least <= int(port) <= 65535):
         raise ConfigError(f"expected a port {least}..65535 after the colon, got {text!r}")
     return host, int(port)
+
+
+def show_address(address: Address) -> str:
+    """An address as `parse_address` reads it."""
+    host, port = address
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _is_ipv6(host: str) -> bool:
+    try:
+        return bool(ipaddress.IPv6Address(host))
+    except ValueError:
+        return False
 
 
 def parse_multicast(text: str) -> Address:

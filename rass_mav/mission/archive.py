@@ -131,7 +131,7 @@ class Archive:
                     yield entry
 
     def second_contents(self, after: int) -> Iterator[Entry]:
-        """The second contents of ids, in an order of their own: those behind this `Entry.arrival`; 0: all."""
+        """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
         return (self._entry(row, True) for row in self._rows(after, True))
 
     def _rows(self, after: int, apart: bool) -> Iterator[Row]:
@@ -150,8 +150,10 @@ class Archive:
                 raise
             self._salvage(error)
             yield from self._rows(after, apart)
-        if unsound:
-            self.remarks.append(f"{self.path}: {unsound} damaged rows were left out")
+        remark = f"{self.path}: {unsound} damaged rows were left out"
+        # Whoever follows the store comes to the same rows again.
+        if unsound and remark not in self.remarks:
+            self.remarks.append(remark)
 
     def _entry(self, row: Row, apart: bool) -> Entry:
         arrival, info, head = row

@@ -102,20 +102,28 @@ class Database:
         """The data in the order in which they came to the database, and then the second contents of ids. `after`: only
         what came later than this `Entry.arrival`, and no second contents."""
         for apart in (False, True) if after < 0 else (False,):
-            # A cursor of the server: the memory needed here does not depend on the number of data.
-            with self._explained(), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
-                cursor.itersize = _ROWS
-                cursor.execute(
-                    f"SELECT {_COLUMNS} FROM rass.datum d "
-                    "WHERE d.mission = %s AND d.number > %s AND d.apart = %s ORDER BY d.number",
-                    (self._mission, after, apart),
-                )
-                for row in cursor:
-                    if not apart:
-                        self.seen = max(self.seen, row[0])
-                    entry = self._entry(row)
-                    if wanted.admits(entry):
-                        yield entry
+            for entry in self._entries(after, apart):
+                if wanted.admits(entry):
+                    yield entry
+
+    def second_contents(self, after: int) -> Iterator[Entry]:
+        """The second contents of ids, in the order in which they came to the database: those behind this
+        `Entry.arrival`; 0: all."""
+        return self._entries(after, True)
+
+    def _entries(self, after: int, apart: bool) -> Iterator[Entry]:
+        # A cursor of the server: the memory needed here does not depend on the number of data.
+        with self._explained(), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
+            cursor.itersize = _ROWS
+            cursor.execute(
+                f"SELECT {_COLUMNS} FROM rass.datum d "
+                "WHERE d.mission = %s AND d.number > %s AND d.apart = %s ORDER BY d.number",
+                (self._mission, after, apart),
+            )
+            for row in cursor:
+                if not apart:
+                    self.seen = max(self.seen, row[0])
+                yield self._entry(row)
 
     def _entry(self, row: tuple[Any, ...]) -> Entry:
         number, origin, epoch, sequence, crc, kind, size, hops, utc, error_s, at_least, age_s, apart, arrived, head = (

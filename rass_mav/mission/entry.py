@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind
-from rass_mav.wire.measurement import Measurement
+from rass_mav.wire.measurement import MOST_READING, Measurement
 from rass_mav.wire.nodestatus import NodeStatus
 
 #: Units of readings, as people write them.
 UNIT_NAMES = {"usvh": "uSv/h", "cpm": "cpm", "cps": "cps", "counts": "counts"}
+
+#: Latitude and longitude, degrees.
+Place = tuple[float, float]
 
 
 class Entry(NamedTuple):
@@ -65,17 +68,29 @@ class Entry(NamedTuple):
             return str(self.kind)
 
     @property
-    def place(self) -> tuple[float, float] | None:
+    def place(self) -> Place | None:
         """Latitude and longitude of a measurement, degrees; None: unknown, or degrees that no place on Earth has."""
         m = self.measurement
-        if m is None or m.latitude is None or m.longitude is None:
-            return None
-        return (m.latitude, m.longitude) if abs(m.latitude) <= 90.0 and abs(m.longitude) <= 180.0 else None
+        return None if m is None or m.latitude is None or m.longitude is None else _earthly((m.latitude, m.longitude))
+
+    @property
+    def whereabouts(self) -> Place | None:
+        """The same of a measurement or of a status: where the drone was."""
+        if self.status is None or self.status.place is None:
+            return self.place
+        return _earthly(self.status.place)
 
     @property
     def reading(self) -> float | None:
-        """In the unit of the measurement; None: there is none."""
-        return None if self.measurement is None else self.measurement.reading
+        """In the unit of the measurement; None: there is none, or one that no sensor can send."""
+        reading = None if self.measurement is None else self.measurement.reading
+        return reading if reading is not None and abs(reading) <= MOST_READING else None
+
+    @property
+    def painted(self) -> tuple[Place, float, str] | None:
+        """What a map shows of a measurement: its place, its reading, and the unit (empty: unknown); None: nothing."""
+        m, place, reading = self.measurement, self.place, self.reading
+        return None if m is None or place is None or reading is None else (place, reading, m.unit or "")
 
     def plain(self) -> dict[str, Any]:
         """As plain values for JSON; what does not apply is left out."""
@@ -153,6 +168,9 @@ class Data(Protocol):
         """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
         this `Entry.arrival`, and no second contents."""
 
+    def second_contents(self, after: int) -> Iterator[Entry]:
+        """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
+
     def datum(self, name: str) -> Datum:
         """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
 
@@ -166,7 +184,12 @@ class Data(Protocol):
         """Release the files or the connection."""
 
 
-def _inside(place: tuple[float, float] | None, south: float, west: float, north: float, east: float) -> bool:
+def _earthly(place: Place) -> Place | None:
+    """A place if it is on Earth."""
+    return place if abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 else None
+
+
+def _inside(place: Place | None, south: float, west: float, north: float, east: float) -> bool:
     if place is None or not south <= place[0] <= north:
         return False
     return west <= place[1] <= east if west <= east else place[1] >= west or place[1] <= east

@@ -13,8 +13,9 @@ MOST_SQUARES = 5000
 REACH = 2
 #: Metres in a degree of latitude.
 DEGREE_M = 111_320.0
-# Nearer to a pole the squares are not square.
-_LEAST_COSINE = 0.01
+# Nearer to a pole than 75 degrees the squares are not square: if the first place is forged, those of all others are at
+# most four times as wide as high.
+_LEAST_COSINE = 0.25
 
 #: A row and a column of the grid, to the north and to the east of its origin.
 Square = tuple[int, int]
@@ -76,7 +77,7 @@ class Field:
         self._changed: set[Square] = set()
 
     def add(self, place: tuple[float, float], reading: float) -> None:
-        """Add a reading at a latitude and longitude, degrees."""
+        """Add a reading, as `Entry.painted` has it, at a latitude and longitude, degrees: no sum of them overflows."""
         square = self.grid.square(place)
         total, count = self.sums.get(square, (0.0, 0))
         self.sums[square] = total + reading, count + 1

@@ -9,7 +9,7 @@ from math import cos, floor, log, log10, radians
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .entry import UNIT_NAMES, Data, Entry, iso
+from .entry import UNIT_NAMES, Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
 from .report import Report
@@ -40,8 +40,6 @@ svg text { font: 12px system-ui, sans-serif; fill: #14181d; } .warning { backgro
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 
-Place = tuple[float, float]
-
 
 class Drawing:
     """What the map shows, from the data one after the other."""
@@ -67,18 +65,15 @@ class Drawing:
         if entry.dated:
             self.first = entry.utc if self.first is None else min(self.first, entry.utc)
             self.last = entry.utc if self.last is None else max(self.last, entry.utc)
-        status, m = entry.status, entry.measurement
-        if status is not None and status.base:
+        if entry.status is not None and entry.status.base:
             self.bases.add(entry.id.origin)
-        place = entry.place if status is None else status.place
-        if place is None or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
-            return
-        self.tracks.setdefault(entry.id.origin, Slots(MOST_PLACES)).put(entry.utc, place)
-        if m is not None and m.reading is not None:
-            unit = m.unit or ""
+        if entry.whereabouts is not None:
+            self.tracks.setdefault(entry.id.origin, Slots(MOST_PLACES)).put(entry.utc, entry.whereabouts)
+        if entry.painted is not None:
+            place, reading, unit = entry.painted
             if unit not in self.fields:
                 self.fields[unit] = Field(place)
-            self.fields[unit].add(place, m.reading)
+            self.fields[unit].add(place, reading)
 
     @property
     def main_unit(self) -> str | None:

@@ -26,8 +26,6 @@ class Numbers:
     """The data of one epoch of a drone. Their numbers have no gaps, so what is missing is known."""
 
     arrived: Ranges = field(default_factory=Ranges)
-    count: int = 0
-    """How many have arrived."""
     lost: dict[int, Fate] = field(default_factory=dict)
     """Those that are known to be lost, and why."""
     known: int = 0
@@ -35,15 +33,11 @@ class Numbers:
     firsts: dict[int, int] = field(default_factory=dict)
     """The lowest number that was created in each `_SPAN_S` (counted since 1970) at the earliest."""
 
-    def arrive(self, entry: Entry) -> None:
-        """One has arrived."""
-        number = entry.id.sequence
-        self.arrived.add(number, number + 1)
-        self.count += 1
-        self.known = max(self.known, number + 1)
+    def note(self, entry: Entry) -> None:
+        """When one was created that has arrived."""
         if entry.error_s is not None:
             span = int((entry.utc - entry.error_s) / _SPAN_S)
-            self.firsts[span] = min(number, self.firsts.get(span, number))
+            self.firsts[span] = min(entry.id.sequence, self.firsts.get(span, entry.id.sequence))
 
     def missing(self) -> Iterator[tuple[int, int]]:
         """Ranges of numbers, each as (first, last), that were created and have neither arrived nor been reported
@@ -74,6 +68,13 @@ class Drone:
 
     id: int
     epochs: dict[int, Numbers] = field(default_factory=dict)
+    # Counted as data come, and not over all epochs: forged data may have any number of them.
+    created: int = 0
+    """How many it has created at least."""
+    arrived: int = 0
+    """How many of its data have arrived."""
+    lost: Counter[Fate] = field(default_factory=Counter)
+    """How many are known to be lost, by reason."""
     kinds: Counter[str] = field(default_factory=Counter)
     """Arrived data by kind."""
     wounds: list[Fate] = field(default_factory=list)
@@ -88,24 +89,9 @@ class Drone:
     """Its latest status."""
 
     @property
-    def arrived(self) -> int:
-        """How many of its data have arrived."""
-        return sum(numbers.count for numbers in self.epochs.values())
-
-    @property
-    def created(self) -> int:
-        """How many it has created at least."""
-        return sum(numbers.known for numbers in self.epochs.values())
-
-    @property
-    def lost(self) -> Counter[Fate]:
-        """How many are known to be lost, by reason."""
-        return Counter(fate for numbers in self.epochs.values() for fate in numbers.lost.values())
-
-    @property
     def missing(self) -> int:
         """How many have neither arrived nor been reported lost: on their way, or lost without anybody knowing."""
-        return sum(last - first + 1 for numbers in self.epochs.values() for first, last in numbers.missing())
+        return self.created - self.arrived - self.lost.total()
 
     @property
     def missing_numbers(self) -> list[dict[str, Any]]:
@@ -124,17 +110,45 @@ class Drone:
 
     def take(self, entry: Entry) -> None:
         """One of its data has arrived."""
-        self.epochs.setdefault(entry.id.epoch, Numbers()).arrive(entry)
+        numbers = self._know(entry.id)
+        numbers.note(entry)
+        if entry.id.sequence not in numbers.arrived:
+            numbers.arrived.add(entry.id.sequence, entry.id.sequence + 1)
+            self.arrived += 1
+            self._find(numbers, entry.id.sequence)
         self.kinds[entry.kind_name] += 1
         if self.heard is None or entry.utc >= self.heard.utc:
             self.heard = entry
-        place = entry.place if entry.status is None else entry.status.place
+        place = entry.whereabouts
         if place is not None and (self.placed is None or entry.utc >= self.placed[0]):
             self.placed = entry.utc, place
         if entry.reading is not None and (self.highest is None or entry.reading > (self.highest.reading or 0.0)):
             self.highest = entry
         if entry.status is not None and (self.told is None or entry.utc >= self.told.utc):
             self.told = entry
+
+    def lose(self, id: DatumId, fate: Fate) -> None:
+        """One of its data is known to be lost."""
+        if fate in WOUNDS:
+            self.wounds.append(fate)
+            return
+        numbers = self._know(id)
+        if id.sequence not in numbers.arrived:
+            self._find(numbers, id.sequence)
+            numbers.lost[id.sequence] = fate
+            self.lost[fate] += 1
+
+    def _know(self, id: DatumId) -> Numbers:
+        """The numbers of its epoch. It was created, and so were all before it."""
+        numbers = self.epochs.setdefault(id.epoch, Numbers())
+        self.created += max(0, id.sequence + 1 - numbers.known)
+        numbers.known = max(numbers.known, id.sequence + 1)
+        return numbers
+
+    def _find(self, numbers: Numbers, number: int) -> None:
+        """What was said about the loss of this one does not hold."""
+        if (fate := numbers.lost.pop(number, None)) is not None:
+            self.lost -= Counter((fate,))
 
 
 class Report:
@@ -171,14 +185,7 @@ class Report:
     def hear(self, losses: Iterable[tuple[DatumId, Fate]]) -> None:
         """Data that are known to be lost."""
         for id, fate in losses:
-            drone = self.drone(id.origin)
-            if fate in WOUNDS:
-                drone.wounds.append(fate)
-                continue
-            numbers = drone.epochs.setdefault(id.epoch, Numbers())
-            numbers.known = max(numbers.known, id.sequence + 1)
-            if id.sequence not in numbers.arrived:
-                numbers.lost[id.sequence] = fate
+            self.drone(id.origin).lose(id, fate)
 
     def drone(self, id: int) -> Drone:
         """What is known of a drone."""

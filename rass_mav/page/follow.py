@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from rass_mav.app.client import ControlClient
 from rass_mav.errors import ControlError, StoreError
-from rass_mav.mission.entry import Data
+from rass_mav.mission.entry import Data, Entry
 
 from .model import Mission
 
@@ -35,8 +35,9 @@ class Follower:
         self.name = self._data.path.name
         self.behind = True
         """Whether there may be more to read at once."""
-        self._seen = -1
-        self._entries = self._data.entries()
+        self._seen = self._seen_apart = 0
+        """The latest `Entry.arrival` that was read, of data and of second contents."""
+        self._entries = self._new(self._data)
 
     def look(self) -> bool:
         """Read what has arrived. Returns whether anything that the page shows has changed."""
@@ -54,16 +55,23 @@ class Follower:
     def _read(self) -> bool:
         if self._data is None:
             self._data = self._open()
-            self._entries = self._data.entries(after=self._seen)
+            self._entries = self._new(self._data)
         elif not self.behind:
             self._data.renew()
-            self._entries = self._data.entries(after=self._seen)
+            self._entries = self._new(self._data)
         self.behind = self.mission.take(islice(self._entries, MOST_IN_A_LOOK)) == MOST_IN_A_LOOK
-        self._seen = max(self._seen, self._data.seen)
         new = self.mission.hear(self._data.losses())
         if not self.behind:
             self._data.rest()
         return new
+
+    def _new(self, data: Data) -> Iterator[Entry]:
+        for entry in data.entries(after=self._seen):
+            self._seen = entry.arrival
+            yield entry
+        for entry in data.second_contents(self._seen_apart):
+            self._seen_apart = entry.arrival
+            yield entry
 
     @property
     def remarks(self) -> list[str]:

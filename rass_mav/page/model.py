@@ -11,7 +11,7 @@ from math import inf
 from typing import Any
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.mission.entry import Entry
+from rass_mav.mission.entry import Entry, Place
 from rass_mav.mission.field import Field, Painted
 from rass_mav.mission.report import Drone, Report
 from rass_mav.mission.slots import Slots
@@ -51,7 +51,7 @@ class Story:
     def take(self, entry: Entry, drone: Drone) -> None:
         """One of its data has arrived, and is in `drone` already."""
         utc, status, measurement = entry.utc, entry.status, entry.measurement
-        place = earthly(entry.place if status is None else status.place)
+        place = entry.whereabouts
         risk = measurement.risk if measurement is not None else 0.0 if status is None else status.risk
         if place is not None and self.places.put(utc, spot := (*place, risk)):
             self.new.append((utc, spot))
@@ -114,10 +114,12 @@ class Mission:
 
     def hear(self, losses: Iterable[tuple[DatumId, Fate]]) -> bool:
         """All data that are known to be lost now. Returns whether any are new."""
-        new = [loss for loss in losses if loss not in self._heard and self._shows(loss[0].origin)]
-        self._heard.update(new)
-        self.report.hear(new)
-        return bool(new)
+        before = len(self._heard)
+        for loss in losses:
+            if loss not in self._heard and self._shows(loss[0].origin):
+                self._heard.add(loss)
+                self.report.hear((loss,))
+        return len(self._heard) > before
 
     def _shows(self, drone: int) -> bool:
         return drone in self.report.drones or len(self.report.drones) < MOST_DRONES
@@ -130,10 +132,9 @@ class Mission:
             self.arrivals.take(arrived, None if entry.at_least else max(0.0, arrived - entry.utc))
         drone = entry.id.origin
         self.stories.setdefault(drone, Story()).take(entry, self.report.drone(drone))
-        place, reading = earthly(entry.place), entry.reading
-        if place is None or reading is None or entry.measurement is None:
+        if entry.painted is None:
             return
-        unit = entry.measurement.unit or ""
+        place, reading, unit = entry.painted
         self.readings.take(Reading(entry.utc, drone, *place, reading, unit))
         if unit not in self.fields:
             self.fields[unit] = Field(place)
@@ -258,11 +259,6 @@ class Mission:
         }
 
 
-def earthly(place: tuple[float, float] | None) -> tuple[float, float] | None:
-    """A place if it is on Earth: latitude and longitude, degrees."""
-    return place if place is not None and abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 else None
-
-
 def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[str, Any]:
     """The figures of a drone at an earlier time."""
     place, word, counts = story.places.at(time), story.words.at(time), story.counts.at(time)
@@ -302,6 +298,7 @@ def _state(spot: tuple[float, Spot] | None, status: NodeStatus | None, told: flo
             "hops": status.hops,
             "battery": status.battery,
             "base": status.base,
+            "next_hop": status.next_hop,
             "neighbours": [[id, round(quality, 2)] for id, quality in status.neighbours.items()],
         }
     if spot is not None:
@@ -312,8 +309,7 @@ def _state(spot: tuple[float, Spot] | None, status: NodeStatus | None, told: flo
     return state
 
 
-def _highest(utc: float, reading: float, unit: str, place: tuple[float, float] | None) -> dict[str, Any]:
-    place = earthly(place)
+def _highest(utc: float, reading: float, unit: str, place: Place | None) -> dict[str, Any]:
     return {"utc": round(utc, 1), "reading": reading, "unit": unit, "place": None if place is None else list(place)}
 
 

@@ -7,8 +7,9 @@ import json
 import logging
 import math
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,10 +17,10 @@ from aiohttp import web
 
 from rass_mav import __version__
 from rass_mav.app.outlets import PageSection
-from rass_mav.link.address import parse_address
+from rass_mav.link.address import parse_address, show_address
 from rass_mav.mission.entry import Data
 
-from .access import Access
+from .access import Access, GuessedError
 from .follow import Follower, ask_node
 from .hub import END, Client, CrowdedError, Hub
 from .tiles import NOTHING, Tiles
@@ -196,7 +197,9 @@ class Page:
         return await handler(request)
 
     def _admitted(self, request: web.Request) -> bool:
-        return self._access.admits(request.headers.get("Authorization"), request.cookies.get(COOKIE))
+        with _guessed():
+            given = request.headers.get("Authorization"), request.cookies.get(COOKIE)
+            return self._access.admits(*given, request.remote)
 
     async def _login_form(self, request: web.Request) -> web.StreamResponse:
         if self._admitted(request):
@@ -205,9 +208,10 @@ class Page:
 
     async def _login(self, request: web.Request) -> web.StreamResponse:
         given = (await request.post()).get("token")
-        if not isinstance(given, str) or not self._access.is_token(given.strip()):
-            log.warning("%s: a wrong token", request.remote)
-            return self._file("wrong.html", status=401)
+        with _guessed():
+            if not isinstance(given, str) or not self._access.is_token(given.strip(), request.remote):
+                log.warning("%s: a wrong token", request.remote)
+                return self._file("wrong.html", status=401)
         found = web.HTTPSeeOther("/")
         found.set_cookie(COOKIE, self._access.log_in(), httponly=True, samesite="Strict", path="/")
         raise found
@@ -295,6 +299,14 @@ class Page:
             return event("beat", {"now": self._date()})
 
 
+@contextmanager
+def _guessed() -> Iterator[None]:
+    try:
+        yield
+    except GuessedError as error:
+        raise web.HTTPTooManyRequests(text=f"{error}\n", headers={"Retry-After": str(error.wait_s)}) from None
+
+
 def answer(plain: dict[str, Any]) -> web.Response:
     """Values as JSON, which no cache keeps."""
     return web.Response(body=dump(plain), content_type="application/json", headers={"Cache-Control": "no-store"})
@@ -319,7 +331,7 @@ async def _add_headers(request: web.Request, response: web.StreamResponse) -> No
 def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None) -> Page:
     """The page with these settings. `open` and `socket`: as a `Follower` and a `Page` take them. Raises `ConfigError`,
     and what `open` raises."""
-    host, _ = parse_address(section.listen, any_port=True)
+    host, _ = parse_address(section.listen, any_port=True, ipv6=True)
     access = Access(host, section.token(), section.names)
     tiles = None if section.tiles is None else Tiles(Path(section.tiles))
     return Page(Follower(open), access, tiles=tiles, socket=socket)
@@ -327,13 +339,13 @@ def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None)
 
 async def serve(page: Page, listen: str, ready: Callable[[str], None], stopped: asyncio.Event) -> None:
     """Serve until `stopped`. `ready` is called with the page's URL. `OSError`: the address cannot be used."""
-    host, port = parse_address(listen, any_port=True)
+    host, port = parse_address(listen, any_port=True, ipv6=True)
     runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=1.0)
     await runner.setup()
     try:
         await web.TCPSite(runner, host, port).start()
         address = runner.addresses[0]
-        ready(f"http://{address[0]}:{address[1]}/")
+        ready(f"http://{show_address((str(address[0]), int(address[1])))}/")
         waits = [asyncio.create_task(stopped.wait()), *page.tasks]
         done, _ = await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for task in done:

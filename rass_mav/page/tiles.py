@@ -1,17 +1,21 @@
-"""Map tiles from the crew's own file: MBTiles, an SQLite database of images."""
+"""Map tiles from the crew's own file: images in MBTiles or PMTiles."""
 
 from __future__ import annotations
 
-import math
-import sqlite3
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, os_errors_as
+
+from . import mbtiles, pmtiles
 
 #: How images begin, and what browsers call them.
 _KINDS = ((b"\x89PNG", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))
 _MOST_ZOOM = 24
+#: Bytes of an image.
+MOST_BYTES = 4 << 20
+#: Characters of the owner's text.
+_MOST_TEXT = 2000
 #: A transparent pixel, for tiles that the file does not have.
 NOTHING = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000b4944415478da636000020000050001e9fadcd8"
@@ -19,56 +23,72 @@ NOTHING = bytes.fromhex(
 )
 
 
+class Source(Protocol):
+    """A file of tiles, whatever they are."""
+
+    zooms: tuple[int, int]
+    """The least and the most; not trustworthy."""
+    attribution: str
+    """Whose they are."""
+    bounds: list[float]
+    """West, south, east, north, degrees; not trustworthy."""
+
+    def sample(self, most: int) -> object:
+        """Some tile. None: there is none of at most `most` bytes."""
+
+    def get(self, zoom: int, x: int, y: int, most: int) -> object:
+        """The tile with the usual numbers (rows counted from the north). None: there is none of at most `most`
+        bytes."""
+
+    def close(self) -> None:
+        """Release the file."""
+
+
 class Tiles:
-    """The tiles of a file."""
+    """The images of a file."""
 
     def __init__(self, path: Path) -> None:
         """Raises `ConfigError`: there is no such file, or it has no images."""
-        if path.suffix != ".mbtiles":
-            raise ConfigError(f"--tiles: expected a file .mbtiles with images, got {path}")
-        if not path.is_file():
-            raise ConfigError(f"--tiles: {path}: no such file")
-        try:
-            # Any thread may use it, one at a time. Nobody changes the file meanwhile.
-            self._connection = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False
+        self._source = _source(path)
+        if kind_of(self._source.sample(MOST_BYTES)) is None:
+            self._source.close()
+            raise ConfigError(
+                f"{path}: expected images (PNG, JPEG or WebP), not vector tiles: draw them, for example in QGIS with "
+                "Generate XYZ tiles (MBTiles)"
             )
-            named = dict(self._connection.execute("SELECT name, value FROM metadata").fetchall())
-            zooms = self._connection.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()
-            sample = self._connection.execute("SELECT tile_data FROM tiles LIMIT 1").fetchone()
-        except sqlite3.Error as error:
-            raise ConfigError(f"--tiles: {path}: not a file of tiles ({error})") from None
-        if sample is None or kind_of(sample[0]) is None:
-            raise ConfigError(f"--tiles: {path}: expected images (PNG, JPEG or WebP), not vector tiles")
-        self._about = {
-            "least_zoom": int(zooms[0]),
-            "most_zoom": int(zooms[1]),
-            "attribution": str(named.get("attribution", "")),
-            "bounds": _bounds(named.get("bounds")),
-        }
 
     def plain(self) -> dict[str, Any]:
         """For the page: zooms, bounds (west, south, east, north, or null), and whose they are."""
-        return self._about
+        least, most = (min(max(zoom, 0), _MOST_ZOOM) for zoom in self._source.zooms)
+        return {
+            "least_zoom": least,
+            "most_zoom": max(least, most),
+            "attribution": self._source.attribution[:_MOST_TEXT],
+            "bounds": self._source.bounds if _is_box(self._source.bounds) else None,
+        }
 
     def get(self, zoom: int, x: int, y: int) -> tuple[bytes, str] | None:
         """The image with the usual numbers (rows counted from the north), and its type; None: there is none."""
         if not (0 <= zoom <= _MOST_ZOOM and 0 <= x < 1 << zoom and 0 <= y < 1 << zoom):
             return None
-        # MBTiles counts rows from the south.
-        try:
-            row = self._connection.execute(
-                "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
-                (zoom, x, (1 << zoom) - 1 - y),
-            ).fetchone()
-        except sqlite3.Error:
-            return None
-        kind = None if row is None else kind_of(row[0])
-        return None if kind is None else (bytes(row[0]), kind)
+        image = self._source.get(zoom, x, y, MOST_BYTES)
+        kind = kind_of(image)
+        return (image, kind) if isinstance(image, bytes) and kind is not None else None
 
     def close(self) -> None:
         """Release the file."""
-        self._connection.close()
+        self._source.close()
+
+
+def _source(path: Path) -> Source:
+    """What the file is, by its first bytes. Raises `ConfigError`."""
+    with os_errors_as(ConfigError, path), path.open("rb") as file:
+        head = file.read(len(mbtiles.MAGIC))
+    if head.startswith(mbtiles.MAGIC):
+        return mbtiles.MBTiles(path)
+    if head.startswith(pmtiles.MAGIC):
+        return pmtiles.PMTiles(path)
+    raise ConfigError(f"{path}: expected MBTiles or PMTiles with images")
 
 
 def kind_of(image: object) -> str | None:
@@ -78,10 +98,8 @@ def kind_of(image: object) -> str | None:
     return next((kind for start, kind in _KINDS if image.startswith(start)), None)
 
 
-def _bounds(text: object) -> list[float] | None:
-    try:
-        west, south, east, north = (float(part) for part in str(text).split(","))
-    except ValueError:
-        return None
-    bounds = [west, south, east, north]
-    return bounds if all(map(math.isfinite, bounds)) else None
+def _is_box(bounds: list[float]) -> bool:
+    if len(bounds) != 4:
+        return False
+    west, south, east, north = bounds
+    return -180.0 <= west < east <= 180.0 and -90.0 <= south < north <= 90.0

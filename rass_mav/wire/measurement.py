@@ -22,8 +22,8 @@ _HAS_ERROR = 16
 #: The number of each unit on the wire. Readings of a unit that a later version added have no unit here.
 UNITS: dict[str, int] = {"usvh": 1, "cpm": 2, "cps": 3, "counts": 4}
 _UNIT_NAMES = {number: name for name, number in UNITS.items()}
-#: Largest 32-bit float.
-_FLOAT_MAX = 3.4028234663852886e38
+#: The largest reading: the largest 32-bit float.
+MOST_READING = 3.4028234663852886e38
 #: Largest error of a position that can be sent; beyond that it is unknown.
 _MOST_ERROR_M = 6553.5
 
@@ -66,7 +66,7 @@ def encode_measurement(m: Measurement) -> bytes:
     elif m.local is not None:
         flags |= _LOCAL
         lat, lon, alt = (_millimetres(metres) for metres in m.local)
-    if m.reading is not None and abs(m.reading) <= _FLOAT_MAX:
+    if m.reading is not None and abs(m.reading) <= MOST_READING:
         flags |= _HAS_READING
         reading = m.reading
     more = b""

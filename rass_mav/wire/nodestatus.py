@@ -14,7 +14,9 @@ _ORIGIN = struct.Struct("<HH")
 _VERSION = 1
 _HAS_POSITION = 1
 _BASE = 2
-#: So many neighbours and origins fit one frame; of more, the best heard and those with most data.
+_NEXT_HOP = 4
+#: So many neighbours and origins fit one frame; of more, the next hop and the best heard, and those with
+#: most data.
 MOST_NEIGHBOURS = 10
 MOST_ORIGINS = 10
 _MOST_LAT, _MOST_LON = 900_000_000, 1_800_000_000
@@ -46,19 +48,25 @@ class NodeStatus(NamedTuple):
     """Node id -> how many of `alone` it created. At most `MOST_ORIGINS`; the rest are of others."""
     base: bool = False
     """Whether it is a base, where data are at their goal."""
+    next_hop: int | None = None
+    """Where its route leads, one of `neighbours`; None: nowhere, or the status does not say."""
 
 
 def encode_status(s: NodeStatus) -> bytes:
-    """`<BBHHHHHBBii` version, flags (1 position, 2 base), held, alone, spares, free, risk, hops, battery, latitude,
-    longitude; then a byte and so many neighbours (`<HB`), and a byte and so many origins (`<HH`)."""
+    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop), held, alone, spares, free, risk, hops, battery,
+    latitude, longitude; then a byte and so many neighbours (`<HB`), and a byte and so many origins (`<HH`).
+
+    With flag 4 the first neighbour is the next hop. One that is not among the neighbours is not told.
+    """
     lat, lon = (0.0, 0.0) if s.place is None else s.place
-    neighbours = sorted(s.neighbours.items(), key=lambda item: -item[1])[:MOST_NEIGHBOURS]
+    neighbours = sorted(s.neighbours.items(), key=lambda item: (item[0] != s.next_hop, -item[1]))[:MOST_NEIGHBOURS]
+    flags = (s.place is not None) * _HAS_POSITION + s.base * _BASE + (s.next_hop in s.neighbours) * _NEXT_HOP
     origins = sorted(s.alone_by_origin.items(), key=lambda item: -item[1])[:MOST_ORIGINS]
     return b"".join(
         (
             _HEAD.pack(
-                _VERSION, (s.place is not None) * _HAS_POSITION + s.base * _BASE, _count(s.held), _count(s.alone),
-                _count(s.spares), _UNKNOWN_16 if s.free is None else min(s.free, _UNKNOWN_16 - 1),
+                _VERSION, flags, _count(s.held), _count(s.alone), _count(s.spares),
+                _UNKNOWN_16 if s.free is None else min(s.free, _UNKNOWN_16 - 1),
                 round(s.risk * 65535), _UNKNOWN_8 if s.hops is None else min(s.hops, _UNKNOWN_8 - 1),
                 _UNKNOWN_8 if s.battery is None else s.battery, round(lat * 1e7), round(lon * 1e7),
             ),
@@ -96,6 +104,7 @@ def decode_status(payload: bytes) -> NodeStatus:
         {id: quality / 255 for id, quality in neighbours},
         dict(origins),
         bool(flags & _BASE),
+        neighbours[0][0] if flags & _NEXT_HOP and neighbours else None,
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from rass_mav.agent.agent import Agent
 from rass_mav.core.datum import DatumId, Kind, make_datum
-from rass_mav.core.messages import Data, Handover
+from rass_mav.core.messages import Data, Handover, Route
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire.nodestatus import NodeStatus, decode_status
@@ -106,3 +106,17 @@ def test_it_says_what_only_this_node_has() -> None:
     # Two fifths are for its own data.
     assert (said.battery, said.place, said.hops, said.free) == (83, (47.5, 8.5), None, 50 - 20 - 2)
     assert list(said.neighbours) == [9]
+
+
+def test_it_names_the_neighbour_to_which_its_data_go() -> None:
+    agent = make(3, data={"status_s": 1000.0, "interval_steps": 0})
+    node = agent.node
+    node.receive(beacon(9, 1, life=9), 0.0)
+    node.receive(beacon(8, 1, Route(1, 1, 1, 0), life=8), 0.0)
+    agent.step(1.0)
+    assert node.routing.next_hop == 8
+    [status] = [s for s in agent.services if type(s).__name__ == "Statuses"]
+    status.step(2000.0)
+    [said] = statuses(agent)
+    assert said.next_hop == 8
+    assert set(said.neighbours) == {8, 9}

@@ -19,14 +19,13 @@ TOKEN = "0123456789abcdef"
 )  # fmt: skip
 def test_without_a_token_only_this_computer_may_listen(host: str, here: bool) -> None:
     assert is_loopback(host) is here
-    if ":" in host:
-        return
-    PageSection(listen=f"{host}:8080", token_file="token").check()
+    listen = f"[{host}]:8080" if ":" in host else f"{host}:8080"
+    PageSection(listen=listen, token_file="token").check()
     if here:
-        PageSection(listen=f"{host}:8080").check()
+        PageSection(listen=listen).check()
     else:
         with pytest.raises(ConfigError, match=f"{host} can be reached by others: give a token file too"):
-            PageSection(listen=f"{host}:8080").check()
+            PageSection(listen=listen).check()
 
 
 @pytest.mark.parametrize(

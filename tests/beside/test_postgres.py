@@ -220,6 +220,9 @@ def test_what_came_to_two_bases_is_one_datum_and_two_contents_stay_two(tmp_path:
         assert [entry.name for entry in database.entries()] == [
             str(first.id), str(second.id), f"{other.id}#{other.crc:08x}",
         ]  # fmt: skip
+        [apart] = database.second_contents(0)
+        assert apart.name == f"{other.id}#{other.crc:08x}"
+        assert list(database.second_contents(apart.arrival)) == []
         assert database.datum(f"{other.id}#{other.crc:08x}").payload == b"another"
         assert database.losses() == [(lost, Fate.CORRUPTED)]
         report = Report.of(database).plain(NOW)

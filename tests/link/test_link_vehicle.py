@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from rass_mav.errors import ConfigError, LinkError
-from rass_mav.link.address import VehicleUrl, parse_address, parse_multicast, parse_vehicle_url
+from rass_mav.link.address import VehicleUrl, parse_address, parse_multicast, parse_vehicle_url, show_address
 from rass_mav.link.vehicle import VehicleLink
 
 from .link_helpers import vehicle_bytes
@@ -54,6 +54,15 @@ def test_what_is_no_connection_string_says_what_is(url: str) -> None:
 
 def test_addresses() -> None:
     assert parse_address("192.168.4.7:14600") == ("192.168.4.7", 14600)
+    assert parse_address("[::1]:0", any_port=True, ipv6=True) == ("::1", 0)
+    assert parse_address("192.168.4.7:14600", ipv6=True) == ("192.168.4.7", 14600)
+    for text in ("192.168.4.7:14600", "[fe80::1]:80", "base.local:8080"):
+        assert show_address(parse_address(text, ipv6=True)) == text
+    for wrong in ("::1", "[::1]", "[::1]:70000", "[base]:80", "[]:80", "[::1:80", "::1]:80", "[[::1]]:80"):
+        with pytest.raises(ConfigError):
+            parse_address(wrong, ipv6=True)
+    with pytest.raises(ConfigError):
+        parse_address("[::1]:80")
     assert parse_multicast("239.255.82.83:14601") == ("239.255.82.83", 14601)
     for wrong in ("192.168.4.7:14601", "group:14601", "239.255.82.83"):
         with pytest.raises(ConfigError):

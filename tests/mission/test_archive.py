@@ -199,6 +199,20 @@ def test_one_row_of_a_wrong_type_is_one_row(base: Base) -> None:
         assert archive.remarks == [f"{base.path}: 1 damaged rows were left out"]
 
 
+def test_a_damaged_row_at_the_end_is_told_once_to_who_follows(base: Base) -> None:
+    fill(base, 3)
+    with closing(sqlite3.connect(base.path)) as connection:
+        connection.execute("PRAGMA ignore_check_constraints = ON")
+        connection.execute("UPDATE datum SET hops = 'many' WHERE sequence = 2")
+        connection.commit()
+    with Archive(base.path) as archive:
+        assert len(list(archive.entries())) == 2
+        for _ in range(3):
+            archive.renew()
+            assert list(archive.entries(after=archive.seen)) == []
+        assert archive.remarks == [f"{base.path}: 1 damaged rows were left out"]
+
+
 def test_a_card_of_the_last_version_is_read(tmp_path: Path) -> None:
     old = Path(__file__).parents[1] / "store" / "data" / "version-1.db"
     shutil.copy(old, tmp_path / "node.db")

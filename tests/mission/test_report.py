@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.cli import main
-from rass_mav.core.datum import Datum, DatumId, Fate, Kind
+from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate, Kind
 from rass_mav.mission.archive import Archive
+from rass_mav.mission.entry import Entry
 from rass_mav.mission.report import Numbers, Report
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
@@ -86,6 +88,31 @@ def test_every_number_below_the_highest_is_arrived_lost_or_missing(arrived: set[
     assert missing == set(range(numbers.known)) - arrived - lost
     for below in range(0, 62, 5):
         assert numbers.missing_below(below) == len({number for number in missing if number < below})
+
+
+known = st.builds(DatumId, st.just(7), st.integers(0, 2), st.integers(0, 12))
+
+
+@given(st.lists(st.tuples(known, st.none() | st.sampled_from([fate for fate in Fate if fate not in WOUNDS]))))
+def test_the_figures_do_not_depend_on_whether_the_loss_or_the_datum_is_heard_first(
+    news: list[tuple[DatumId, Fate | None]],
+) -> None:
+    found = Report()
+    for id, fate in news:
+        if fate is None:
+            found.take([Entry(0, id, 0, Kind.BYTES, 1, 1, 1e9, None, False, 0.0)])
+        else:
+            found.hear([(id, fate)])
+    drone = found.drone(7)
+    arrived = {id for id, fate in news if fate is None}
+    lost = {id: fate for id, fate in news if fate is not None and id not in arrived}
+    created = {
+        epoch: max(id.sequence for id, _ in news if id.epoch == epoch) + 1 for epoch in {id.epoch for id, _ in news}
+    }
+    assert (drone.arrived, drone.created) == (len(arrived), sum(created.values()))
+    assert drone.lost == Counter(lost.values())
+    ranges = [gap for numbers in drone.epochs.values() for gap in numbers.missing()]
+    assert drone.missing == sum(last - first + 1 for first, last in ranges)
 
 
 def test_delays_are_those_of_arrivals_whose_age_is_known(base: Base) -> None:

@@ -100,3 +100,9 @@ class TestField:
         assert south - 1e-9 <= place[0] <= south + height + 1e-9
         beyond = (place[1] - west + 180) % 360 - 180
         assert -1e-9 <= beyond <= width + 1e-9
+
+
+def test_a_first_place_at_a_pole_makes_the_squares_of_others_four_times_as_wide_at_most() -> None:
+    for latitude in (90.0, -90.0, 89.0, 60.0, 0.0):
+        height, width = Field((latitude, 8.0)).grid.step
+        assert 1.0 <= width / height <= 4.0

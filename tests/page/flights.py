@@ -76,12 +76,14 @@ class Flight:
         held = 0 if id == BASE_ID else self._random.randrange(5, 60)
         alone = held // 4
         neighbours = {other: quality for other, quality in heard.items() if quality > 0.2}
+        # Its route leads to the neighbour that is nearest to the base.
+        next_hop = min(neighbours, key=lambda other: math.hypot(*self._spots[other]), default=None)
         status = NodeStatus(
             held, alone, held // 2, 5000 - held, min(dose(*spot) / 60.0, 1.0), hops, max(5, 98 - int(now / 40)),
-            place(*spot), neighbours, {id: alone} if alone else {},
+            place(*spot), neighbours, {id: alone} if alone else {}, next_hop=next_hop,
         )  # fmt: skip
         if id == BASE_ID:
-            status = status._replace(free=None, risk=0.0, battery=None, base=True)
+            status = status._replace(free=None, risk=0.0, battery=None, base=True, next_hop=None)
         self._create(id, Kind.STATUS, encode_status(status), now)
 
     def _create(self, id: int, kind: int, payload: bytes, now: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rass_mav.page.access import MOST_SESSIONS, Access
+from rass_mav.page.access import MOST_SESSIONS, MOST_WRONG, Access, GuessedError
 
 TOKEN = "0123456789abcdef"
 
@@ -26,20 +26,57 @@ def test_only_names_of_this_page_are_known(header: str | None, known: bool) -> N
      ("Bearer", False), ("Bearer ", False), (None, False), ("", False), ("Bearer \udcff", False)],
 )  # fmt: skip
 def test_the_token(authorization: str | None, admitted: bool) -> None:
-    assert Access("127.0.0.1", TOKEN).admits(authorization, None) is admitted
-    assert Access("127.0.0.1").admits(authorization, None)
+    assert Access("127.0.0.1", TOKEN).admits(authorization, None, "10.0.0.9") is admitted
+    assert Access("127.0.0.1").admits(authorization, None, "10.0.0.9")
+
+
+def test_after_some_wrong_tokens_no_other_is_looked_at_for_a_while() -> None:
+    now = 0.0
+    access = Access("127.0.0.1", TOKEN, now=lambda: now)
+    assert access.is_token(TOKEN, "10.0.0.1")
+    session = access.log_in()
+    for n in range(MOST_WRONG):
+        now = float(n)
+        assert not access.is_token("guess", f"10.0.0.{n + 2}")
+    with pytest.raises(GuessedError, match="try again in 51 s"):
+        access.is_token("guess", "10.0.0.9")
+    with pytest.raises(GuessedError):
+        access.is_token(TOKEN, "10.0.0.9")
+    assert access.admits(None, session, "10.0.0.9"), "whoever is logged in stays"
+    assert access.admits(f"Bearer {TOKEN}", None, "10.0.0.1"), "and so does a program that had the token before"
+    assert not access.admits("Bearer guess", None, "10.0.0.1")
+    assert not access.admits(None, None, "10.0.0.9"), "no token is no guess"
+    now = 61.5
+    assert access.is_token(TOKEN, "10.0.0.9")
+
+
+def test_the_addresses_that_are_trusted_are_not_too_many() -> None:
+    access = Access("127.0.0.1", TOKEN, now=lambda: 0.0)
+    for n in range(MOST_SESSIONS + 1):
+        assert access.is_token(TOKEN, str(n))
+    for _ in range(MOST_WRONG):
+        assert not access.is_token("guess", "1")
+    with pytest.raises(GuessedError):
+        access.is_token(TOKEN, "0")
+
+
+def test_addresses_have_one_spelling() -> None:
+    access = Access("::", TOKEN, ["FD00:0::7"])
+    for header in ("[fd00::7]:8080", "[FD00:0:0::7]", "[fe80::1]:80", "[::1]:8080", "[0::1]"):
+        assert access.knows_host(header, "fe80:0::1")
+    assert not access.knows_host("[fd00::8]:8080", "fe80::1")
 
 
 def test_sessions_are_random_end_and_are_not_too_many() -> None:
     access = Access("127.0.0.1", TOKEN)
     first = access.log_in()
-    assert access.admits(None, first)
-    assert not access.admits(None, first + "x")
-    assert not access.admits(None, TOKEN), "the cookie is not the token"
+    assert access.admits(None, first, "")
+    assert not access.admits(None, first + "x", "")
+    assert not access.admits(None, TOKEN, ""), "the cookie is not the token"
     others = [access.log_in() for _ in range(MOST_SESSIONS)]
     assert len({first, *others}) == MOST_SESSIONS + 1
-    assert not access.admits(None, first)
-    assert all(access.admits(None, other) for other in others)
+    assert not access.admits(None, first, "")
+    assert all(access.admits(None, other, "") for other in others)
     access.log_out(others[0])
     access.log_out(None)
-    assert not access.admits(None, others[0])
+    assert not access.admits(None, others[0], "")

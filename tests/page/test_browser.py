@@ -16,7 +16,10 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.mission.archive import Archive
+from rass_mav.wire.measurement import Measurement
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.app.app_nodes import environment
 from tests.patience import PATIENCE_S
 
@@ -133,6 +136,8 @@ def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Fli
         page.locator("#drones button[data-drone='3']").click()
         expect(page.locator("#drone-title")).to_have_text("Drone 3")
         expect(page.locator("#drone-facts")).to_contain_text("newer: unknown")
+        expect(page.locator("#drone-facts")).to_contain_text("Next hopnode 4")
+        expect(page.locator("#drone-neighbours tr", has_text="next hop")).to_have_count(1)
         expect(page.locator("#drone-readings canvas")).to_be_visible()
         shoot(page, "browser-drone")
         page.keyboard.press("Escape")
@@ -233,6 +238,43 @@ def test_hostile_names_are_text(browser: Browser, tmp_path: Path) -> None:
         expect(page.locator("#store")).to_have_text(name)
         assert page.locator("img[src='x']").count() == 0
     flight.close()
+
+
+def test_forged_data_do_not_stop_it(browser: Browser, flight: Flight) -> None:
+    most, here = 3.4028234663852886e38, Measurement(47.37, 8.54, 0.0, 1.0, 1.0, unit="usvh")
+    places = ((90.0, 180.0), (-90.0, -180.0), (0.0, 0.0), (47.37, 8.54), (47.37, -179.99999))
+    forged = [
+        here._replace(latitude=latitude, longitude=longitude, reading=reading, unit=unit)
+        for latitude, longitude in places
+        for reading in (most, -most, 1e-45, 0.0, None)
+        for unit in ("usvh", "cps", None)
+    ]
+    base = flight.base
+    numbers = (0, 1, 2**32 - 2, 2**32 - 1)
+    base.arrive(*(base.measurement(60_000 + n, numbers[n % 4], m, age_s=2e6 * n) for n, m in enumerate(forged)))
+    said = NodeStatus(
+        65535, 65535, 65535, None, 1.0, 254, None, (90.0, 180.0), {2: 1.0, 65535: 0.0}, {}, next_hop=65535
+    )
+    base.arrive(base.datum(65535, 2**32 - 1, Kind.STATUS, encode_status(said)))
+    base.store.lose(DatumId(0, 2**32 - 1, 2**32 - 1), Fate.OVERFLOW)
+    base.arrive()
+    with served(base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        assert number(page, "n-created") > 30 * 2**32
+        assert page.locator(".totals").evaluate("(t) => t.scrollWidth <= t.clientWidth"), "large numbers are wrapped"
+        for unit in ("cps", "", "usvh"):
+            page.locator("#layers").evaluate("(e) => { e.open = true; }")
+            page.locator("#unit").select_option(unit)
+        page.locator("#drones button[data-drone='65535']").click()
+        expect(page.locator("#drone-facts")).to_contain_text("node 65535")
+        page.locator("#fit").click()
+        page.locator("#slider").focus()
+        page.keyboard.press("Home")
+        expect(page.locator("#past-note")).to_be_visible()
+        page.locator("#live").click()
+        flight.fly(60)
+        wait_for_data(page, flight)
+        shoot(page, "browser-forged")
 
 
 def test_the_login(browser: Browser, flight: Flight) -> None:

@@ -26,7 +26,7 @@ from rass_mav.wire.nodestatus import NodeStatus
 from .flights import Flight
 
 NOW = 1_795_341_600.0
-STATUS = NodeStatus(9, 4, 2, 100, 0.5, 2, 80, (47.37, 8.54), {8: 0.5}, {7: 4})
+STATUS = NodeStatus(9, 4, 2, 100, 0.5, 2, 80, (47.37, 8.54), {8: 0.5}, {7: 4}, next_hop=8)
 
 
 def entry(number: int, *, drone: int = 7, utc: float = NOW, delay_s: float | None = 1.0, **more: Any) -> Entry:
@@ -143,6 +143,7 @@ def test_the_latest_word_counts_whatever_the_order() -> None:
     )
     (figures,) = mission.snapshot()["drones"]
     assert (figures["held"], figures["place"], figures["risk"]) == (5, [47.38, 8.54], 0.25)
+    assert (figures["neighbours"], figures["next_hop"]) == ([[8, 0.5]], 8)
     (earlier,) = mission.at(NOW - 30)["drones"]
     assert (earlier["held"], earlier["place"], earlier["risk"], earlier["at_risk"]) == (70, [47.0, 8.0], 0.5, 4)
 

@@ -37,8 +37,8 @@ def store(tmp_path: Path) -> Path:
         (["--listen", "0.0.0.0:8080"], "--listen: 0.0.0.0 can be reached by others: give a token file too"),
         (["--listen", "127.0.0.1"], "--listen: expected host:port"),
         (["--token-file", "missing"], "missing: no such file"),
-        (["--tiles", "missing.mbtiles"], "--tiles: missing.mbtiles: no such file"),
-        (["--tiles", "map.zip"], "--tiles: expected a file .mbtiles"),
+        (["--tiles", "missing.mbtiles"], "missing.mbtiles: no such file"),
+        (["--tiles", "rass-1.db"], "rass-1.db: not a file of tiles (no such table: metadata)"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(

@@ -23,6 +23,7 @@ pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
 
 from aiohttp import CookieJar
 
+from rass_mav.page.access import MOST_WRONG, WRONG_S
 from rass_mav.page.follow import Follower, ask_node
 from rass_mav.page.hub import END, CrowdedError, Hub
 from rass_mav.page.server import HEADERS, event
@@ -150,6 +151,29 @@ def test_the_login_gives_a_cookie_that_scripts_do_not_see(base: Base) -> None:
                 assert answer.status == 401
             async with client.post("/login", data={"token": "x" * 100_000}) as answer:
                 assert answer.status == 413
+
+    run(main())
+
+
+def test_who_guesses_has_to_wait(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path, token=TOKEN) as (_, client):
+            right, wrong = ({"Authorization": f"Bearer {word}"} for word in (TOKEN, "wrong"))
+            for n in range(MOST_WRONG):
+                path, status = ("/api/mission", 401) if n % 2 else ("/healthz", 200)
+                async with client.get(path, headers=wrong) as answer:
+                    assert answer.status == status
+            while (answer := await client.post("/login", data={"token": "wrong"})).status == 401:
+                answer.close()
+            for headers in (right, wrong):
+                async with client.get("/api/mission", headers=headers) as answer:
+                    assert answer.status == 429
+                    assert 0 < int(answer.headers["Retry-After"]) <= WRONG_S
+            async with client.post("/login", data={"token": TOKEN}) as answer:
+                assert answer.status == 429
+                assert "try again in" in await answer.text()
+            async with client.get("/api/mission") as answer:
+                assert answer.status == 401
 
     run(main())
 
@@ -296,6 +320,22 @@ class TestFollower:
         assert follower.look()
         assert follower.mission.taken == 8
         assert set(follower.mission.report.drones) == {7, 8, 9}
+        follower.close()
+
+    def test_second_contents_count_whenever_they_arrive(self, base: Base) -> None:
+        other = HERE._replace(reading=9.0)
+        base.store.keep_apart(base.measurement(7, 0, other))
+        base.arrive()
+        follower = Follower(lambda: Archive(base.path))
+        while follower.behind:
+            follower.look()
+        assert (follower.mission.taken, follower.mission.report.apart) == (3, 1)
+        assert not follower.look()
+        base.store.keep_apart(base.measurement(7, 0, other._replace(reading=10.0)))
+        base.arrive(base.measurement(7, 2, HERE))
+        assert follower.look()
+        assert (follower.mission.taken, follower.mission.report.apart) == (5, 2)
+        assert not follower.look()
         follower.close()
 
     def test_a_store_that_cannot_be_read_is_trouble_until_it_can(self, base: Base) -> None:

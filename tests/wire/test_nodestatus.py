@@ -13,6 +13,9 @@ from tests.core.build import make_node
 SAID = NodeStatus(12, 3, 4, 33, 0.25, 2, 81, (47.3769, 8.5417), {7: 1.0, 9: 0.5}, {7: 2, 3: 1})
 GOLDEN = "01010c000300040021000040025128243d1c285c1705020700ff090080020700020003000100"
 
+#: The same node, whose data go to node 9.
+TOWARDS_9 = "01050c000300040021000040025128243d1c285c1705020900800700ff020700020003000100"
+
 counts = st.integers(0, 65535)
 ids = st.integers(0, 65534)
 
@@ -25,12 +28,34 @@ def test_the_bytes_are_these() -> None:
     assert back.neighbours == pytest.approx({7: 1.0, 9: 0.5}, abs=0.01)
 
 
+def test_the_next_hop_is_the_first_of_the_neighbours() -> None:
+    said = SAID._replace(next_hop=9)
+    assert encode_status(said).hex() == TOWARDS_9
+    assert len(TOWARDS_9) == len(GOLDEN), "it takes a flag and no bytes"
+    assert decode_status(bytes.fromhex(TOWARDS_9)).next_hop == 9
+    assert decode_status(bytes.fromhex(GOLDEN)).next_hop is None
+
+
+def test_the_next_hop_is_told_even_if_ten_others_are_heard_better() -> None:
+    heard = {id: 1.0 - id / 100 for id in range(20)}
+    read = decode_status(encode_status(SAID._replace(neighbours=heard, next_hop=15)))
+    assert list(read.neighbours) == [15, *range(MOST_NEIGHBOURS - 1)]
+    assert read.next_hop == 15
+
+
+def test_a_flag_without_neighbours_tells_no_next_hop() -> None:
+    payload = encode_status(SAID._replace(neighbours={}, next_hop=7))
+    assert decode_status(payload).next_hop is None
+    assert decode_status(payload[:1] + b"\5" + payload[2:]).next_hop is None
+
+
 @given(
     held=counts, alone=counts, spares=counts, free=st.none() | st.integers(0, 65534), risk=st.floats(0, 1),
     hops=st.none() | st.integers(0, 254), battery=st.none() | st.integers(0, 100),
     place=st.none() | st.tuples(st.floats(-90, 90), st.floats(-180, 180)),
     neighbours=st.dictionaries(ids, st.floats(0, 1), max_size=MOST_NEIGHBOURS + 5),
     alone_by_origin=st.dictionaries(ids, st.integers(1, 65535), max_size=MOST_ORIGINS + 5), base=st.booleans(),
+    next_hop=st.none() | ids,
 )  # fmt: skip
 def test_what_is_said_is_read_and_fits_one_frame(**fields: object) -> None:
     said = NodeStatus(**fields)  # type: ignore[arg-type]
@@ -39,6 +64,7 @@ def test_what_is_said_is_read_and_fits_one_frame(**fields: object) -> None:
     read = decode_status(payload + b"later")
     for name in ("held", "alone", "spares", "free", "hops", "battery", "base"):
         assert getattr(read, name) == getattr(said, name)
+    assert read.next_hop == (said.next_hop if said.next_hop in said.neighbours else None)
     assert len(read.neighbours) == min(len(said.neighbours), MOST_NEIGHBOURS)
     assert read.alone_by_origin.items() <= said.alone_by_origin.items()
     assert len(read.alone_by_origin) == min(len(said.alone_by_origin), MOST_ORIGINS)
@@ -57,6 +83,7 @@ def test_anything_parses_or_is_malformed(payload: bytes) -> None:
         return
     assert 0.0 <= read.risk <= 1.0
     assert read.battery is None or 0 <= read.battery <= 100
+    assert read.next_hop is None or read.next_hop in read.neighbours
 
 
 def test_a_cut_one_is_malformed_wherever_it_is_cut() -> None:

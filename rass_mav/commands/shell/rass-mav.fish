@@ -130,7 +130,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using page' -l json -d 'print exactly o
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l listen -x -d 'where browsers find it (127.0.0.1:8080)'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l token-file -xka "(__fish_complete_path (commandline -ct))" -d 'its first line is the token that browsers have to give'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l name -x -d 'another name of this computer, by which browsers may ask for the page; may be repeated'
-complete -c rass-mav -n '_shtab_rass_mav_using page' -l tiles -x -d 'the crew'"'"'s own map, images in MBTiles'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l tiles -xka "(__fish_complete_path (commandline -ct))" -d 'the crew'"'"'s own map, a file of images in MBTiles or PMTiles'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a doctor -d 'Check a node and its surroundings, running or not; exit code 1 if something failed.'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s v -l verbose -d 'logs on stderr; -vv for more'

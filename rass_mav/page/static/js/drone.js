@@ -2,7 +2,6 @@
 
 import { ReadingsChart } from "./chart.js";
 import { by, make, say, tell } from "./dom.js";
-import { isNearer } from "./map.js";
 import { sum } from "./panels.js";
 import { age, clock, count, place, reading, unitName } from "./words.js";
 
@@ -82,6 +81,7 @@ export class DronePanel {
         ["Spare copies", `${count(figures.spares)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
         ["Route", figures.base ? "is a base" : figures.hops === null ? "none" : `${figures.hops} ${figures.hops === 1 ? "hop" : "hops"} to a base`],
+        ["Next hop", figures.base ? "none: is a base" : figures.next_hop === null ? "none known" : `node ${figures.next_hop}`],
         ["Battery", figures.battery === null ? "unknown" : `${figures.battery} %`],
       );
     }
@@ -101,11 +101,9 @@ export class DronePanel {
       target.replaceChildren(make("p", {}, figures.told === null ? "Unknown." : "None."));
       return;
     }
-    const rows = neighbours.map(([id, quality]) => {
-      const other = this._state.figures(id);
-      const nearer = other !== undefined && isNearer(figures, other);
-      return make("tr", {}, make("td", {}, String(id)), make("td", {}, `${Math.round(quality * 100)} %`), make("td", {}, nearer ? "nearer to a base" : ""));
-    });
+    const rows = neighbours.map(([id, quality]) =>
+      make("tr", {}, make("td", {}, String(id)), make("td", {}, `${Math.round(quality * 100)} %`), make("td", {}, id === figures.next_hop ? "next hop" : "")),
+    );
     const head = make("tr", {}, ...["Node", "Beacons heard", "Route"].map((name) => make("th", { scope: "col" }, name)));
     target.replaceChildren(make("table", {}, make("thead", {}, head), make("tbody", {}, ...rows)));
   }

@@ -16,6 +16,27 @@ const LEAST_BOUNDS = 0.0005;
 /** On a narrower page the key is folded, pixels. */
 const NARROW_PX = 960;
 
+/** The head of an arrow: how far it goes back and to the sides, pixels. On a shorter line there is none. */
+const HEAD_PX = [12, 7];
+const LEAST_ARROW_PX = 40;
+
+/** A line with the head of an arrow in its middle, of the same size at each zoom. */
+const Arrow = L.Polyline.extend({
+  options: { smoothFactor: 0 },
+
+  _projectLatlngs(latlngs, result, bounds) {
+    L.Polyline.prototype._projectLatlngs.call(this, latlngs, result, bounds);
+    const [from, to] = result[0] ?? [];
+    if (to === undefined || from.distanceTo(to) < LEAST_ARROW_PX) return;
+    const along = to.subtract(from).divideBy(from.distanceTo(to));
+    const [back, side] = HEAD_PX;
+    const tip = from.add(to).divideBy(2).add(along.multiplyBy(back / 2));
+    const ends = [side, -side].map((far) => tip.subtract(along.multiplyBy(back)).add([-along.y * far, along.x * far]));
+    ends.forEach((end) => bounds.extend(end));
+    result[0] = [from, tip, ends[0], tip, ends[1], tip, to];
+  },
+});
+
 /** The map of the page. */
 export class MissionMap {
   /**
@@ -193,21 +214,21 @@ export class MissionMap {
     prune(this._lines, seen, this._tracks);
   }
 
-  /** Links as the drones told them: blue lines go to a neighbour that is fewer hops from a base. */
+  /** Links as the drones told them; an arrow goes to the next hop. */
   _drawLinks() {
     const seen = new Set();
     for (const figures of this._state.shown) {
       for (const [id, quality] of figures.neighbours ?? []) {
         const other = this._state.figures(id);
         if (!figures.place || !other?.place) continue;
-        const key = `${figures.drone} ${id}`;
+        const next = id === figures.next_hop;
+        const key = `${figures.drone} ${id} ${next}`;
         seen.add(key);
-        const nearer = isNearer(figures, other);
         const style = {
-          color: colour(nearer ? "up" : "side"), weight: nearer ? 1 + 2.5 * quality : 1 + quality, opacity: nearer ? 0.9 : 0.5,
-          dashArray: nearer ? "" : "3 6", interactive: false,
+          color: colour(next ? "up" : "side"), weight: next ? 1.5 + 2.5 * quality : 1, opacity: next ? 0.9 : 0.5,
+          dashArray: next ? "" : "3 6", interactive: false,
         };
-        if (!this._joins.has(key)) this._joins.set(key, L.polyline([], style).addTo(this._links));
+        if (!this._joins.has(key)) this._joins.set(key, (next ? new Arrow([]) : L.polyline([])).addTo(this._links));
         this._joins.get(key).setLatLngs([figures.place, other.place]).setStyle(style);
       }
     }
@@ -268,14 +289,6 @@ export class MissionMap {
     const text = `${reading(square.value)} ${unitName(this._unit)}, ${from}`;
     this._tooltip.setLatLng(latlng).setContent(make("span", {}, text)).addTo(this._map);
   }
-}
-
-/**
- * Whether a neighbour is fewer hops from a base, so that data may go there.
- */
-export function isNearer(figures, other) {
-  if (other.base) return true;
-  return figures.hops !== null && figures.hops !== undefined && other.hops !== null && other.hops !== undefined && other.hops < figures.hops;
 }
 
 function prune(layers, seen, group) {
