@@ -148,7 +148,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             st.integers(0, (1 << 64) - 1),
         ),
         # So many fit.
-        answers(4, 1),
+        answers(3, 1),
     ),
     Data: st.one_of(
         st.builds(
