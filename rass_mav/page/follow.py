@@ -41,7 +41,7 @@ class Follower:
 
     def look(self) -> bool:
         """Read what has arrived. Returns whether anything that the page shows has changed."""
-        before = self.mission.taken, self.trouble, self.remarks
+        before = self._shown
         try:
             lost = self._read()
             self.trouble = ""
@@ -50,7 +50,12 @@ class Follower:
             self.trouble = " ".join(error.lines())
             self.behind = False
             self.close()
-        return lost or before != (self.mission.taken, self.trouble, self.remarks)
+        return lost or before != self._shown
+
+    @property
+    def _shown(self) -> tuple[int, str, list[str], bool]:
+        # That all is read may show only in a look that finds nothing more.
+        return self.mission.taken, self.trouble, self.remarks, self.behind
 
     def _read(self) -> bool:
         if self._data is None:

@@ -17,14 +17,14 @@ EPOCH = 0xABC00001
 
 
 class Base:
-    """A base's store while data arrive. Its clock is right, and shows `WALL_S` at first."""
+    """A base's store while data arrive. Its clock is right, and shows `wall` at first, seconds since 1970."""
 
-    def __init__(self, path: Path, *, trusted: bool = True) -> None:
+    def __init__(self, path: Path, *, trusted: bool = True, wall: float = WALL_S) -> None:
         self.path = path
-        self.wall = WALL_S
+        self.wall = wall
         self.store = SqliteStore.open(path, node_id=1, draw_epoch=epochs())
         sources = TimeSources(
-            elapsed=lambda: self.wall - WALL_S, boot=lambda: 1, wall=lambda: self.wall, trusted=lambda: trusted
+            elapsed=lambda: self.wall - wall, boot=lambda: 1, wall=lambda: self.wall, trusted=lambda: trusted
         )
         self.clock = LivedClock(self.store, sources)
 

@@ -338,6 +338,18 @@ class TestFollower:
         assert not follower.look()
         follower.close()
 
+    def test_the_page_hears_of_the_end_of_reading_also_where_the_last_part_is_full(
+        self, base: Base, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("rass_mav.page.follow.MOST_IN_A_LOOK", 2)
+        follower = Follower(lambda: Archive(base.path))
+        assert follower.look()
+        assert follower.behind
+        assert follower.look()
+        assert not follower.behind
+        assert not follower.look()
+        follower.close()
+
     def test_a_store_that_cannot_be_read_is_trouble_until_it_can(self, base: Base) -> None:
         archive = Archive(base.path)
         opened = []

@@ -27,6 +27,15 @@ export function scaleOf(field) {
   return { low, high, part: (value) => (range === 0 ? 0.5 : Math.log(Math.max(value, low) / low) / range) };
 }
 
+/** A function that finds each of its values once. */
+function remembered(find) {
+  const found = new Map();
+  return (key) => {
+    if (!found.has(key)) found.set(key, find(key));
+    return found.get(key);
+  };
+}
+
 /** A layer: one canvas over the map, drawn when the map or the field changes. */
 export const Heat = L.Layer.extend({
   initialize(write) {
@@ -49,6 +58,8 @@ export const Heat = L.Layer.extend({
 
   /** Show this field; null: none. `scale`: its colours, as of `scaleOf`; null: nothing is painted. */
   setField(field, scale) {
+    // A field that has changed is another object.
+    if (field === this._field && scale?.low === this._scale?.low && scale?.high === this._scale?.high) return;
     this._field = field;
     this._scale = scale;
     if (this._map) this.draw();
@@ -71,14 +82,13 @@ export const Heat = L.Layer.extend({
     pen.textBaseline = "middle";
     pen.font = "11px system-ui, sans-serif";
     const { origin, step, squares } = this._field;
+    // Whole pixels, so that neighbours neither overlap nor leave a gap. Edges are projected once, not for each square.
+    const corner = (row, column) => map.latLngToContainerPoint([origin[0] + row * step[0], origin[1] + column * step[1]]).round();
+    const edgeX = remembered((column) => corner(0, column).x);
+    const edgeY = remembered((row) => corner(row, 0).y);
     for (const [row, column, value, readings] of squares.values()) {
-      const south = origin[0] + row * step[0];
-      const west = origin[1] + column * step[1];
-      const low = map.latLngToContainerPoint([south, west]);
-      const high = map.latLngToContainerPoint([south + step[0], west + step[1]]);
-      if (high.x < 0 || low.x > size.x || low.y < 0 || high.y > size.y) continue;
-      // Whole pixels, so that neighbours neither overlap nor leave a gap.
-      const [left, right, top, bottom] = [low.x, high.x, high.y, low.y].map(Math.round);
+      const [left, right, top, bottom] = [edgeX(column), edgeX(column + 1), edgeY(row + 1), edgeY(row)];
+      if (right < 0 || left > size.x || bottom < 0 || top > size.y) continue;
       pen.globalAlpha = readings ? OPACITY : PALE;
       pen.fillStyle = heatColour(scale.part(value));
       pen.fillRect(left, top, Math.max(right - left, 2), Math.max(bottom - top, 2));

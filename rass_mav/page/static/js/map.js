@@ -59,6 +59,8 @@ export class MissionMap {
     this._links = L.layerGroup();
     this._tiles = null;
     this._lines = new Map();
+    /** The places that each line of a track shows. */
+    this._drawn = new WeakMap();
     this._joins = new Map();
     this._marks = new Map();
     this._peak = null;
@@ -208,8 +210,12 @@ export class MissionMap {
       seen.add(drone);
       const chosen = drone === this._state.chosen;
       const style = { color: colour(chosen ? "accent" : "track"), weight: chosen ? 2.5 : 1, opacity: chosen ? 0.9 : 0.45, interactive: false };
+      const places = this._state.track(drone);
       if (!this._lines.has(drone)) this._lines.set(drone, L.polyline([], style).addTo(this._tracks));
-      this._lines.get(drone).setLatLngs(this._state.track(drone)).setStyle(style);
+      const line = this._lines.get(drone).setStyle(style);
+      if (this._drawn.get(line) === places) continue;
+      line.setLatLngs(places);
+      this._drawn.set(line, places);
     }
     prune(this._lines, seen, this._tracks);
   }

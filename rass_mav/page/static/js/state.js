@@ -3,6 +3,14 @@
 /** Points of a track that are kept here; the server keeps fewer. */
 const MOST_POINTS = 2000;
 
+/**
+ * @typedef {object} Track
+ * @property {number} span
+ * @property {Map<number, number[]>} points
+ * @property {number[][] | null} line the places up to the time `until`; null: to be made again
+ * @property {number} until
+ */
+
 /** The state of the page. */
 export class State {
   constructor() {
@@ -10,7 +18,7 @@ export class State {
     this.frame = null;
     /** Figures by drone. @type {Map<number, any>} */
     this.drones = new Map();
-    /** Tracks by drone. @type {Map<number, {span: number, points: Map<number, number[]>}>} */
+    /** Tracks by drone. @type {Map<number, Track>} */
     this.tracks = new Map();
     /** Radiation by unit. @type {Map<string, any>} */
     this.fields = new Map();
@@ -79,24 +87,32 @@ export class State {
     return [...this.fields.keys()];
   }
 
-  /** The places of a drone up to the time that is shown. @returns {number[][]} latitude and longitude */
+  /**
+   * The places of a drone up to the time that is shown: the same array as long as they are the same.
+   * @returns {number[][]} latitude and longitude
+   */
   track(id) {
     const track = this.tracks.get(id);
     if (track === undefined) return [];
     const until = this.past === null ? Infinity : this.past.at;
-    return [...track.points.values()]
-      .filter(([utc]) => utc <= until)
-      .sort((one, other) => one[0] - other[0])
-      .map(([, latitude, longitude]) => [latitude, longitude]);
+    if (track.line === null || track.until !== until) {
+      track.until = until;
+      track.line = [...track.points.values()]
+        .filter(([utc]) => utc <= until)
+        .sort((one, other) => one[0] - other[0])
+        .map(([, latitude, longitude]) => [latitude, longitude]);
+    }
+    return track.line;
   }
 }
 
 function mergeTrack(tracks, id, { span_s: span, whole, points }) {
   let track = tracks.get(id);
   if (track === undefined || whole || track.span !== span || track.points.size > MOST_POINTS) {
-    track = { span, points: new Map() };
+    track = { span, points: new Map(), line: null, until: Infinity };
     tracks.set(id, track);
   }
+  track.line = null;
   for (const point of points) {
     const slot = Math.floor(point[0] / span);
     const known = track.points.get(slot);

@@ -1,6 +1,8 @@
 // Numbers and times for people.
 
 const UNITS = { usvh: "uSv/h", cpm: "cpm", cps: "cps", counts: "counts", "": "(no unit)" };
+/** Made once: it takes long. */
+const NUMBERS = new Intl.NumberFormat("en-GB");
 /** Seconds since 1970 from which on a time can be a date: 2000-01-01. Nodes without a clock count from 1970. */
 const FIRST_DATE = 946684800;
 
@@ -57,7 +59,7 @@ export function clock(utc, other = Date.now() / 1000) {
  * @returns {string}
  */
 export function count(n) {
-  return n === null || n === undefined ? "-" : n.toLocaleString("en-GB");
+  return n === null || n === undefined ? "-" : NUMBERS.format(n);
 }
 
 /**
