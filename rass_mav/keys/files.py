@@ -112,11 +112,15 @@ def _read(path: str | Path) -> bytes:
         with open(opened(path), "rb") as file:
             # Of the file itself, wherever a symbolic link leads, and whatever is put in its place meanwhile.
             mode = os.fstat(file.fileno()).st_mode & 0o777
-            if mode & ~0o700:
-                raise KeysError(f"{path}: others on this computer may use it (mode {mode:04o})", f"chmod 600 {path}")
-            return file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise KeysError(f"{path}: {why(error)}", "rass-mav keys writes these files (docs/keys.md)") from None
+            data = file.read(MAX_FILE_BYTES + 1)
+    except PermissionError as error:
+        raise KeysError(f"{path}: {why(error)}", "give it to the user that runs this (chown)") from None
+    except (OSError, ConfigError) as error:
+        text = str(error) if isinstance(error, ConfigError) else f"{path}: {why(error)}"
+        raise KeysError(text, "rass-mav keys writes these files (docs/keys.md)") from None
+    if mode & ~0o700:
+        raise KeysError(f"{path}: others on this computer may use it (mode {mode:04o})", f"chmod 600 {path}")
+    return data
 
 
 def _parsed(path: str | Path, data: bytes) -> dict[str, Any]:
