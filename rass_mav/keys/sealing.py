@@ -37,7 +37,10 @@ _KIND = Struct("<B")
 
 
 class Sealer:
-    """Seals the data of one node, in one epoch of its store."""
+    """Seals the data of one node, in one epoch of its store.
+
+    Each life of a node has one of its own: after a roll-back the store assigns numbers again of which nothing has left.
+    """
 
     __slots__ = ("_epoch", "_key", "_next", "_origin")
 

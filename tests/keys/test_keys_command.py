@@ -9,6 +9,7 @@ import shlex
 import shutil
 import signal
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from rass_mav.config.loading import to_plain
 from rass_mav.doctor.checkup import as_the_service
 from rass_mav.errors import ServiceError
 from rass_mav.keys.files import read_ground, read_keys
+from rass_mav.keys.folder import issue
 from rass_mav.keys.identity import NodeKeys
 from rass_mav.keys.settings import in_words
 from tests.app.app_nodes import ROOT, RunningNode, command, free_ports, line_of
@@ -95,6 +97,14 @@ def test_each_drone_is_issued_once(tmp_path: Path) -> None:
             keys(tmp_path, "drone", "9", how, "-d", "m", code=2)
             == "drone 9: has no keys yet; rass-mav keys drone 9 -d m"
         )
+
+
+def test_commands_at_the_same_time_lose_no_serial(tmp_path: Path) -> None:
+    name = mission(tmp_path)
+    with ThreadPoolExecutor(8) as pool:
+        issued = list(pool.map(lambda id: issue(tmp_path / "m", [id]), range(8)))
+    assert {each.keys.ground.mission for [each] in issued} == {name}
+    assert read_ground(tmp_path / "m/ground.keys").serials == dict.fromkeys(range(8), 1)
 
 
 def test_a_replaced_drone_has_other_keys_and_a_higher_serial(tmp_path: Path) -> None:
