@@ -21,8 +21,8 @@ from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
 COMMANDS = (
-    "node", "data", "export", "mission", "page", "doctor", "params", "service", "desk", "swarm", "sitl", "replay",
-    "experiment", "completion",
+    "node", "data", "export", "mission", "page", "doctor", "params", "keys", "service", "desk", "swarm", "sitl",
+    "replay", "experiment", "completion",
 )  # fmt: skip
 
 

@@ -24,6 +24,10 @@ class MalformedError(RassError):
     """Bytes from the wire or from a log that do not parse. Malformed input raises this error and no other."""
 
 
+class ForgedError(RassError):
+    """Bytes that were not made by the node that they name, or not for this mission. What they say must not be used."""
+
+
 class StoreError(RassError):
     """The durable store could not complete a request (damaged database, disk error)."""
 
@@ -56,6 +60,16 @@ class ConfigError(RassError):
         told = [" ".join(mistake.split()) for mistake in self.mistakes[:MOST_LINES]]
         more = len(self.mistakes) - len(told)
         return [*told, f"and {more} more mistakes"] if more else told
+
+
+class KeysError(ConfigError):
+    """A file of keys that cannot be used, or must not be written. The message shows nothing secret."""
+
+    def __init__(self, text: str, remedy: str) -> None:
+        """`text`: what is wrong, with the name of the file. `remedy`: what a person can do about it."""
+        super().__init__(f"{text}; {remedy}")
+        self.text = text
+        self.remedy = remedy
 
 
 class LogError(RassError):

@@ -22,8 +22,9 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MAY_IMPORT: dict[str, set[str]] = {"config": set(), "core": {"config"}}
 for _room in ("policy", "wire", "mavlink", "link", "store", "sensor"):
     MAY_IMPORT[_room] = {"config", "core"}
+MAY_IMPORT["keys"] = {"config"}
 MAY_IMPORT["params"] = {"core", "mavlink", "link"}
-MAY_IMPORT["agent"] = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor"}
+MAY_IMPORT["agent"] = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor", "keys"}
 MAY_IMPORT["app"] = MAY_IMPORT["base"] = MAY_IMPORT["agent"] | {"agent"}
 MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
 MAY_IMPORT["mission"] = MAY_IMPORT["app"] | {"app"}
@@ -188,6 +189,20 @@ def test_pymavlink_is_imported_in_its_room_only_and_never_mavutil(path: Path) ->
 @pytest.mark.parametrize("path", FILES, ids=name)
 def test_aiohttp_is_imported_in_its_room_only(path: Path) -> None:
     assert room(path) == "page" or not [m for m in imports(path) if m.split(".")[0] == "aiohttp"]
+
+
+@pytest.mark.parametrize("path", FILES, ids=name)
+def test_nacl_is_imported_in_its_room_only(path: Path) -> None:
+    assert room(path) == "keys" or not [m for m in imports(path) if m.split(".")[0] == "nacl"]
+
+
+def test_keys_are_drawn_and_files_of_keys_touched_in_one_place_each() -> None:
+    """All else in the room is pure: no clock, no chance, no file."""
+    pure = {path.name: imports(path) for path in FILES if room(path) == "keys" and path.stem not in ("files", "folder")}
+    world = {"os", "io", "pathlib", "time", "datetime", "random", "secrets", "socket", "subprocess", "threading"}
+    assert {file: found & world for file, found in pure.items() if found & world} == {}
+    drawing = {name(path) for path in FILES if room(path) == "keys" and "secrets" in imports(path)}
+    assert drawing == {"keys/folder.py"}
 
 
 @pytest.mark.parametrize("path", [p for p in FILES if room(p) == "core"], ids=name)

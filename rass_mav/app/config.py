@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
@@ -14,7 +14,8 @@ from rass_mav.config.loading import read_yaml, set_keys
 from rass_mav.config.sections import Meta, Mistakes, Section
 from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
-from rass_mav.errors import ConfigError
+from rass_mav.errors import ConfigError, KeysError
+from rass_mav.keys.settings import KeysSection, check_package
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.settings import LinkSection
 from rass_mav.mavlink.settings import MavlinkSettings
@@ -23,6 +24,9 @@ from rass_mav.sensor.settings import SensorSettings
 from rass_mav.store.settings import StoreSettings
 
 from .outlets import MetricsSection, OnArrivalSection, PageSection, PostgresSection
+
+if TYPE_CHECKING:
+    from rass_mav.keys.keyring import Keyring
 
 #: Messages that telemetry needs and an autopilot does not always send unasked, with the seconds between two.
 DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0, "GPS_RAW_INT": 1.0, "SYSTEM_TIME": 5.0}
@@ -104,6 +108,8 @@ class RunConfig(Section):
     store: RunStoreSettings = RunStoreSettings()
     data: RunDataSettings = RunDataSettings()
     mavlink: MavlinkSettings = MavlinkSettings()
+    keys: KeysSection | None = None
+    """What makes the nodes of a mission known to each other; null: none, the link is open."""
     control: ControlSection = ControlSection()
     on_arrival: OnArrivalSection | None = None
     """At a base, a command that is run for each datum that arrives; null: none."""
@@ -154,6 +160,15 @@ class RunConfig(Section):
             ground=self.ground,
             sensor_unit=self.sensor.unit if self.sensor.own else None,
         )
+
+    def open_keys(self) -> Keyring | None:
+        """The node's keys from their file; None: the configuration names none. Raises `KeysError`."""
+        if self.keys is None:
+            return None
+        check_package()
+        from rass_mav.keys.keyring import load_keyring  # with PyNaCl, which a node without keys does not need
+
+        return load_keyring(self.keys.file, self.node_id, base=self.base)
 
     def check(self) -> None:
         """Raise `ConfigError` for mistakes that concern more than one key."""
@@ -238,6 +253,10 @@ class RunConfig(Section):
         Asks the system."""
         found = [remark for index, link in enumerate(self.links) for remark in link.remarks(f"links[{index}]")]
         told = [f"{remark.key}: {remark.text}; {remark.remedy}" for remark in found]
+        try:
+            self.open_keys()
+        except KeysError as error:
+            told.append(f"keys.file: {error}")
         return told + ([] if self.metrics is None else self.metrics.remarks())
 
 

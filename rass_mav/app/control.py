@@ -102,10 +102,10 @@ class _Client:
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
-    def __init__(self, driver: Driver, path: Path, beside: Callable[[], dict[str, Any] | None] = lambda: None) -> None:
-        """`path`: the socket's file. `beside`: what `status` shows of the process beside the node."""
+    def __init__(self, driver: Driver, path: Path, around: Callable[[], dict[str, Any]] = dict) -> None:
+        """`path`: the socket's file. `around`: what else `status` shows, which the driver does not know."""
         self._driver = driver
-        self._beside = beside
+        self._around = around
         self._path = path
         self._started = driver.now()
         self._server: asyncio.Server | None = None
@@ -192,7 +192,7 @@ class ControlServer:
             raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
         if isinstance(request, PutRequest):
             return {"id": str(await self._driver.put(payload, request.kind))}
-        return {"status": {**status(self._driver, self._started), "beside": self._beside()}}
+        return {"status": {**status(self._driver, self._started), **self._around()}}
 
 
 def _request(line: bytes) -> Section:

@@ -18,6 +18,7 @@ from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.shortages import Shortages
 from rass_mav.agent.version import VersionQuestion
 from rass_mav.errors import ControlError, StoreDamagedError
+from rass_mav.keys.settings import in_words
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
@@ -60,6 +61,8 @@ class Runtime:
         self._config = config
         self._ready = ready
         self._narrate = narrate
+        keys = config.open_keys()
+        self._keys = None if keys is None else keys.own.about
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
@@ -148,7 +151,7 @@ class Runtime:
             self._watch(agent, vehicle, sensor, clock.now())
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
-            control = ControlServer(driver, config.socket_path, self._beside)
+            control = ControlServer(driver, config.socket_path, self._around)
             try:
                 await control.start()
             except ControlError as error:
@@ -174,9 +177,9 @@ class Runtime:
                 raise
             store.close()
 
-    def _beside(self) -> dict[str, Any] | None:
-        """For `status`."""
-        return None if self._companion is None else self._companion.report()
+    def _around(self) -> dict[str, Any]:
+        """For `status`, what the driver does not know."""
+        return {"keys": self._keys, "beside": None if self._companion is None else self._companion.report()}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:
@@ -184,9 +187,11 @@ class Runtime:
         config = self._config
         node_id, role = config.agent_settings().node_id, config.node.role
         log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)
+        log.info("%s", in_words(self._keys))
         self._notifier.ready(f"node {node_id} ({role})")
         if self._narrate is not None:
             self._narrate(_introduction(config, vehicle, links))
+            self._narrate(in_words(self._keys))
         if self._ready is not None:
             about = {"node_id": node_id, "role": role, "life": f"{store.life:08x}", "epoch": f"{store.epoch:08x}"}
             self._ready({**about, "socket": str(config.socket_path)})

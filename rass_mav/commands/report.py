@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from rass_mav.keys.settings import in_words
 from rass_mav.mission.entry import UNIT_NAMES
 
 
@@ -12,6 +13,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
     s = status
     yield f"node {s['node_id']} ({s['role']}), epoch {s['epoch']}, up {s['uptime_s']:.0f} s, {s['steps']} steps"
+    yield in_words(s["keys"])
     if s["role"] == "drone":
         way = f"{s['hop_count']} hops, next {s['next_hop']}" if s["hop_count"] is not None else "none"
         yield f"route to a base: {way}"

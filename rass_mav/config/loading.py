@@ -91,20 +91,25 @@ _Loader.add_implicit_resolver(
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file; an empty file is an empty mapping. Raises `ConfigError`."""
-    with os_errors_as(ConfigError, path), open(_opened(path), "rb") as file:
+    with os_errors_as(ConfigError, path), open(opened(path), "rb") as file:
         data = file.read(MAX_FILE_BYTES + 1)
-    if len(data) > MAX_FILE_BYTES:
-        raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES} bytes")
     with under(str(path)):
-        raw = _parse(data)
+        return parse_yaml(data)
+
+
+def parse_yaml(data: bytes) -> dict[str, Any]:
+    """The mapping in a YAML text, of at most `MAX_FILE_BYTES`. Raises `ConfigError`."""
+    if len(data) > MAX_FILE_BYTES:
+        raise ConfigError(f"larger than {MAX_FILE_BYTES} bytes")
+    raw = _parse(data)
     if raw is None:
         return {}
     if not isinstance(raw, dict):
-        raise ConfigError(f"{path}: expected keys with values, got {shown(raw)}")
+        raise ConfigError(f"expected keys with values, got {shown(raw)}")
     return raw
 
 
-def _opened(path: str | Path) -> int:
+def opened(path: str | Path) -> int:
     """The descriptor of a regular file. Opening a pipe would block, and a device may never end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     kind = os.fstat(descriptor).st_mode

@@ -13,7 +13,7 @@ from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.app.service import config_path, place
 from rass_mav.errors import ConfigError
 
-from . import computer, neighbours, network, node, ports, service, storage, vehicle
+from . import computer, keys, neighbours, network, node, ports, service, storage, vehicle
 from .finding import Finding, failed, passed
 from .trial import try_out
 from .watch import Evidence
@@ -73,6 +73,7 @@ def check_up(path: str) -> Report:
         service.service(name),
         computer.clock(time.time(), config.store_path),
         storage.store(config.store_path),
+        keys.keys(config),
     ]
     serial = {port.key: ports.serial_port(port) for port in ports.serial_ports(config)}
     findings += serial.values()
@@ -106,7 +107,7 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
 
 
 def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/")) -> RunConfig:
-    """The configuration as the service `name` reads it: a relative store is in the service's own folder.
+    """The configuration as the service `name` reads it: relative paths start from the service's own folder.
 
     `path`: the configuration's. Any other configuration than the service's is returned unchanged.
     """
@@ -116,6 +117,7 @@ def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/
     config = filled_in(config)
     return replace(
         config,
+        keys=None if config.keys is None else replace(config.keys, file=str(home / config.keys.file)),
         store=replace(config.store, path=str(home / config.store_path)),
         control=replace(config.control, socket=str(home / config.socket_path)),
     )

@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -o
+set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' keys 'keys new' 'keys drone' 'keys rotate' 'keys show' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -153,6 +153,31 @@ complete -c rass-mav -n '_shtab_rass_mav_using params write' -l live -xka "(__fi
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l sysid -x -d 'the system id that the vehicle should have (default: unchanged)'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l yes -d 'do not ask'
 complete -c rass-mav -n '_shtab_rass_mav_using params write; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'parameters: .parm (NAME VALUE) or .params (QGroundControl)'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a keys -d 'Keys by which the nodes of a mission know each other. Frames are not signed with them yet.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a new -d 'Create a mission: the ground'"'"'s keys, for bases, in a folder.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys new' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys new' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using keys new' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using keys new; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_directories)" -d 'the mission'"'"'s folder; created if it does not exist'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a drone -d 'Write the file of keys that a drone needs.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -l replace -d 'new keys, for another drone in the place of the one that had this id'
+complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -l again -d 'the same keys again, for the same drone'
+complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -s d -l dir -xka "(__fish_complete_directories)" -d 'the mission'"'"'s folder (the current one)'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a rotate -d 'Change the key that all nodes have, in three steps.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -s d -l dir -xka "(__fish_complete_directories)" -d 'the mission'"'"'s folder (the current one)'
+complete -c rass-mav -n '_shtab_rass_mav_using keys rotate; and test $_shtab_rass_mav_npos -eq 0' -ka "add use drop" -d 'add: nodes accept a new key too; use: they sign with it; drop: they refuse the old one. After each step all nodes get their files'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a show -d 'Show what is not secret in a file of keys.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys show' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys show' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using keys show' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using keys show; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'ground.keys, or a drone'"'"'s file'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a service -d 'A node that systemd starts at boot and again when it fails.'
 complete -c rass-mav -n '_shtab_rass_mav_using service' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using service; and test $_shtab_rass_mav_npos -eq 0' -a install -d 'Install or update the service, and start it.'

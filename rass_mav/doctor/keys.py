@@ -1,0 +1,18 @@
+"""The node's keys: are there any, and can the node start with them?"""
+
+from __future__ import annotations
+
+from rass_mav.app.config import RunConfig
+from rass_mav.errors import KeysError
+from rass_mav.keys.settings import in_words
+
+from .finding import Finding, failed, passed
+
+
+def keys(config: RunConfig) -> Finding:
+    """Check the file of keys, or state that there is none."""
+    try:
+        keyring = config.open_keys()
+    except KeysError as error:
+        return failed("keys", error.text, error.remedy)
+    return passed("keys", in_words(None if keyring is None else keyring.own.about).removeprefix("keys: "))

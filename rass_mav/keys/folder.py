@@ -1,0 +1,138 @@
+"""A mission's folder: the ground's keys, and the files that drones get (docs/keys.md)."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from rass_mav.errors import KeysError, why
+
+from .certificate import BASE_SERIAL
+from .files import GROUND_FILE, drone_file, drone_text, ground_text, read_ground, read_keys, write_new, write_over
+from .identity import Ground, NodeKeys
+from .secret import SECRET_SIZE, Secret
+
+#: What `issue` does: a new drone, another one in the place of a drone, or the same drone once more.
+Issue = Literal["new", "replace", "again"]
+#: The three steps to a new link key.
+Step = Literal["add", "use", "drop"]
+
+
+class Issued(NamedTuple):
+    """A drone's file that was written."""
+
+    keys: NodeKeys
+    path: Path
+
+
+def create(folder: Path) -> Ground:
+    """Create a mission in a folder, which need not exist. Raises `KeysError`."""
+    ground = Ground(Secret(secrets.token_bytes(SECRET_SIZE)))
+    path = folder / GROUND_FILE
+    with _told(folder):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        try:
+            write_new(path, ground_text(ground))
+        except FileExistsError:
+            raise KeysError(f"{path}: exists, and nothing could replace it", "choose another folder") from None
+    return ground
+
+
+def issue(folder: Path, node_ids: Iterable[int], how: Issue = "new") -> list[Issued]:
+    """Write the files of drones. Raises `KeysError`, and writes nothing, if one of them cannot be issued this way."""
+    node_ids = list(dict.fromkeys(node_ids))
+    with _held(folder) as ground:
+        for node_id in node_ids:
+            _check(folder, ground, node_id, how)
+        if how != "again":
+            raised = {node_id: ground.serials.get(node_id, BASE_SERIAL) + 1 for node_id in node_ids}
+            ground = replace(ground, serials={**ground.serials, **raised})
+            # Before the drones' files, so that no serial is assigned twice.
+            write_over(folder / GROUND_FILE, ground_text(ground))
+        return _write(folder, ground, node_ids)
+
+
+def rotate(folder: Path, step: Step) -> tuple[Ground, list[Issued]]:
+    """Go a step towards a new link key, and write the files of all drones again. Raises `KeysError`."""
+    with _held(folder) as ground:
+        links = _rotated(ground.links, step)
+        for node_id in ground.serials:
+            _check_own(folder, ground, node_id)
+        ground = replace(ground, links=links)
+        write_over(folder / GROUND_FILE, ground_text(ground))
+        return ground, _write(folder, ground, sorted(ground.serials))
+
+
+def _rotated(links: tuple[int, ...], step: Step) -> tuple[int, ...]:
+    """The numbers of the link keys after a step; the first one is to sign with."""
+    first, *others = links
+    due: Step = "add" if not others else "use" if others[0] > first else "drop"
+    if step != due:
+        raise KeysError(
+            f"rotate {step}: the link keys are {' and '.join(map(str, links))}, signing with {first}",
+            f"the next step is: rass-mav keys rotate {due}",
+        )
+    return {"add": (first, first + 1), "use": links[::-1], "drop": (first,)}[step]
+
+
+def _check(folder: Path, ground: Ground, node_id: int, how: Issue) -> None:
+    """Whether a drone's file can be written."""
+    serial = ground.serials.get(node_id)
+    if how == "new" and serial is not None:
+        raise KeysError(
+            f"drone {node_id}: has keys already (serial {serial})",
+            "--replace: for another drone in its place; --again: for the same drone",
+        )
+    if how != "new" and serial is None:
+        raise KeysError(f"drone {node_id}: has no keys yet", f"rass-mav keys drone {node_id} -d {folder}")
+    _check_own(folder, ground, node_id)
+
+
+def _check_own(folder: Path, ground: Ground, node_id: int) -> None:
+    """A file that is not this drone's own is not written over."""
+    path = folder / drone_file(node_id)
+    if not os.path.lexists(path):
+        return
+    try:
+        keys = read_keys(path)
+    except KeysError as error:
+        raise KeysError(error.text, f"{error.remedy}, or move the file away") from None
+    if not isinstance(keys, NodeKeys) or keys.ground != ground.public or keys.certificate.node_id != node_id:
+        raise KeysError(f"{path}: does not hold the keys of drone {node_id} of this mission", "move the file away")
+
+
+def _write(folder: Path, ground: Ground, node_ids: Iterable[int]) -> list[Issued]:
+    issued = [
+        Issued(ground.node(node_id, ground.serials[node_id]), folder / drone_file(node_id)) for node_id in node_ids
+    ]
+    for keys, path in issued:
+        write_over(path, drone_text(keys))
+    return issued
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[Ground]:
+    """The mission in a folder, which only one command at a time changes."""
+    with _told(folder):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            yield read_ground(folder / GROUND_FILE)
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    """Turn an `OSError` into a `KeysError`."""
+    try:
+        yield
+    except OSError as error:
+        place = error.filename or folder
+        raise KeysError(f"{place}: {why(error)}", "give a mission's folder that you can write to (-d DIR)") from None

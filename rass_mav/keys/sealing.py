@@ -1,0 +1,105 @@
+"""Sealed data: readable for the ground alone, and made by nobody but their origin.
+
+ChaCha20-Poly1305 (RFC 8439) with a key on which the origin and the ground agree once. The nonce is the id of the datum,
+which never names two data. Its kind is authenticated with it; its age and hops are not, because relays change them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from struct import Struct
+
+from nacl.bindings import (
+    crypto_aead_chacha20poly1305_ietf_ABYTES,
+    crypto_aead_chacha20poly1305_ietf_decrypt,
+    crypto_aead_chacha20poly1305_ietf_encrypt,
+    crypto_scalarmult_base,
+)
+from nacl.exceptions import CryptoError
+
+from rass_mav.errors import ForgedError, MalformedError
+
+from .certificate import BASE_SERIAL, GroundPublic, agreed, certificate_body
+from .identity import Ground, NodeKeys
+from .secret import Purpose, Secret
+
+#: Bytes that sealing adds to a payload.
+SEAL_SIZE: int = crypto_aead_chacha20poly1305_ietf_ABYTES
+#: A base also tries this many serials above the last one it knows: drones that were replaced since its file was copied.
+LATER_SERIALS = 3
+#: Keys that an opener remembers. To agree on one takes ten times as long as to open a datum.
+KEPT_KEYS = 4096
+
+# Origin, epoch and sequence, and two zero bytes.
+_NONCE = Struct("<HIIxx")
+_KIND = Struct("<B")
+
+
+class Sealer:
+    """Seals the data of one node, in one epoch of its store.
+
+    Each life of a node has one of its own: after a roll-back the store assigns numbers again of which nothing has left.
+    """
+
+    __slots__ = ("_epoch", "_key", "_next", "_origin")
+
+    def __init__(self, keys: NodeKeys, epoch: int, first: int) -> None:
+        """:param epoch: 32 bits. :param first: the lowest sequence that the store has not assigned."""
+        self._key = _sealing_key(agreed(keys.secret, keys.ground.sealing), keys.certificate.body, keys.ground)
+        self._origin, self._epoch, self._next = keys.certificate.node_id, epoch, first
+
+    def seal(self, sequence: int, kind: int, payload: bytes) -> bytes:
+        """The sealed payload, 16 bytes longer.
+
+        :param sequence: of the datum in this epoch, above those sealed before. Two data under one id would reveal both.
+        :param kind: of the datum, 0..255.
+        :raises ValueError: a sequence that is not above those sealed before.
+        """
+        if sequence < self._next:
+            raise ValueError(f"{self._origin}-{self._epoch:08x}-{sequence} would be sealed a second time")
+        self._next = sequence + 1
+        nonce = _NONCE.pack(self._origin, self._epoch, sequence)
+        return crypto_aead_chacha20poly1305_ietf_encrypt(payload, _KIND.pack(kind), nonce, self._key.reveal())
+
+
+class Opener:
+    """Opens sealed data, at a base or afterwards."""
+
+    def __init__(self, ground: Ground) -> None:
+        self._ground = ground
+        self._key = lru_cache(KEPT_KEYS)(self._agree)
+
+    def open(self, id: tuple[int, int, int], kind: int, sealed: bytes) -> bytes:
+        """The payload.
+
+        :param id: origin (0..65534), epoch and sequence (32 bits) of the datum.
+        :param kind: of the datum, 0..255.
+        :raises MalformedError: too short to be sealed. :raises ForgedError: not sealed by its origin, or altered.
+        """
+        if len(sealed) < SEAL_SIZE:
+            raise MalformedError(f"a sealed datum has at least {SEAL_SIZE} bytes, got {len(sealed)}")
+        nonce, about = _NONCE.pack(*id), _KIND.pack(kind)
+        for serial in self._serials(id[0]):
+            key = self._key(id[0], serial).reveal()
+            try:
+                return crypto_aead_chacha20poly1305_ietf_decrypt(sealed, about, nonce, key)
+            except CryptoError:
+                continue
+        raise ForgedError("not sealed by the origin that it names, or altered")
+
+    def _serials(self, origin: int) -> Iterator[int]:
+        """Those that the origin may have, the likely ones first."""
+        last = self._ground.serials.get(origin, BASE_SERIAL)
+        yield from range(last, BASE_SERIAL - 1, -1)
+        yield from range(last + 1, last + 1 + LATER_SERIALS)
+
+    def _agree(self, origin: int, serial: int) -> Secret:
+        public = crypto_scalarmult_base(self._ground.node_secret(origin, serial).reveal())
+        common = agreed(self._ground.opening, public)
+        return _sealing_key(common, certificate_body(origin, serial, public), self._ground.public)
+
+
+def _sealing_key(common: Secret, origin: bytes, ground: GroundPublic) -> Secret:
+    """`origin`: the body of its certificate."""
+    return common.derive(Purpose.SEAL, origin + ground.sealing)
