@@ -211,7 +211,9 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
         path = options.store
         if path is None:
             path = Path(stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "swarm.db"
-        harvest = stack.enter_context(contextlib.closing(Harvest(path, world, scenario.bases, time.time())))
+        # Where nobody watches, the mission ends now; for those who watch it begins.
+        began = time.time() - (scenario.steps * world.step_s if options.page is None else 0.0)
+        harvest = stack.enter_context(contextlib.closing(Harvest(path, world, scenario.bases, began)))
         harvest.gather()
         if options.page is None:
             yield harvest.gather
