@@ -8,7 +8,7 @@ flags, compatibility flags, sequence, system id, component id (one byte each), m
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from .crc import crc16
 from .dialect import FORMATS, MavlinkMessage, common, payload_of
@@ -30,6 +30,10 @@ _TUNNEL_FIELDS = struct.Struct("<HBBB")
 _TUNNEL_HEADER = struct.Struct("<BBBBBBBHBHBBB")
 
 
+#: System id, component id and link id: timestamps of signatures rise in each stream (0..255 each).
+Stream: TypeAlias = tuple[int, int, int]
+
+
 class Frame(NamedTuple):
     """A received frame with a good checksum."""
 
@@ -44,7 +48,16 @@ class Frame(NamedTuple):
     payload: bytes
     """As on the wire: MAVLink 2 trims trailing zeros."""
     signed: bool
-    """The frame carried a signature. If the reader has a verifier, the signature is good; otherwise it is unchecked."""
+    """The frame carried a signature. Whether it was checked depends on the reader's `SignatureCheck`."""
+    link_id: int = 0
+    """Of the signature, 0..255."""
+    timestamp: int = 0
+    """Of the signature, 48 bits."""
+
+    @property
+    def stream(self) -> Stream:
+        """Whose timestamps those of this frame are, if it is signed."""
+        return self.system_id, self.component_id, self.link_id
 
 
 class FrameWriter:
