@@ -66,13 +66,15 @@ class FrameWriter:
     `system_id` and `component_id` (0..255) may be changed between frames.
     """
 
-    __slots__ = ("component_id", "sequence", "signer", "system_id")
+    __slots__ = ("component_id", "sequence", "signer", "signs_all", "system_id")
 
     def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
-        """:param signer: signs each frame; None: frames are unsigned."""
+        """:param signer: signs the frames; None: they are unsigned."""
         self.system_id = system_id
         self.component_id = component_id
         self.signer = signer
+        self.signs_all = True
+        """False: only TUNNEL messages are signed, which are for the neighbours."""
         self.sequence = 0
         """Sequence number of the next frame, 0..255."""
 
@@ -121,7 +123,7 @@ class FrameWriter:
         """
         # At least one byte stays, even if it is zero.
         payload = payload.rstrip(b"\0") or payload[:1]
-        signer = self.signer
+        signer = self.signer if self.signs_all or message_id == TUNNEL_ID else None
         sequence = self.sequence
         flags = 0 if signer is None else FLAG_SIGNED
         frame = _HEADER.pack(
