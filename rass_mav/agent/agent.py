@@ -342,6 +342,8 @@ class Agent:
         self._reports.look(node, now, self.tell_ground)
         if self.peers.other_versions:
             self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
+        if self.peers.signed is not None:
+            self._reports.twins(self.peers.signed.streams, now, self.tell_ground)
         if self._is_measured():
             self.measure(now)
             out += self.forward(now)

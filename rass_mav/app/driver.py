@@ -106,6 +106,7 @@ class Driver:
         self._through = next((c for c in self.channels if isinstance(c.link, AutopilotLink)), None)
         if self._through is not None:
             agent.share_port()
+            self._through.lane.check = agent.vehicle_reader.check
         self._vehicle_generation = 0
         self._wake = asyncio.Event()
         self.writer = Writer(agent.store, executor, self._wake.set, self._alarm, None if lived is None else lived.note)

@@ -53,10 +53,10 @@ def crew_of_three() -> Crew:
 def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
     """Otherwise the rest here would show nothing."""
     crew = crew_of_three()
-    hearer, teller = crew.agents[0], crew.agents[1]
+    hearer, teller = crew.agents[0], crew.agents[2]
     before = state(hearer)
     assert state(hearer) == before
-    [outgoing] = teller.peers.frames([BEACON._replace(sender=2)], teller.store, 0.0)
+    [outgoing] = teller.peers.frames([BEACON], teller.store, 0.0)
     hearer.peer_bytes(outgoing.frame, crew.now)
     assert state(hearer) != before
 
