@@ -16,6 +16,7 @@ from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKeys
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
@@ -37,6 +38,14 @@ def open_datagram(data: bytes) -> Opened | None:
     """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it. None: it is anything else."""
     fields = tunnel_from_datagram(data)
     return None if fields is None else (*fields[2:], target_of(fields[5]))
+
+
+@lru_cache(maxsize=16)
+def stamp_of(data: bytes, keys: SigningKeys) -> tuple[Stream, int] | None:
+    """Stream and timestamp of a datagram that is exactly one frame. None: none of the keys has signed it."""
+    if not data[2] & FLAG_SIGNED or not keys.made(data):
+        return None
+    return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
 
 
 class OtherVersion(NamedTuple):
@@ -94,13 +103,13 @@ class Peers:
 
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
         """The same for the datagram that `open_datagram` has opened."""
-        check = self.reader.check
-        if check is not None:
-            signed = bool(datagram[2] & FLAG_SIGNED)
-            if not check.passes(datagram, TUNNEL, signed=signed):
+        if self.signed is not None:
+            stamp = stamp_of(datagram, self.signed.keys)
+            if stamp is None:
+                # It refuses the frame too, and counts it.
+                self.reader.datagram(datagram)
                 return None
-            stream, timestamp = (datagram[5], datagram[6], datagram[-13]), int.from_bytes(datagram[-12:-6], "little")
-            if not self._admits(stream, timestamp, opened, now):
+            if not self._admits(*stamp, opened, now):
                 return None
         return self.message(opened, now)
 

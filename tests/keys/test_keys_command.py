@@ -350,8 +350,5 @@ def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
 def test_in_words() -> None:
     assert in_words(None) == OPEN
     said = in_words({"mission": "4f2a91c3", "node_id": 1, "serial": 0, "link_keys": [2, 1]})
-    assert (
-        said
-        == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; frames are signed, data are not sealed yet"
-    )
+    assert said == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; frames are signed, data are not sealed yet"
     assert RunConfig().keys is None
