@@ -222,7 +222,6 @@ class Agent:
         """Neighbours are reached through the autopilot's port, where listeners expect one sequence of frames."""
         self.vehicle_writer = self.peers.writer
         if self.peers.signed is not None:
-            self.vehicle_writer.signs_all = False
             self.vehicle_reader.check = self.peers.signed.check(lambda message_id: message_id == TUNNEL)
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].writer = self.peers.writer

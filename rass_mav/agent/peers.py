@@ -171,5 +171,14 @@ class Peers:
         return self._claimed(frames_about_links(self.signed.streams.due(now), self.writer, self._payload_type))
 
     def _claimed(self, frames: list[Outgoing]) -> list[Outgoing]:
-        """These frames, held back if they have timestamps that are not claimed on disk yet."""
-        return frames if self.signed is None or self.signed.timestamps.covers() else held_back(frames)
+        """These frames, held back if their timestamps are not claimed on disk yet."""
+        return frames if self.signed is None or self.signed.timestamps.cover() else held_back(frames)
+
+    def leaving(self, outgoing: Outgoing) -> Outgoing:
+        """A frame to the neighbours as it leaves: with its signature. Call it when the frame has not to wait any more.
+
+        Signed earlier, what waits for the disk would be overtaken by too many others.
+        """
+        if self.signed is None:
+            return outgoing
+        return outgoing._replace(frame=self.signed.timestamps.sign(outgoing.frame))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from rass_mav.agent.streams import Streams
 from rass_mav.agent.timestamps import Timestamps
 from rass_mav.core.store import Store
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import RADIO_STATUS
 from rass_mav.mavlink.signing import SignatureCheck, SigningKeys
 
@@ -23,10 +23,11 @@ class Signed(NamedTuple):
 
     @classmethod
     def begin(cls, keys: SigningKeys, writer: FrameWriter, store: Store, rng: random.Random, step_s: float) -> Signed:
-        """`writer`: signs from now on. `rng`: draws nonces. `step_s`: length of a step, seconds."""
+        """`writer`: its TUNNEL messages are signed from now on. `rng`: draws nonces. `step_s`: length of a step,
+        seconds."""
+        writer.tunnel_flags = FLAG_SIGNED
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
-        writer.signer = keys.signer(store.epoch & 0xFF, 0)
-        timestamps = Timestamps(store, writer.signer)
+        timestamps = Timestamps(store, keys.signer(store.epoch & 0xFF, 0))
         return cls(keys, timestamps, Streams(writer, timestamps, rng, step_s))
 
     def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:

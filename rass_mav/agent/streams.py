@@ -98,7 +98,7 @@ class Streams:
     )  # fmt: skip
 
     def __init__(self, writer: FrameWriter, timestamps: Timestamps, rng: random.Random, step_s: float) -> None:
-        """`writer`: of the node's own stream, signed with `timestamps`. `rng`: draws nonces. `step_s`: seconds between
+        """`writer`: of the node's own stream, which `timestamps` signs. `rng`: draws nonces. `step_s`: seconds between
         two calls of `due`."""
         self._writer = writer
         self._timestamps = timestamps
@@ -123,7 +123,7 @@ class Streams:
     @property
     def own(self) -> Stream:
         """The node's own stream."""
-        return self._writer.system_id, self._writer.component_id, self._timestamps.signer.link_id
+        return self._writer.system_id, self._writer.component_id, self._timestamps.link_id
 
     @property
     def refused(self) -> Refused:

@@ -269,6 +269,7 @@ class Driver:
     def _send_to_neighbours(self, outgoing: Outgoing) -> None:
         if self._mute:
             return
+        outgoing = self.agent.peers.leaving(outgoing)
         self.duplicates.said(outgoing.frame, self.now())
         reaching = [channel for channel in self.channels if channel.link.reaches(outgoing.target)]
         for channel in reaching or self.channels:

@@ -66,15 +66,16 @@ class FrameWriter:
     `system_id` and `component_id` (0..255) may be changed between frames.
     """
 
-    __slots__ = ("component_id", "sequence", "signer", "signs_all", "system_id")
+    __slots__ = ("component_id", "sequence", "signer", "system_id", "tunnel_flags")
 
     def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
-        """:param signer: signs the frames; None: they are unsigned."""
+        """:param signer: signs each frame; None: frames are unsigned."""
         self.system_id = system_id
         self.component_id = component_id
         self.signer = signer
-        self.signs_all = True
-        """False: only TUNNEL messages are signed, which are for the neighbours."""
+        self.tunnel_flags = 0 if signer is None else FLAG_SIGNED
+        """Incompatibility flags of TUNNEL messages. `FLAG_SIGNED` without a signer: somebody else appends the
+        signature, when the frame leaves."""
         self.sequence = 0
         """Sequence number of the next frame, 0..255."""
 
@@ -98,9 +99,8 @@ class FrameWriter:
             return self.frame(TUNNEL_ID, _TUNNEL_FIELDS.pack(payload_type, target_system, target_component, size))
         signer = self.signer
         sequence = self.sequence
-        flags = 0 if signer is None else FLAG_SIGNED
         frame = _TUNNEL_HEADER.pack(
-            MAGIC_V2, len(kept) + 5, flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
+            MAGIC_V2, len(kept) + 5, self.tunnel_flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
             payload_type, target_system, target_component, size,
         ) + kept  # fmt: skip
         frame += crc16(frame[1:] + TUNNEL_EXTRA).to_bytes(2, "little")
@@ -123,9 +123,9 @@ class FrameWriter:
         """
         # At least one byte stays, even if it is zero.
         payload = payload.rstrip(b"\0") or payload[:1]
-        signer = self.signer if self.signs_all or message_id == TUNNEL_ID else None
+        signer = self.signer
         sequence = self.sequence
-        flags = 0 if signer is None else FLAG_SIGNED
+        flags = self.tunnel_flags if message_id == TUNNEL_ID else 0 if signer is None else FLAG_SIGNED
         frame = _HEADER.pack(
             MAGIC_V2, len(payload), flags, 0, sequence, self.system_id, self.component_id,
             message_id & 0xFFFF, message_id >> 16,

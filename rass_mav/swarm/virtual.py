@@ -292,6 +292,7 @@ class VirtualSwarm(ABC):
             # The mock flight controllers and the ground station listen to no node.
             if outgoing.way is not Way.NEIGHBOURS:
                 continue
+            outgoing = self.agents[node_id].peers.leaving(outgoing)
             self.air.send(node_id, outgoing, now)
             if self.hostile is not None:
                 for attacker, frame in self.hostile.overhear(node_id, outgoing.frame, self.neighbours, self.t, now):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from rass_mav.agent.agent import Agent
@@ -44,7 +44,6 @@ class Crew:
         """Positions in `agents`."""
         self.recorded: list[bytes] = []
         """All frames that were on the air, in order."""
-        self.lost: Callable[[bytes], bool] = lambda frame: False
 
     def steps(self, count: int) -> None:
         for _ in range(count):
@@ -59,12 +58,11 @@ class Crew:
             position, outgoing = waiting.pop(0)
             if outgoing.way is not Way.NEIGHBOURS:
                 continue
-            self.recorded.append(outgoing.frame)
-            if self.lost(outgoing.frame):
-                continue
+            frame = self.agents[position].peers.leaving(outgoing).frame
+            self.recorded.append(frame)
             for other, agent in enumerate(self.agents):
                 if other != position and not {other, position} & self.deaf:
-                    waiting += [(other, answer) for answer in agent.peer_bytes(outgoing.frame, self.now)]
+                    waiting += [(other, answer) for answer in agent.peer_bytes(frame, self.now)]
 
     def restart(self, position: int, **changed: Any) -> None:
         """An agent starts again, on the same store and with no memory."""

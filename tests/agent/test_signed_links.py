@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.outgoing import Way
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.peers import Peers, open_datagram
+from rass_mav.agent.signed import Signed
 from rass_mav.agent.streams import Streams
 from rass_mav.errors import StoreError
 from rass_mav.mavlink.frames import FrameWriter
@@ -42,6 +44,17 @@ def state(agent: Agent) -> object:
     )
 
 
+def signed_of(agent: Agent) -> Signed:
+    assert agent.peers.signed is not None
+    return agent.peers.signed
+
+
+def beacon_of(agent: Agent) -> bytes:
+    """A frame that it sends."""
+    [outgoing] = agent.peers.frames([BEACON], agent.store, 0.0)
+    return agent.peers.leaving(outgoing).frame
+
+
 def crew_of_three() -> Crew:
     """A base and two drones that know each other, and have handed data over."""
     crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
@@ -56,8 +69,7 @@ def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
     hearer, teller = crew.agents[0], crew.agents[2]
     before = state(hearer)
     assert state(hearer) == before
-    [outgoing] = teller.peers.frames([BEACON], teller.store, 0.0)
-    hearer.peer_bytes(outgoing.frame, crew.now)
+    hearer.peer_bytes(beacon_of(teller), crew.now)
     assert state(hearer) != before
 
 
@@ -186,7 +198,7 @@ def test_one_round_trip_is_enough_after_a_restart() -> None:
 def test_a_frame_that_is_reordered_is_taken_within_the_window_and_not_below() -> None:
     crew = crew_of_three()
     hearer, teller = crew.agents[0], crew.agents[1]
-    frames = [teller.peers.frames([BEACON], teller.store, 0.0)[0].frame for _ in range(80)]
+    frames = [beacon_of(teller) for _ in range(80)]
     order = [79, 48, 47, 60, 60, 79]
     before = hearer.peers.received
     taken = []
@@ -204,7 +216,7 @@ def test_any_order_within_the_window_is_taken_once_each(order: list[int]) -> Non
     crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
     crew.steps(5)
     hearer, teller = crew.agents
-    frames = [teller.peers.frames([BEACON], teller.store, 0.0)[0].frame for _ in range(32)]
+    frames = [beacon_of(teller) for _ in range(32)]
     before = hearer.peers.received
     for number in [*order, *order]:
         hearer.peer_bytes(frames[number], crew.now)
@@ -240,8 +252,7 @@ def test_the_table_is_bounded_and_who_has_to_go_is_asked_again(monkeypatch: pyte
     monkeypatch.setattr("rass_mav.agent.streams.MAX_STREAMS", 4)
     crew = crew_of_three()
     hearer = crew.agents[0]
-    signed = hearer.peers.signed
-    assert signed is not None
+    signed = signed_of(hearer)
     old = list(crew.recorded)
     # Streams that were heard once do not push out the known ones.
     for system in range(50, 60):
@@ -308,18 +319,21 @@ def test_who_has_lost_its_timestamps_alone_continues_above_what_others_have_seen
 def test_nobody_can_make_a_node_use_up_its_timestamps() -> None:
     """Somebody with the key pretends that he has seen the last one."""
     crew = crew_of_three()
-    stream = crew.agents[1].peers.signed
-    assert stream is not None
+    stream = signed_of(crew.agents[1])
     # A recording of this node from nowhere: the highest timestamp there is.
     last = FrameWriter(2, 191, KEYS.signer(stream.streams.own[2], 2**48 - 1)).tunnel(b"x", payload_type=TYPE)
     crew.restart(0)
     crew.agents[0].peer_bytes(last, crew.now)
     crew.steps(5)
-    assert stream.timestamps.signer.timestamp < 2**47
+    assert stream.timestamps.next < 2**47
 
 
 def leave(gate: CommitGate, agent: Agent, now: float) -> list[bytes]:
-    return [outgoing.frame for outgoing in gate.say(agent.step(now)) if outgoing.way is Way.NEIGHBOURS]
+    return on_air(gate.say(agent.step(now)), agent)
+
+
+def on_air(frames: Sequence[Outgoing], agent: Agent) -> list[bytes]:
+    return [agent.peers.leaving(outgoing).frame for outgoing in frames if outgoing.way is Way.NEIGHBOURS]
 
 
 @pytest.mark.parametrize("dies", ["before the write", "after the write"])
@@ -334,7 +348,7 @@ def test_no_timestamp_leaves_before_its_claim_is_on_disk(tmp_path: Path, dies: s
         batch = gate.begin(force=True)
         if dies == "after the write" or life % 2:
             store.write(batch)
-            sent = [outgoing.frame for outgoing in gate.written() if outgoing.way is Way.NEIGHBOURS]
+            sent = on_air(gate.written(), agent)
             assert sent
             sent += leave(gate, agent, 2.0)
             used += timestamps(sent, 7)
@@ -365,7 +379,7 @@ def test_a_claim_that_was_rolled_back_is_made_again(tmp_path: Path) -> None:
     gate.roll_back(StoreError("a fault"))
     assert leave(gate, agent, 2.0) == []
     store.write(gate.begin(force=True))
-    frames = [outgoing.frame for outgoing in gate.written()]
+    frames = on_air(gate.written(), agent)
     assert frames
     assert max(timestamps(frames, 7)) < (store.get_meta("timestamps") or 0)
     store.abandon()
@@ -411,10 +425,44 @@ def test_pymavlink_takes_what_a_node_sends_and_a_node_what_pymavlink_sends() -> 
     # pymavlink speaks in the name of node 2, with timestamps of a clock.
     speaker = common.MAVLink(None, 2, 191)
     speaker.signing.secret_key, speaker.signing.sign_outgoing, speaker.signing.timestamp = KEY, True, 37_000_000_000_000
-    speaker.signing.link_id = crew.agents[1].peers.writer.signer.link_id  # type: ignore[union-attr]
+    speaker.signing.link_id = signed_of(crew.agents[1]).streams.own[2]
     base = crew.agents[0]
     before = base.peers.received
     for payload in PAYLOADS:
         message = common.MAVLink_tunnel_message(0, 0, TYPE, len(payload), payload.ljust(128, b"\0"))
         base.peer_bytes(bytes(message.pack(speaker)), crew.now)
     assert base.peers.received == before + len(PAYLOADS)
+
+
+def test_what_waits_for_the_disk_is_not_overtaken_by_more_than_the_window(tmp_path: Path) -> None:
+    """A slow disk holds back a hundred answers, and a beacon leaves before them."""
+    store = open_store(tmp_path / "node.db")
+    agent, hearer = agent_with_keys(7, store, base=True), agent_with_keys(8)
+    gate = CommitGate(store)
+    crew = Crew(hearer)
+
+    def commit() -> list[bytes]:
+        batch = gate.begin(force=True)
+        if batch is not None:
+            store.write(batch)
+        return on_air(gate.written(), agent)
+
+    for second in range(1, 5):
+        crew.steps(1)
+        for frame in [*leave(gate, agent, float(second)), *commit()]:
+            hearer.peer_bytes(frame, crew.now)
+        for frame in crew.recorded:
+            agent.peer_bytes(frame, crew.now)
+        crew.recorded.clear()
+    assert crew.hears(0) == {7}
+    held: list[bytes] = []
+    answers = [agent.peers.frames([SAMPLES["committed"]], store, 5.0)[0]._replace(promises=True) for _ in range(100)]
+    store.set_meta("anything", 1)
+    held += on_air(gate.say(answers), agent)
+    assert held == []
+    beacons = leave(gate, agent, 5.0)
+    received = hearer.peers.received
+    for frame in [*beacons, *commit()]:
+        hearer.peer_bytes(frame, 5.0)
+    assert hearer.peers.received == received + len(beacons) + 100
+    store.abandon()
