@@ -19,6 +19,7 @@ from rass_mav.agent.signed import Signed
 from rass_mav.agent.streams import Streams
 from rass_mav.errors import StoreError
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer, SigningKeys
 from rass_mav.store.memory import MemoryStore
@@ -398,6 +399,14 @@ def test_a_node_takes_nothing_from_another_with_its_ids_and_says_so(epoch: int) 
     assert [one["node_id"] for one in crew.report(1)["twins"]] == [2]
 
 
+def test_the_ground_station_is_told_about_a_twin(caplog: pytest.LogCaptureFixture) -> None:
+    crew = Crew(agent_with_keys(2), agent_with_keys(9, mavlink={"system_id": 2}))
+    crew.steps(12)
+    assert "RASS: node 9 has our system id 2 and component 191: change one" in caplog.messages
+    assert "RASS: node 2 has our system id 2 and component 191: change one" in caplog.messages
+    assert len(caplog.messages) == 2, "not in each step"
+
+
 def test_own_frames_that_come_back_are_no_twin() -> None:
     crew = crew_of_three()
     for frame in crew.recorded:
@@ -466,3 +475,31 @@ def test_what_waits_for_the_disk_is_not_overtaken_by_more_than_the_window(tmp_pa
         hearer.peer_bytes(frame, 5.0)
     assert hearer.peers.received == received + len(beacons) + 100
     store.abandon()
+
+
+def test_through_the_autopilot_the_neighbours_frames_are_signed_and_no_others() -> None:
+    crew = crew_of_three()
+    agent = crew.agents[1]
+    agent.share_port()
+    reader = agent.vehicle_reader
+    heartbeat = agent.greet_vehicle().frame
+    [read] = reader.feed(heartbeat)
+    assert (read.message_id, read.signed) == (HEARTBEAT, False)
+    signed = beacon_of(crew.agents[2])
+    [read] = reader.feed(signed)
+    assert read.signed
+    unsigned = FrameWriter(3, 191).tunnel(PAYLOADS[0], payload_type=TYPE)
+    assert reader.feed(unsigned + signed[:-1] + bytes([signed[-1] ^ 1])) == []
+    assert reader.check is not None
+    assert (reader.check.unsigned, reader.check.forged) == (1, 1)
+
+
+def test_status_says_what_was_refused() -> None:
+    crew = crew_of_three()
+    hearer = crew.agents[0]
+    again = beacon_of(crew.agents[1])
+    for frame in (again, again):
+        hearer.peer_bytes(frame, crew.now)
+    report = crew.report(0)
+    assert (report["known"], report["strange"], report["twins"]) == (2, 0, [])
+    assert report["refused"]["again"] == 1
