@@ -17,6 +17,7 @@ from rass_mav.agent.parameters import recall
 from rass_mav.agent.peers import Peers, open_datagram
 from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.signed import Signed
 from rass_mav.agent.statuses import Statuses
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
@@ -30,8 +31,9 @@ from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
-from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat, statustext
+from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.mavlink.telemetry import Accuracy, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
@@ -106,13 +108,14 @@ class Agent:
         newborn: bool = False,
         forgiving: bool = False,
         participant: type[Participant] | None = None,
+        keys: SigningKeys | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
-        others with it.
+        others with it. `keys`: of the links; None: they are open.
         """
         configured = settings
         unfit: list[str] = []
@@ -133,7 +136,9 @@ class Agent:
         if settings.ground is not None and mavlink.system_id is None and not mavlink.autopilot_id:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
-        self.peers = Peers(settings.node_id, FrameWriter(system_id, mavlink.component_id), mavlink.payload_type)
+        writer = FrameWriter(system_id, mavlink.component_id)
+        signed = None if keys is None else Signed.begin(keys, writer, store, rng, settings.step_s)
+        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -216,6 +221,8 @@ class Agent:
     def share_port(self) -> None:
         """Neighbours are reached through the autopilot's port, where listeners expect one sequence of frames."""
         self.vehicle_writer = self.peers.writer
+        if self.peers.signed is not None:
+            self.vehicle_reader.check = self.peers.signed.check(lambda message_id: message_id == TUNNEL)
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].writer = self.peers.writer
 
@@ -272,7 +279,7 @@ class Agent:
         # A short cut for the mock swarm. The guard needs whole frames.
         opened = None if self.guard.forgiving else open_datagram(data)
         if opened is not None:
-            message = self.peers.message(opened, now)
+            message = self.peers.heard(data, opened, now)
             return () if message is None else self._answers(message, now)
         out: list[Outgoing] = []
         for frame in self.peers.tunnels(data):
@@ -326,13 +333,16 @@ class Agent:
             self._beat(now)
         for service in self.services:
             service.step(now)
-        out: list[Outgoing] = []
+        # Before the beacon, which counts where the answer has been heard.
+        out = self.peers.challenges(now)
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
-            out = self.peers.frames(node.step(now), self.store, now)
+            out += self.peers.frames(node.step(now), self.store, now)
         self._reports.look(node, now, self.tell_ground)
         if self.peers.other_versions:
             self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
+        if self.peers.signed is not None:
+            self._reports.twins(self.peers.signed.streams, now, self.tell_ground)
         if self._is_measured():
             self.measure(now)
             out += self.forward(now)

@@ -3,14 +3,14 @@
 Autopilots forward without counting hops and without checking for copies. Two autopilots joined by two links pass a
 frame round endlessly. So a node must recognise a copy before it answers. Otherwise the answers would go round too.
 
-A frame is recognised by its content, including the sequence number: a forwarder leaves the frame unchanged, and a
-sender that repeats a message uses the next number. Each copy renews the memory, so a frame that keeps going round is
-never forgotten.
+A frame is recognised by its content, including the sequence number and the timestamp of its signature: a forwarder
+leaves the frame unchanged, and a sender that repeats a message uses the next number. Each copy renews the memory, so a
+frame that keeps going round is never forgotten.
 """
 
 from __future__ import annotations
 
-from rass_mav.mavlink.frames import MAGIC_V2, Frame
+from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V2, Frame
 
 #: A frame is forgotten when no copy has come for this long, seconds: longer than a frame waits in any buffer.
 WINDOW_S = 5.0
@@ -36,7 +36,7 @@ class Duplicates:
 
     def is_new(self, frame: Frame, now: float) -> bool:
         """Whether a frame is heard for the first time. From then on it counts as a copy."""
-        digest = hash((frame.sequence, frame.system_id, frame.component_id, frame.payload))
+        digest = hash((frame.sequence, frame.system_id, frame.component_id, frame.payload, frame.timestamp))
         known = self._known.pop(digest, None)
         fresh = known is None or now - known[0] > WINDOW_S
         own = not fresh and known is not None and known[1]
@@ -50,7 +50,8 @@ class Duplicates:
     def said(self, frame: bytes, now: float) -> None:
         """Remember an own MAVLink 2 frame that is about to leave."""
         assert frame[0] == MAGIC_V2
-        digest = hash((frame[4], frame[5], frame[6], frame[10 : 10 + frame[1]]))
+        timestamp = int.from_bytes(frame[-12:-6], "little") if frame[2] & FLAG_SIGNED else 0
+        digest = hash((frame[4], frame[5], frame[6], frame[10 : 10 + frame[1]], timestamp))
         self._known.pop(digest, None)
         self._remember(digest, now, True)
 

@@ -40,7 +40,10 @@ class Lane:
         datagrams of whole frames. `only`: node ids accepted as neighbours on this link; None: all."""
         self.agent = agent
         self.duplicates = duplicates
-        self.reader = FrameReader()
+        signed = agent.peers.signed
+        self.check = None if signed is None else signed.check()
+        """Counts the frames that are not signed rightly; None: signatures are not checked."""
+        self.reader = FrameReader(self.check)
         self.pacer = None if budget is None else Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
         self.not_neighbours = 0
         """Beacons of nodes that are not on the list `only`."""
@@ -125,6 +128,8 @@ class Lane:
         told: dict[str, Any] = {"copies": self.copies, "not_the_radio": self.not_the_radio}
         if self._only is not None:
             told["not_neighbours"] = self.not_neighbours
+        if self.check is not None:
+            told["unsigned"], told["forged"] = self.check.unsigned, self.check.forged
         pacer = self.pacer
         if pacer is not None:
             turn_s, items = pacer.pace()

@@ -56,3 +56,14 @@ def frames_of(
         for payload in encode(message, now):
             out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
     return out
+
+
+def frames_about_links(payloads: Sequence[bytes], writer: FrameWriter, payload_type: int) -> list[Outgoing]:
+    """TUNNEL payloads that are no messages of core, as frames of `writer` to everybody in range."""
+    frames = (writer.tunnel(payload, payload_type=payload_type) for payload in payloads)
+    return [Outgoing(frame, BROADCAST, False, Urgency.ANSWER) for frame in frames]
+
+
+def held_back(frames: Sequence[Outgoing]) -> list[Outgoing]:
+    """The same frames, which must not leave before the store has committed."""
+    return [outgoing._replace(promises=True) for outgoing in frames]

@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
-from rass_mav.agent.outgoing import Outgoing, frames_of
+from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
+from rass_mav.agent.signed import Signed
 from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
-from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKeys
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
@@ -33,9 +35,17 @@ Opened: TypeAlias = tuple[int, int, int, bytes, int]
 # In a mock swarm all receivers of a frame open it one after another.
 @lru_cache(maxsize=16)
 def open_datagram(data: bytes) -> Opened | None:
-    """Open a datagram that is exactly one frame with a TUNNEL message. None: it is anything else."""
+    """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it. None: it is anything else."""
     fields = tunnel_from_datagram(data)
     return None if fields is None else (*fields[2:], target_of(fields[5]))
+
+
+@lru_cache(maxsize=16)
+def stamp_of(data: bytes, keys: SigningKeys) -> tuple[Stream, int] | None:
+    """Stream and timestamp of a datagram that is exactly one frame. None: none of the keys has signed it."""
+    if not data[2] & FLAG_SIGNED or not keys.made(data):
+        return None
+    return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
 
 
 class OtherVersion(NamedTuple):
@@ -52,15 +62,18 @@ class Peers:
 
     __slots__ = (
         "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "overhears", "reader", "received",
-        "system_ids", "writer",
+        "signed", "system_ids", "writer",
     )  # fmt: skip
 
-    def __init__(self, node_id: int, writer: FrameWriter, payload_type: int) -> None:
-        """:param payload_type: of the swarm's TUNNEL messages."""
+    def __init__(self, node_id: int, writer: FrameWriter, payload_type: int, signed: Signed | None = None) -> None:
+        """:param payload_type: of the swarm's TUNNEL messages.
+        :param signed: of this `writer`; None: frames are not signed, and signatures not checked.
+        """
         self._node_id = node_id
         self._payload_type = payload_type
+        self.signed = signed
         self.writer = writer
-        self.reader = FrameReader()
+        self.reader = FrameReader(None if signed is None else signed.check())
         self.overhears = False
         """Whether data for other nodes are for this node too."""
         self.received = 0
@@ -79,16 +92,36 @@ class Peers:
         return [frame for frame in self.reader.datagram(data) if frame.message_id == TUNNEL]
 
     def understood(self, frame: Frame, now: float) -> Message | None:
-        """The message in a frame with a TUNNEL message; None: it is not for this node, or does not parse."""
+        """The message in a frame with a TUNNEL message; None: it is not for this node, not new, or does not parse."""
         try:
             tunnel = decode_tunnel(frame.payload)
         except MalformedError as error:
             self._count(error, now)
             return None
-        return self.message((*tunnel, target_of(tunnel.payload)), now)
+        opened = (*tunnel, target_of(tunnel.payload))
+        return self.message(opened, now) if self._admits(frame.stream, frame.timestamp, opened, now) else None
+
+    def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
+        """The same for the datagram that `open_datagram` has opened."""
+        if self.signed is not None:
+            stamp = stamp_of(datagram, self.signed.keys)
+            if stamp is None:
+                # It refuses the frame too, and counts it.
+                self.reader.datagram(datagram)
+                return None
+            if not self._admits(*stamp, opened, now):
+                return None
+        return self.message(opened, now)
+
+    def _admits(self, stream: Stream, timestamp: int, opened: Opened, now: float) -> bool:
+        """Whether a frame is new, and the node may look at it."""
+        if self.signed is None:
+            return True
+        _, _, payload_type, payload, _ = opened
+        return self.signed.streams.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
 
     def message(self, opened: Opened, now: float) -> Message | None:
-        """The same for a frame that is already open."""
+        """The message in a frame that is open, and new."""
         system, component, payload_type, payload, target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
@@ -129,4 +162,23 @@ class Peers:
 
     def frames(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
         """The frames with these messages for the neighbours."""
-        return frames_of(messages, self.writer, self._payload_type, store, now)
+        return self._claimed(frames_of(messages, self.writer, self._payload_type, store, now))
+
+    def challenges(self, now: float) -> list[Outgoing]:
+        """The frames in which this node asks strange streams, and answers them. Call it in each step."""
+        if self.signed is None:
+            return []
+        return self._claimed(frames_about_links(self.signed.streams.due(now), self.writer, self._payload_type))
+
+    def _claimed(self, frames: list[Outgoing]) -> list[Outgoing]:
+        """These frames, held back if their timestamps are not claimed on disk yet."""
+        return frames if self.signed is None or self.signed.timestamps.cover() else held_back(frames)
+
+    def leaving(self, outgoing: Outgoing) -> Outgoing:
+        """A frame to the neighbours as it leaves: with its signature. Call it when the frame has not to wait any more.
+
+        Signed earlier, what waits for the disk would be overtaken by too many others.
+        """
+        if self.signed is None:
+            return outgoing
+        return outgoing._replace(frame=self.signed.timestamps.sign(outgoing.frame))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from rass_mav.agent.peers import OtherVersion
+from rass_mav.agent.streams import Streams
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.participant import Participant
 from rass_mav.wire.codec import VERSION
@@ -25,10 +26,13 @@ Tell = Callable[[int, str], None]
 class Reports:
     """What was reported, and when it may be reported again."""
 
-    __slots__ = ("_alarms_at", "_fault_at", "_full_at", "_refused", "_rivals_at", "_told", "_versions", "_versions_at")
+    __slots__ = (
+        "_alarms_at", "_fault_at", "_full_at", "_refused", "_rivals_at", "_told", "_twins_at", "_versions",
+        "_versions_at",
+    )  # fmt: skip
 
     def __init__(self, now: float) -> None:
-        self._rivals_at = self._alarms_at = self._full_at = self._fault_at = self._versions_at = now
+        self._rivals_at = self._alarms_at = self._full_at = self._fault_at = self._versions_at = self._twins_at = now
         self._told: dict[Alarm, int] = {}
         self._refused = 0
         self._versions: dict[int, tuple[float, frozenset[int]]] = {}
@@ -68,6 +72,16 @@ class Reports:
             behind = node_id if version < VERSION else own_id
             tell(_WARNING, f"RASS: node {node_id} uses version {version}, this one {VERSION}: update node {behind}")
             return
+
+    def twins(self, streams: Streams, now: float, tell: Tell) -> None:
+        """Once a step: another node with this node's system and component id was heard."""
+        if now < self._twins_at:
+            return
+        recent = [node_id for node_id, at in streams.twins.items() if now - at <= REPORT_S]
+        if recent:
+            self._twins_at = now + REPORT_S
+            system, component, _ = streams.own
+            tell(_CRITICAL, f"RASS: node {recent[-1]} has our system id {system} and component {component}: change one")
 
     def full(self, now: float, tell: Tell) -> None:
         """A measurement was refused because the store is full."""

@@ -106,6 +106,7 @@ class Driver:
         self._through = next((c for c in self.channels if isinstance(c.link, AutopilotLink)), None)
         if self._through is not None:
             agent.share_port()
+            self._through.lane.check = agent.vehicle_reader.check
         self._vehicle_generation = 0
         self._wake = asyncio.Event()
         self.writer = Writer(agent.store, executor, self._wake.set, self._alarm, None if lived is None else lived.note)
@@ -268,6 +269,7 @@ class Driver:
     def _send_to_neighbours(self, outgoing: Outgoing) -> None:
         if self._mute:
             return
+        outgoing = self.agent.peers.leaving(outgoing)
         self.duplicates.said(outgoing.frame, self.now())
         reaching = [channel for channel in self.channels if channel.link.reaches(outgoing.target)]
         for channel in reaching or self.channels:

@@ -23,6 +23,7 @@ from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
+from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.sensor.base import Sensor
 from rass_mav.store.sqlite import SqliteStore
 
@@ -63,6 +64,7 @@ class Runtime:
         self._narrate = narrate
         keys = config.open_keys()
         self._keys = None if keys is None else keys.own.about
+        self._signing = None if keys is None else SigningKeys([link.key.reveal() for link in keys.own.links])
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
@@ -134,7 +136,7 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True)
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing)
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:

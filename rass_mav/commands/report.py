@@ -68,8 +68,25 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     for shared in s["shared_system_ids"]:
         nodes = ", ".join(map(str, shared["node_ids"]))
         yield f"WARNING: nodes {nodes} share system id {shared['system_id']}, a ground station sees one vehicle"
+    if (streams := s.get("streams")) is not None:
+        yield from _signatures(s, streams)
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
+    """About the frames of others, and whether they are signed rightly."""
+    unsigned, forged = (sum(link[key] for link in s["links"]) for key in ("unsigned", "forged"))
+    refused = streams["refused"]
+    yield (
+        f"signatures: {streams['known']} streams known, {streams['strange']} not; refused {unsigned} frames without "
+        f"one, {forged} with a wrong one, {refused['again'] + refused['late']} that came again or late"
+    )
+    for twin in streams["twins"]:
+        yield (
+            f"WARNING: node {twin['node_id']}, heard {twin['age_s']:.0f} s ago, has this node's system and component "
+            "id, so this node takes nothing from it: change one of them (mavlink.system_id)"
+        )
 
 
 def _beside(beside: dict[str, Any]) -> Iterator[str]:

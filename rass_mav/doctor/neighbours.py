@@ -97,8 +97,28 @@ def no_way(config: RunConfig, evidence: Evidence) -> str:
     return "the autopilot forwards nothing" if forwarding is not None and forwarding.level == "fail" else ""
 
 
+def signatures(evidence: Evidence) -> Finding | None:
+    """Are the frames that are heard signed with this mission's keys? None: nobody checks."""
+    if evidence.last["streams"] is None:
+        return None
+    unsigned, forged = (sum(evidence.grown(index, key) for index in evidence.opened) for key in ("unsigned", "forged"))
+    if unsigned or forged:
+        return warned(
+            "signatures", f"{unsigned} frames were ignored because they were not signed, and {forged} with other keys",
+            "if they are from nodes of this mission, give them its keys (docs/keys.md)",
+        )  # fmt: skip
+    return passed("signatures", f"{evidence.last['streams']['known']} streams with this mission's keys")
+
+
 def system_ids(evidence: Evidence) -> Finding:
     """Does every vehicle that is heard have its own system id?"""
+    twins = (evidence.last["streams"] or {"twins": []})["twins"]
+    if twins:
+        return failed(
+            "system ids", f"node {twins[0]['node_id']} has this node's system id {evidence.last['system_id']} and its "
+            "component id, so the two take nothing from each other",
+            remedies.for_system_id(evidence.firmware),
+        )  # fmt: skip
     shared = evidence.last["shared_system_ids"]
     if not shared:
         return passed("system ids", f"{evidence.last['system_id']}, no two nodes that are heard share one")

@@ -35,7 +35,7 @@ def in_words(keys: AboutKeys | None) -> str:
     who = f"drone {keys['node_id']}, serial {keys['serial']}" if keys["serial"] else f"base {keys['node_id']}"
     numbers = keys["link_keys"]
     links = f"link key{'s' if len(numbers) > 1 else ''} {' and '.join(map(str, numbers))}"
-    return f"keys: mission {keys['mission']}, {who}, {links}; not used yet: frames are not signed"
+    return f"keys: mission {keys['mission']}, {who}, {links}; frames are signed, data are not sealed yet"
 
 
 def check_package() -> None:

@@ -8,7 +8,7 @@ flags, compatibility flags, sequence, system id, component id (one byte each), m
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from .crc import crc16
 from .dialect import FORMATS, MavlinkMessage, common, payload_of
@@ -30,6 +30,10 @@ _TUNNEL_FIELDS = struct.Struct("<HBBB")
 _TUNNEL_HEADER = struct.Struct("<BBBBBBBHBHBBB")
 
 
+#: System id, component id and link id: timestamps of signatures rise in each stream (0..255 each).
+Stream: TypeAlias = tuple[int, int, int]
+
+
 class Frame(NamedTuple):
     """A received frame with a good checksum."""
 
@@ -44,7 +48,16 @@ class Frame(NamedTuple):
     payload: bytes
     """As on the wire: MAVLink 2 trims trailing zeros."""
     signed: bool
-    """The frame carried a signature. If the reader has a verifier, the signature is good; otherwise it is unchecked."""
+    """The frame carried a signature. Whether it was checked depends on the reader's `SignatureCheck`."""
+    link_id: int = 0
+    """Of the signature, 0..255."""
+    timestamp: int = 0
+    """Of the signature, 48 bits."""
+
+    @property
+    def stream(self) -> Stream:
+        """Whose timestamps those of this frame are, if it is signed."""
+        return self.system_id, self.component_id, self.link_id
 
 
 class FrameWriter:
@@ -53,13 +66,16 @@ class FrameWriter:
     `system_id` and `component_id` (0..255) may be changed between frames.
     """
 
-    __slots__ = ("component_id", "sequence", "signer", "system_id")
+    __slots__ = ("component_id", "sequence", "signer", "system_id", "tunnel_flags")
 
     def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
         """:param signer: signs each frame; None: frames are unsigned."""
         self.system_id = system_id
         self.component_id = component_id
         self.signer = signer
+        self.tunnel_flags = 0 if signer is None else FLAG_SIGNED
+        """Incompatibility flags of TUNNEL messages. `FLAG_SIGNED` without a signer: somebody else appends the
+        signature, when the frame leaves."""
         self.sequence = 0
         """Sequence number of the next frame, 0..255."""
 
@@ -83,9 +99,8 @@ class FrameWriter:
             return self.frame(TUNNEL_ID, _TUNNEL_FIELDS.pack(payload_type, target_system, target_component, size))
         signer = self.signer
         sequence = self.sequence
-        flags = 0 if signer is None else FLAG_SIGNED
         frame = _TUNNEL_HEADER.pack(
-            MAGIC_V2, len(kept) + 5, flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
+            MAGIC_V2, len(kept) + 5, self.tunnel_flags, 0, sequence, self.system_id, self.component_id, TUNNEL_ID, 0,
             payload_type, target_system, target_component, size,
         ) + kept  # fmt: skip
         frame += crc16(frame[1:] + TUNNEL_EXTRA).to_bytes(2, "little")
@@ -110,7 +125,7 @@ class FrameWriter:
         payload = payload.rstrip(b"\0") or payload[:1]
         signer = self.signer
         sequence = self.sequence
-        flags = 0 if signer is None else FLAG_SIGNED
+        flags = self.tunnel_flags if message_id == TUNNEL_ID else 0 if signer is None else FLAG_SIGNED
         frame = _HEADER.pack(
             MAGIC_V2, len(payload), flags, 0, sequence, self.system_id, self.component_id,
             message_id & 0xFFFF, message_id >> 16,

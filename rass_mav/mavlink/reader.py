@@ -22,7 +22,7 @@ import re
 from .crc import crc16
 from .dialect import FORMATS
 from .frames import FLAG_SIGNED, MAGIC_V2, Frame
-from .signing import SIGNATURE_SIZE, Verifier
+from .signing import SIGNATURE_SIZE, SignatureCheck
 
 #: The longest frame: header 10, payload 255, checksum 2, signature 13.
 MAX_FRAME = 280
@@ -41,13 +41,12 @@ class FrameReader:
     """Reads the frames of one stream, or of the datagrams of one link. Never raises, whatever the bytes."""
 
     __slots__ = (
-        "_buffer", "_needed", "_unknown_left", "frames", "garbage_bytes", "malformed", "pending", "rejected", "unknown",
-        "verifier",
+        "_buffer", "_needed", "_unknown_left", "check", "frames", "garbage_bytes", "malformed", "pending", "unknown",
     )  # fmt: skip
 
-    def __init__(self, verifier: Verifier | None = None) -> None:
-        """:param verifier: checks signatures; None: signatures are not checked."""
-        self.verifier = verifier
+    def __init__(self, check: SignatureCheck | None = None) -> None:
+        """:param check: counts and refuses frames that are not signed rightly; None: signatures are not checked."""
+        self.check = check
         # A candidate whose end has not arrived. It starts with a magic byte. `_needed`: its length, as far as known.
         self._buffer = b""
         self.pending = 0
@@ -63,8 +62,6 @@ class FrameReader:
         """Bytes that belong to no frame, including those of false starts."""
         self.unknown = 0
         """Frames (or false starts) with a message id that is not in the dialect."""
-        self.rejected = 0
-        """Frames with a good checksum that the verifier refused: no signature, a wrong one, or a replay."""
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take the bytes that have arrived, and return the frames that are now whole, in order.
@@ -162,7 +159,7 @@ class FrameReader:
         return frames
 
     def _check(self, raw: bytes, message_id: int, crc_extra: bytes) -> tuple[Frame | None, bool]:
-        """The frame in `raw`, unless the verifier refuses it, and whether its checksum is good."""
+        """The frame in `raw`, unless its signature is not good, and whether its checksum is."""
         if raw[0] == MAGIC_V2:
             header, signed = _HEADER_V2, raw[2] == FLAG_SIGNED
             sequence, system_id, component_id = raw[4], raw[5], raw[6]
@@ -172,12 +169,14 @@ class FrameReader:
         end = header + raw[1]
         if crc16(raw[1:end] + crc_extra) != raw[end] | raw[end + 1] << 8:
             return None, False
-        verifier = self.verifier
-        if verifier is not None and not (verifier.verify(raw) if signed else verifier.accept_unsigned):
-            self.rejected += 1
+        if self.check is not None and not self.check.passes(raw, message_id, signed=signed):
             return None, True
         self.frames += 1
-        return Frame(message_id, sequence, system_id, component_id, raw[header:end], signed), True
+        payload = raw[header:end]
+        if not signed:
+            return Frame(message_id, sequence, system_id, component_id, payload, False), True
+        timestamp = int.from_bytes(raw[end + 3 : end + 9], "little")
+        return Frame(message_id, sequence, system_id, component_id, payload, True, raw[end + 2], timestamp), True
 
 
 def _shape(data: bytes, start: int) -> tuple[int, int]:

@@ -161,7 +161,7 @@ class Telemetry:
         :returns: True if it came from our autopilot and changed the state. False otherwise, also for rejected values
             and for a position without a fix.
         """
-        message_id, _, system_id, component_id, payload, signed = frame
+        message_id, _, system_id, component_id, payload, signed = frame[:6]
         if system_id != self.system_id or component_id != self.component_id or not system_id:
             if message_id == NAMED_VALUE_FLOAT:
                 if self.system_id and self._is_reading(payload[8:18]):

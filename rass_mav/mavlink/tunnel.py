@@ -8,7 +8,8 @@ from typing import NamedTuple
 from rass_mav.errors import MalformedError
 
 from .crc import crc16
-from .frames import MAGIC_V2, TUNNEL_EXTRA, TUNNEL_MAX
+from .frames import FLAG_SIGNED, MAGIC_V2, TUNNEL_EXTRA, TUNNEL_MAX
+from .signing import SIGNATURE_SIZE
 
 _FIELDS = struct.Struct("<HBBB")
 # Size of a frame without its payload, and with the fields before the data, in bytes.
@@ -16,11 +17,12 @@ _AROUND = 12
 _AHEAD = _AROUND + _FIELDS.size
 _LARGEST = _AHEAD + TUNNEL_MAX
 _TUNNEL_ID = b"\x81\x01\x00"
+_SIGNED = bytes((FLAG_SIGNED,))
 
-# By the length of the whole frame, from the smallest with all fields: one struct that unpacks the whole frame, and the
-# first three bytes (magic, payload length, no incompatibility flag) that such a frame must have.
+# By the length of the frame up to its checksum, from the smallest with all fields: one struct that unpacks it, and the
+# first two bytes (magic, payload length) that such a frame must have.
 _SHAPES = [
-    (struct.Struct(f"<3sxxBB3sHBBB{length - _AHEAD}sH").unpack, bytes((MAGIC_V2, length - _AROUND, 0)), length - _AHEAD)
+    (struct.Struct(f"<2sBxxBB3sHBBB{length - _AHEAD}sH").unpack, bytes((MAGIC_V2, length - _AROUND)), length - _AHEAD)
     for length in range(_AHEAD, _LARGEST + 1)
 ]
 
@@ -53,22 +55,30 @@ def decode_tunnel(payload: bytes) -> TunnelFields:
 
 
 def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
-    """A short cut from a datagram to a node's TUNNEL message, for a receiver that accepts unsigned frames.
-
-    Do not use it where signatures are required: it accepts unsigned frames. `FrameReader` works in every case.
+    """A short cut from a datagram to a node's TUNNEL message. It does not check signatures.
 
     :returns: (system id, component id, target system, target component, payload type, payload of 0..128 bytes) if
-        `data` is exactly one unsigned MAVLink 2 frame with a TUNNEL message and a good checksum. None for anything
-        else, valid or not: then pass it to a `FrameReader`, which also counts it.
+        `data` is exactly one MAVLink 2 frame with a TUNNEL message and a good checksum. None for anything else, valid
+        or not: then pass it to a `FrameReader`, which also counts it.
     """
+    signed = data[2:3] == _SIGNED
+    if signed:
+        data = data[:-SIGNATURE_SIZE]
     size = len(data)
     if not _AHEAD <= size <= _LARGEST:
-        return _tiny_tunnel(data)
+        return _tiny_tunnel(data, signed)
     unpack, prefix, held = _SHAPES[size - _AHEAD]
-    start, system_id, component_id, message_id, payload_type, target_system, target_component, length, payload, crc = (
-        unpack(data)
-    )
-    if start != prefix or message_id != _TUNNEL_ID or length > TUNNEL_MAX or crc16(data[1:-2] + TUNNEL_EXTRA) != crc:
+    (
+        start, flags, system_id, component_id, message_id,
+        payload_type, target_system, target_component, length, payload, crc,
+    ) = unpack(data)  # fmt: skip
+    if (
+        start != prefix
+        or flags != signed
+        or message_id != _TUNNEL_ID
+        or length > TUNNEL_MAX
+        or crc16(data[1:-2] + TUNNEL_EXTRA) != crc
+    ):
         return None
     if length != held:
         # Restore trimmed zeros, and drop bytes beyond payload_length.
@@ -76,12 +86,12 @@ def tunnel_from_datagram(data: bytes) -> tuple[int, int, int, int, int, bytes] |
     return system_id, component_id, target_system, target_component, payload_type, payload
 
 
-def _tiny_tunnel(data: bytes) -> tuple[int, int, int, int, int, bytes] | None:
+def _tiny_tunnel(data: bytes, signed: bool) -> tuple[int, int, int, int, int, bytes] | None:
     """The same for frames so short that even the fields were trimmed (`payload_length` is 0, or all data are zeros)."""
     size = len(data)
     if (
         not _AROUND <= size < _AHEAD
-        or data[:3] != bytes((MAGIC_V2, size - _AROUND, 0))
+        or data[:3] != bytes((MAGIC_V2, size - _AROUND, signed))
         or data[7:10] != _TUNNEL_ID
         or crc16(data[1:-2] + TUNNEL_EXTRA) != int.from_bytes(data[-2:], "little")
     ):

@@ -40,6 +40,7 @@ from rass_mav.swarm.radio import Radio
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.wires import Wires
 from rass_mav.wire import decode
+from rass_mav.wire.challenge import is_challenge
 
 # Longest line of orders, bytes.
 _MAX_ORDER = 4096
@@ -196,6 +197,8 @@ class Air(ABC, Generic[F]):
         fields = tunnel_from_datagram(frame)
         if fields is None or fields[4] != self._payload_type:
             counted.malformed += 1
+            return
+        if is_challenge(fields[5]):
             return
         try:
             message = decode(fields[5], 0.0)

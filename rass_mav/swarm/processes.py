@@ -34,11 +34,13 @@ from rass_mav.app.config import (
 )
 from rass_mav.config.loading import dump_yaml
 from rass_mav.errors import ConfigError, ControlError, SwarmError
+from rass_mav.keys.settings import KeysSection
 from rass_mav.link.settings import LinkSection, PeerSection
 from rass_mav.swarm.air_server import AirOrder, Figures, Ports
 from rass_mav.swarm.census import Census
 from rass_mav.swarm.children import Child, Children
 from rass_mav.swarm.loops import count_loops
+from rass_mav.swarm.mission import write_files
 from rass_mav.swarm.running import RunningNode
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import rate, spread
@@ -86,7 +88,7 @@ class NodeProcess(RunningNode):
         self._config: RunConfig
         self._client: ControlClient | None = None
 
-    def configure(self, scenario: Scenario, ports: Ports, until_step: int) -> None:
+    def configure(self, scenario: Scenario, ports: Ports, until_step: int, keys: KeysSection | None = None) -> None:
         """Write the configuration of the next life. Raises `ConfigError`."""
         settings = scenario.agent_settings(self.node_id)
         self.until_step = until_step
@@ -107,6 +109,7 @@ class NodeProcess(RunningNode):
             store=RunStoreSettings(**{**asdict(settings.store), "path": str(self.store)}),
             data=RunDataSettings(**{**asdict(settings.data), "until_step": until_step}),
             mavlink=settings.mavlink,
+            keys=keys,
             control=ControlSection(socket=str(self.socket)),
         )
         self._write_config()
@@ -187,6 +190,7 @@ class ProcessSwarm:
         self._directory = directory
         self._children = children
         self._clock = Clock(time.time())
+        self._keys = write_files(scenario, directory)
         self._nodes = [self._node(n, directory, sockets / f"{n}.sock") for n in range(scenario.nodes)]
         self._drones = self._nodes[scenario.bases :]
         self._census = Census([node.store for node in self._nodes], scenario.bases, self._step_s)
@@ -212,7 +216,7 @@ class ProcessSwarm:
         self._surround(None if record is None else str(record.absolute()))
         until = self._until_step()
         for node in self._nodes:
-            node.configure(self._scenario, self._ports, until)
+            node.configure(self._scenario, self._ports, until, self._keys[node.node_id])
             node.start(self._children)
         self._await(
             lambda: [node.name for node in self._nodes if not node.ready], START_S + _START_EACH_S * len(self._nodes)
@@ -323,7 +327,8 @@ class ProcessSwarm:
         self._radio.tell(f"off {node.node_id}")
         # The new life counts its steps from 0 again; it creates data as long as the others do.
         gone = int((time.monotonic() - self._begun) / self._step_s)
-        node.configure(self._scenario, self._ports, max(0, self._until_step() - gone))
+        until = max(0, self._until_step() - gone)
+        node.configure(self._scenario, self._ports, until, self._keys[node.node_id])
         node.start(self._children)
         self.kills += 1
 

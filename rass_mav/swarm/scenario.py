@@ -266,6 +266,10 @@ class HostileSection(Section):
     """The first step in which it is gone; null: it stays."""
 
 
+#: As many as there are system ids: nodes with keys take nothing from each other if they share one.
+MAX_WITH_KEYS = 255
+
+
 class Scenario(Section):
     """A mock swarm."""
 
@@ -302,6 +306,8 @@ class Scenario(Section):
     """Attackers beside the nodes."""
     disk: DiskSection | None = None
     """null: stores are in memory."""
+    keys: bool = False
+    """Whether the nodes have the keys of a mission (docs/keys.md). They are the same in each run with this seed."""
     statistics: StatisticsSection = StatisticsSection()
     variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
     """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They override the
@@ -330,6 +336,8 @@ class Scenario(Section):
             yield "disk: expected null unless the transport is loopback; processes have the machine's disk"
         if self.disk is not None and self.radiation.corruption:
             yield ("radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk")
+        if self.keys and self.nodes > MAX_WITH_KEYS:
+            yield f"keys: expected false with more than {MAX_WITH_KEYS} nodes, since some share a system id"
         yield from self._field_mistakes()
 
     def _field_mistakes(self) -> Iterator[str]:

@@ -21,6 +21,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
+from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.store.memory import MemoryStore, flipped
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
@@ -76,6 +77,7 @@ class VirtualSwarm(ABC):
         strikes: int = 1,
         record: Record | None = None,
         participant: type[Participant] | None = None,
+        keys: SigningKeys | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -89,6 +91,7 @@ class VirtualSwarm(ABC):
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
+        :param keys: of the links; None: they are open.
         """
         agents = list(agents)
         self.seed = seed
@@ -133,7 +136,9 @@ class VirtualSwarm(ABC):
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
             self.agents.append(
-                Agent(settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant)
+                Agent(
+                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant, keys=keys
+                )
             )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
         self._answering = [inf] * len(agents)
@@ -287,6 +292,7 @@ class VirtualSwarm(ABC):
             # The mock flight controllers and the ground station listen to no node.
             if outgoing.way is not Way.NEIGHBOURS:
                 continue
+            outgoing = self.agents[node_id].peers.leaving(outgoing)
             self.air.send(node_id, outgoing, now)
             if self.hostile is not None:
                 for attacker, frame in self.hostile.overhear(node_id, outgoing.frame, self.neighbours, self.t, now):
@@ -366,6 +372,7 @@ class VirtualSwarm(ABC):
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
+            keys=None if old.peers.signed is None else old.peers.signed.keys,
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

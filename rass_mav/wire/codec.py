@@ -322,6 +322,11 @@ def is_data(payload: bytes) -> bool:
     return payload[:1] == _DATA_HEAD
 
 
+def beacon_sender(payload: bytes) -> int | None:
+    """The node id in a TUNNEL payload that begins like a `Beacon` of this version; None: it does not."""
+    return payload[1] | payload[2] << 8 if len(payload) > 2 and payload[0] == _BEACON_HEAD else None
+
+
 # In a mock swarm all nodes that hear a frame decode it one after the other.
 @lru_cache(maxsize=16)
 def decode(payload: bytes, now: float) -> Message:

@@ -17,9 +17,12 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
 
 from .conversation import SECTIONS
+from .crew import STRANGERS_KEY, agent_with_keys
+from .test_signed_links import state
 
 SIK = (51, 68)
 
@@ -109,3 +112,19 @@ def test_forged_ones_slow_the_node_down_for_a_moment_only_and_the_ground_is_told
         radio.says(10, radio.now)
     assert radio.lane.not_the_radio == before, "it is quiet again: the radio is believed"
     assert radio.throttle < 0.1
+
+
+def test_with_keys_only_the_radio_itself_is_heard_unsigned() -> None:
+    agent = agent_with_keys(7)
+    lane = Lane(agent, Duplicates(), budget=Budget(bytes_s=1000.0), stream=True, rng=random.Random(1), now=0.0)
+    before = state(agent)
+    unsigned = FrameWriter(3, 191).tunnel(b"x", payload_type=33200)
+    forged = FrameWriter(3, 191, Signer(STRANGERS_KEY, 0, 1)).tunnel(b"x", payload_type=33200)
+    assert not any(lane.take(unsigned + forged + unsigned, 1.0, lambda _: None))
+    assert state(agent) == before
+    full = FrameWriter(*SIK).message(common.MAVLink_radio_status_message(100, 100, 5, 10, 10, 0, 0))
+    assert not any(lane.take(full, 1.0, lambda _: None))
+    assert lane.pacer is not None
+    assert lane.pacer.throttle < 1.0
+    assert (lane.report()["unsigned"], lane.report()["forged"]) == (2, 1)
+    assert "unsigned" not in Radio().lane.report()

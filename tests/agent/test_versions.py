@@ -147,10 +147,11 @@ def test_a_node_that_was_told_of_is_remembered_longer_than_a_text_may_be_repeate
 
 def test_the_status_names_them() -> None:
     status: dict[str, Any] = {
-        "node_id": 2, "role": "base", "life": "1", "epoch": "1", "uptime_s": 1.0, "steps": 1, "reading": None,
-        "sensor": None, "position": None, "store": {"items": 0, "capacity_items": None, "bytes": 0}, "neighbours": [],
-        "ground": None, "links": [], "vehicle": None, "ledger": {}, "malformed": 0, "foreign": 9, "rivals": [],
-        "shared_system_ids": [{"system_id": 3, "node_ids": [4, 9]}], "keys": None,
+        "node_id": 2, "role": "base", "keys": None, "life": "1", "epoch": "1", "uptime_s": 1.0, "steps": 1,
+        "reading": None, "sensor": None, "position": None, "store": {"items": 0, "capacity_items": None, "bytes": 0},
+        "neighbours": [], "ground": None, "links": [], "vehicle": None, "ledger": {}, "malformed": 0, "foreign": 9,
+        "rivals": [],
+        "shared_system_ids": [{"system_id": 3, "node_ids": [4, 9]}],
         "commits": {"failed": 0}, "faults": None, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
     lines = list(status_lines(status))

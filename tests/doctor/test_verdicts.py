@@ -415,3 +415,38 @@ def test_system_ids_that_several_use(scene: tuple[RunConfig, Evidence]) -> None:
     assert found.level == "warn"
     assert found.text.startswith("nodes 4, 7 all use system id 3; nodes 11, 12 all use system id 9")
     assert "its own SYSID_THISMAV (" in found.remedy
+
+
+def trusting(link: dict[str, int], *twins: dict[str, float]) -> Change:
+    """A node with keys, these counts of its link, and these others with its ids."""
+
+    def change(sample: dict[str, Any]) -> None:
+        sample["streams"] = {"known": 2, "strange": 0, "twins": list(twins)}
+        sample["links"][0].update(link)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("counts", "level", "said"),
+    [
+        ({"unsigned": 0, "forged": 0}, "pass", "2 streams with this mission's keys"),
+        ({"unsigned": 3, "forged": 0}, "warn", "3 frames were ignored because they were not signed"),
+        ({"unsigned": 0, "forged": 4}, "warn", "and 4 with other keys"),
+    ],
+)
+def test_signatures(scene: tuple[RunConfig, Evidence], counts: dict[str, int], level: str, said: str) -> None:
+    seen = evidence(scene, trusting(counts))
+    seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
+    found = neighbours.signatures(seen)
+    assert found is not None
+    assert (found.level, said in found.text) == (level, True)
+    assert neighbours.signatures(evidence(scene, nothing)) is None
+
+
+def test_another_node_with_this_nodes_ids_is_a_fault_where_frames_are_signed(
+    scene: tuple[RunConfig, Evidence],
+) -> None:
+    found = neighbours.system_ids(evidence(scene, trusting({}, {"node_id": 9, "age_s": 1.0})))
+    assert (found.level, found.text[:31]) == ("fail", "node 9 has this node's system i")
+    assert "its own SYSID_THISMAV (" in found.remedy

@@ -248,7 +248,7 @@ def test_five_commands_from_an_empty_folder_to_a_base_and_three_drones(tmp_path:
         about = {"mission": name, "node_id": node_id, "serial": serial, "link_keys": [1]}
         assert node.status()["keys"] == about
     said = command(tmp_path, "status", others[0].config).stdout.decode().splitlines()
-    line = f"keys: mission {name}, drone 7, serial 1, link key 1; not used yet: frames are not signed"
+    line = f"keys: mission {name}, drone 7, serial 1, link key 1; frames are signed, data are not sealed yet"
     assert line in said
     (check,) = [
         c
@@ -354,5 +354,5 @@ def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
 def test_in_words() -> None:
     assert in_words(None) == OPEN
     said = in_words({"mission": "4f2a91c3", "node_id": 1, "serial": 0, "link_keys": [2, 1]})
-    assert said == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; not used yet: frames are not signed"
+    assert said == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; frames are signed, data are not sealed yet"
     assert RunConfig().keys is None

@@ -78,7 +78,7 @@ def test_tunnel_is_pymavlinks_byte_for_byte(
     assert read[:4] == (common.MAVLINK_MSG_ID_TUNNEL, sequence, system, component)
     assert read.signed is signed
     assert room.tunnel.decode_tunnel(read.payload) == fields
-    assert room.tunnel.tunnel_from_datagram(frame) == (None if signed else (system, component, *fields))
+    assert room.tunnel.tunnel_from_datagram(frame) == (system, component, *fields)
 
 
 def _messages() -> st.SearchStrategy[object]:

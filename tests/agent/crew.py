@@ -1,0 +1,83 @@
+"""Agents with keys in range of each other, in steps of one second, and everything that was on the air."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from typing import Any
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.config.loading import convert
+from rass_mav.core.store import Store
+from rass_mav.mavlink.signing import SigningKeys
+from rass_mav.store.memory import MemoryStore
+
+from .conversation import SECTIONS
+
+KEY = bytes(range(7, 39))
+STRANGERS_KEY = bytes(32)
+KEYS = SigningKeys([KEY])
+
+
+def agent_with_keys(
+    node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
+    keys: SigningKeys = KEYS, **sections: Any,
+) -> Agent:  # fmt: skip
+    """`life`: another one has other random numbers."""
+    raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
+    raw |= {name: sections.get(name, {}) for name in SECTIONS}
+    raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
+    store = MemoryStore(1000 + node_id) if store is None else store
+    rng = random.Random(f"{node_id}:{life}")
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys)
+
+
+class Crew:
+    """What the test makes deaf or dumb hears or says nothing."""
+
+    def __init__(self, *agents: Agent) -> None:
+        self.now = 0.0
+        self.agents = list(agents)
+        self.deaf: set[int] = set()
+        """Positions in `agents`."""
+        self.recorded: list[bytes] = []
+        """All frames that were on the air, in order."""
+
+    def steps(self, count: int) -> None:
+        for _ in range(count):
+            self.now += 1.0
+            for position, agent in enumerate(self.agents):
+                self.say(position, agent.step(self.now))
+
+    def say(self, sender: int, frames: Sequence[Outgoing]) -> None:
+        """Frames are on the air, and then the answers to them."""
+        waiting = [(sender, outgoing) for outgoing in frames]
+        while waiting:
+            position, outgoing = waiting.pop(0)
+            if outgoing.way is not Way.NEIGHBOURS:
+                continue
+            frame = self.agents[position].peers.leaving(outgoing).frame
+            self.recorded.append(frame)
+            for other, agent in enumerate(self.agents):
+                if other != position and not {other, position} & self.deaf:
+                    waiting += [(other, answer) for answer in agent.peer_bytes(frame, self.now)]
+
+    def restart(self, position: int, **changed: Any) -> None:
+        """An agent starts again, on the same store and with no memory."""
+        old = self.agents[position]
+        life = int(self.now) + 1
+        self.agents[position] = agent_with_keys(
+            old.settings.node_id, base=old.settings.base, life=life, now=self.now, **{"store": old.store, **changed}
+        )
+
+    def hears(self, position: int) -> set[int]:
+        """The node ids that an agent has as neighbours."""
+        return set(self.agents[position].node.routing.neighbours)
+
+    def report(self, position: int) -> dict[str, Any]:
+        """What an agent's status says about streams."""
+        signed = self.agents[position].peers.signed
+        assert signed is not None
+        return signed.streams.report(self.now)

@@ -1,0 +1,511 @@
+"""Signed links, seen by the adversary: nothing that he says or repeats changes a node, and nobody is locked out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import count
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.commits import CommitGate
+from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.peers import Peers, open_datagram
+from rass_mav.agent.signed import Signed
+from rass_mav.agent.streams import Streams
+from rass_mav.errors import StoreError
+from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.messages import HEARTBEAT
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signing import Signer, SigningKeys
+from rass_mav.store.memory import MemoryStore
+from rass_mav.wire import encode
+from rass_mav.wire.challenge import is_challenge
+from tests.store.store_helpers import open_store
+from tests.wire.samples import NOW, SAMPLES
+
+from .crew import KEY, KEYS, STRANGERS_KEY, Crew, agent_with_keys
+from .picture import picture
+
+TYPE = 33200
+PAYLOADS = [payload for message in SAMPLES.values() for payload in encode(message, NOW)]
+BEACON = SAMPLES["beacon-drone"]
+#: Counters and the table of streams are not the state of a node.
+NOT_STATE = (Streams, FrameReader, Peers)
+
+
+def state(agent: Agent) -> object:
+    """Everything that can make a difference to what the node says or does."""
+    return picture(
+        [agent, agent.node, agent.store, agent.peers.system_ids, agent.peers.other_versions], without=NOT_STATE
+    )
+
+
+def signed_of(agent: Agent) -> Signed:
+    assert agent.peers.signed is not None
+    return agent.peers.signed
+
+
+def beacon_of(agent: Agent) -> bytes:
+    """A frame that it sends."""
+    [outgoing] = agent.peers.frames([BEACON], agent.store, 0.0)
+    return agent.peers.leaving(outgoing).frame
+
+
+def crew_of_three() -> Crew:
+    """A base and two drones that know each other, and have handed data over."""
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
+    crew.steps(30)
+    assert [crew.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
+    return crew
+
+
+def test_a_new_frame_of_a_friend_does_change_a_node() -> None:
+    """Otherwise the rest here would show nothing."""
+    crew = crew_of_three()
+    hearer, teller = crew.agents[0], crew.agents[2]
+    before = state(hearer)
+    assert state(hearer) == before
+    hearer.peer_bytes(beacon_of(teller), crew.now)
+    assert state(hearer) != before
+
+
+# -- what no adversary can do -----------------------------------------------------------------------------------------
+
+
+def test_nothing_that_is_recorded_and_repeated_changes_a_node() -> None:
+    crew = crew_of_three()
+    for position, agent in enumerate(crew.agents):
+        before = state(agent)
+        for frame in crew.recorded:
+            assert not agent.peer_bytes(frame, crew.now)
+        assert state(agent) == before, position
+
+
+@pytest.mark.parametrize("wiped", [False, True])
+def test_nothing_recorded_changes_a_node_that_has_started_again(wiped: bool) -> None:
+    crew = crew_of_three()
+    crew.deaf = {0, 1, 2}
+    crew.restart(1, **({"store": MemoryStore(5)} if wiped else {}))
+    agent = crew.agents[1]
+    before = state(agent)
+    for frame in crew.recorded:
+        assert not agent.peer_bytes(frame, crew.now)
+    assert state(agent) == before
+    # And the others are known again as soon as they are there.
+    crew.deaf = set()
+    crew.steps(4)
+    assert crew.hears(1) == {1, 3}
+
+
+@given(data=st.data())
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+def test_no_forged_frame_changes_a_node(data: st.DataObject) -> None:
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    crew.steps(12)
+    agent = crew.agents[data.draw(st.integers(0, 1))]
+    before = state(agent)
+    for _ in range(data.draw(st.integers(1, 5))):
+        way = data.draw(st.sampled_from(["unsigned", "stranger", "altered", "other timestamp", "bytes"]))
+        system, component = data.draw(st.tuples(st.integers(0, 255), st.integers(0, 255)))
+        payload = data.draw(st.sampled_from(PAYLOADS) | st.binary(max_size=128))
+        signer = Signer(STRANGERS_KEY, data.draw(st.integers(0, 255)), data.draw(st.integers(0, 2**48 - 1)))
+        recorded = bytearray(data.draw(st.sampled_from(crew.recorded)))
+        if way == "unsigned":
+            frame = FrameWriter(system, component).tunnel(payload, payload_type=TYPE)
+        elif way == "stranger":
+            frame = FrameWriter(system, component, signer).tunnel(payload, payload_type=TYPE)
+        elif way == "altered":
+            recorded[data.draw(st.integers(0, len(recorded) - 1))] ^= data.draw(st.integers(1, 255))
+            frame = bytes(recorded)
+        elif way == "other timestamp":
+            frame = bytes(recorded[:-12]) + data.draw(st.binary(min_size=6, max_size=6)) + bytes(recorded[-6:])
+        else:
+            frame = data.draw(st.binary(max_size=300))
+        assert not agent.peer_bytes(frame, crew.now)
+    assert state(agent) == before
+    # The node lives on among its own, whatever timestamps were claimed.
+    crew.steps(2)
+    assert crew.hears(0) == {2}
+    assert agent.node.routing.neighbours.popitem()[1].heard == crew.now
+
+
+@given(data=st.data())
+@settings(deadline=None, max_examples=40)
+def test_whatever_is_repeated_and_whenever_somebody_starts_again_all_find_each_other(data: st.DataObject) -> None:
+    """The adversary repeats anything at any time, to anybody. It is taken once at most, and locks nobody out."""
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3))
+    for _ in range(data.draw(st.integers(1, 8))):
+        deed = data.draw(st.sampled_from(["steps", "restart", "wipe", "repeat", "apart"]))
+        position = data.draw(st.integers(0, 2))
+        if deed == "steps":
+            crew.steps(data.draw(st.integers(1, 6)))
+        elif deed == "restart":
+            crew.restart(position)
+        elif deed == "wipe":
+            crew.restart(position, store=MemoryStore(data.draw(st.integers(0, 2**32 - 1))))
+        elif deed == "apart":
+            crew.deaf = {position}
+            crew.steps(data.draw(st.integers(1, 6)))
+            crew.deaf = set()
+        elif crew.recorded:
+            for frame in data.draw(st.lists(st.sampled_from(crew.recorded), max_size=20)):
+                crew.say(position, crew.agents[position].peer_bytes(frame, crew.now))
+    crew.steps(16)
+    assert [crew.hears(position) for position in range(3)] == [{2, 3}, {1, 3}, {1, 2}]
+    for position, agent in enumerate(crew.agents):
+        assert all(known.heard >= crew.now - 1 for known in agent.node.routing.neighbours.values()), position
+
+
+def test_a_swarm_of_strangers_and_ours_do_not_see_each_other() -> None:
+    theirs = SigningKeys([STRANGERS_KEY])
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3, keys=theirs))
+    crew.steps(10)
+    assert [crew.hears(position) for position in range(3)] == [{2}, {1}, set()]
+    assert crew.report(2)["strange"] == crew.report(2)["known"] == 0
+
+
+# -- how nodes come to know each other ---------------------------------------------------------------------------------
+
+
+def challenges(frames: list[bytes]) -> list[bytes]:
+    opened = [open_datagram(frame) for frame in frames]
+    return [one[3] for one in opened if one is not None and is_challenge(one[3])]
+
+
+def test_a_swarm_that_starts_as_a_whole_knows_itself_with_the_third_beacon() -> None:
+    crew = Crew(*(agent_with_keys(node_id) for node_id in range(1, 9)))
+    crew.steps(3)
+    assert all(len(crew.hears(position)) == 7 for position in range(8))
+    heard = len(crew.recorded)
+    crew.steps(5)
+    assert not challenges(crew.recorded[heard:]), "who is known is asked no more"
+
+
+def test_one_round_trip_is_enough_after_a_restart() -> None:
+    crew = crew_of_three()
+    crew.restart(2)
+    before = len(crew.recorded)
+    crew.steps(3)
+    assert crew.hears(2) == {1, 2}
+    # One challenge of the three, and the answers of the others; they know it still.
+    assert len(challenges(crew.recorded[before:])) == 3
+
+
+def test_a_frame_that_is_reordered_is_taken_within_the_window_and_not_below() -> None:
+    crew = crew_of_three()
+    hearer, teller = crew.agents[0], crew.agents[1]
+    frames = [beacon_of(teller) for _ in range(80)]
+    order = [79, 48, 47, 60, 60, 79]
+    before = hearer.peers.received
+    taken = []
+    for number in order:
+        hearer.peer_bytes(frames[number], crew.now)
+        taken.append(hearer.peers.received - before)
+    assert taken == [1, 2, 2, 3, 3, 3]
+    refused = crew.report(0)["refused"]
+    assert (refused["again"], refused["late"]) == (2, 1)
+
+
+@given(order=st.permutations(range(32)))
+@settings(deadline=None, max_examples=30)
+def test_any_order_within_the_window_is_taken_once_each(order: list[int]) -> None:
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    crew.steps(5)
+    hearer, teller = crew.agents
+    frames = [beacon_of(teller) for _ in range(32)]
+    before = hearer.peers.received
+    for number in [*order, *order]:
+        hearer.peer_bytes(frames[number], crew.now)
+    assert hearer.peers.received == before + 32
+
+
+def test_a_stream_that_was_silent_for_long_is_asked_again_and_its_old_frames_stay_old() -> None:
+    crew = crew_of_three()
+    crew.agents.append(crew.agents.pop(1))
+    crew.deaf = {1}
+    heard = crew.recorded[-1]
+    crew.steps(3)
+    unheard = crew.recorded[-1]
+    assert heard[5] == unheard[5] == 2
+    hearer = crew.agents[1]
+    for _ in range(70):
+        crew.steps(10)
+        # Repetitions of what is old do not show that the stream is there.
+        hearer.peer_bytes(heard, crew.now)
+    before = state(hearer)
+    assert not hearer.peer_bytes(unheard, crew.now)
+    assert state(hearer) == before, "it was sent when nobody here could hear it"
+    crew.deaf = set()
+    crew.steps(4)
+    assert crew.hears(1) == {1, 2}
+
+
+def test_both_link_keys_are_accepted_while_the_key_changes() -> None:
+    other = bytes(range(100, 132))
+    crew = Crew(
+        agent_with_keys(1, base=True, keys=SigningKeys([KEY, other])),
+        agent_with_keys(2, keys=SigningKeys([other, KEY])),
+    )
+    crew.steps(4)
+    assert [crew.hears(0), crew.hears(1)] == [{2}, {1}]
+
+
+def test_the_table_is_bounded_and_who_has_to_go_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rass_mav.agent.streams.MAX_STREAMS", 4)
+    crew = crew_of_three()
+    hearer = crew.agents[0]
+    signed = signed_of(hearer)
+    old = list(crew.recorded)
+    # Streams that were heard once do not push out the known ones.
+    for system in range(50, 60):
+        hearer.peer_bytes(FrameWriter(system, 191, Signer(KEY, 0, 5)).tunnel(b"x", payload_type=TYPE), crew.now)
+        assert len(signed.streams) <= 4
+    crew.steps(1)
+    assert crew.report(0)["known"] == 2
+    # Known ones that are too many push each other out, and what they have sent stays old.
+    crew.agents += [agent_with_keys(node_id, now=crew.now) for node_id in range(4, 9)]
+    crew.steps(20)
+    assert len(signed.streams) == 4
+    before = state(hearer)
+    for frame in old:
+        hearer.peer_bytes(frame, crew.now)
+    assert state(hearer) == before
+
+
+# -- timestamps --------------------------------------------------------------------------------------------------------
+
+
+def timestamps(frames: list[bytes], system: int) -> list[int]:
+    return [int.from_bytes(frame[-12:-6], "little") for frame in frames if frame[5] == system]
+
+
+def test_a_hundred_restarts_without_a_clock_reuse_nothing_and_lock_nobody_out() -> None:
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    for _ in range(100):
+        crew.restart(1)
+        crew.steps(4)
+        assert crew.hears(0) == {2}
+        assert crew.hears(1) == {1}
+    used = timestamps(crew.recorded, 2)
+    assert used == sorted(set(used))
+
+
+def test_who_has_lost_its_store_is_known_again_and_its_old_frames_are_not() -> None:
+    crew = crew_of_three()
+    old = list(crew.recorded)
+    crew.restart(1, store=MemoryStore(77))
+    crew.restart(0)
+    crew.steps(4)
+    assert crew.hears(0) == {2, 3}
+    base = crew.agents[0]
+    before = state(base)
+    for frame in old:
+        base.peer_bytes(frame, crew.now)
+    assert state(base) == before
+
+
+def test_who_has_lost_its_timestamps_alone_continues_above_what_others_have_seen() -> None:
+    """The same epoch, and so the same stream: as with an image of the card that was written back."""
+    crew = crew_of_three()
+    seen = max(timestamps(crew.recorded, 2))
+    crew.restart(1, store=MemoryStore(1002))
+    before = len(crew.recorded)
+    crew.steps(5)
+    assert crew.hears(0) == {2, 3}
+    assert crew.hears(1) == {1, 3}
+    assert max(timestamps(crew.recorded[before:], 2)) > seen
+    crew.steps(1)
+    assert crew.agents[0].node.routing.neighbours[2].heard == crew.now
+
+
+def test_nobody_can_make_a_node_use_up_its_timestamps() -> None:
+    """Somebody with the key pretends that he has seen the last one."""
+    crew = crew_of_three()
+    stream = signed_of(crew.agents[1])
+    # A recording of this node from nowhere: the highest timestamp there is.
+    last = FrameWriter(2, 191, KEYS.signer(stream.streams.own[2], 2**48 - 1)).tunnel(b"x", payload_type=TYPE)
+    crew.restart(0)
+    crew.agents[0].peer_bytes(last, crew.now)
+    crew.steps(5)
+    assert stream.timestamps.next < 2**47
+
+
+def leave(gate: CommitGate, agent: Agent, now: float) -> list[bytes]:
+    return on_air(gate.say(agent.step(now)), agent)
+
+
+def on_air(frames: Sequence[Outgoing], agent: Agent) -> list[bytes]:
+    return [agent.peers.leaving(outgoing).frame for outgoing in frames if outgoing.way is Way.NEIGHBOURS]
+
+
+@pytest.mark.parametrize("dies", ["before the write", "after the write"])
+def test_no_timestamp_leaves_before_its_claim_is_on_disk(tmp_path: Path, dies: str) -> None:
+    used: list[int] = []
+    for life in range(4):
+        store = open_store(tmp_path / "node.db", draw_epoch=count(9).__next__)
+        agent = agent_with_keys(7, store, life=life)
+        gate = CommitGate(store)
+        held = leave(gate, agent, 1.0)
+        assert held == [], "the claim is not on disk yet"
+        batch = gate.begin(force=True)
+        if dies == "after the write" or life % 2:
+            store.write(batch)
+            sent = on_air(gate.written(), agent)
+            assert sent
+            sent += leave(gate, agent, 2.0)
+            used += timestamps(sent, 7)
+        # SIGKILL: nothing else is written.
+        store.abandon()
+    assert used == sorted(set(used))
+    assert used
+
+
+def test_a_disk_that_fails_later_does_not_silence_a_node(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "node.db")
+    agent = agent_with_keys(7, store)
+    gate = CommitGate(store)
+    leave(gate, agent, 1.0)
+    store.write(gate.begin(force=True))
+    gate.written()
+    gate.begin(force=True)
+    gate.failed(StoreError("no more"))
+    assert all(leave(gate, agent, float(second)) for second in range(2, 200))
+    store.abandon()
+
+
+def test_a_claim_that_was_rolled_back_is_made_again(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "node.db")
+    agent = agent_with_keys(7, store)
+    gate = CommitGate(store)
+    leave(gate, agent, 1.0)
+    gate.roll_back(StoreError("a fault"))
+    assert leave(gate, agent, 2.0) == []
+    store.write(gate.begin(force=True))
+    frames = on_air(gate.written(), agent)
+    assert frames
+    assert max(timestamps(frames, 7)) < (store.get_meta("timestamps") or 0)
+    store.abandon()
+
+
+# -- two nodes with one system and component id ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("epoch", [1002, 1003], ids=["one stream", "two streams"])
+def test_a_node_takes_nothing_from_another_with_its_ids_and_says_so(epoch: int) -> None:
+    twin = agent_with_keys(9, MemoryStore(epoch), mavlink={"system_id": 2})
+    crew = Crew(agent_with_keys(2), twin)
+    crew.steps(12)
+    assert [crew.hears(0), crew.hears(1)] == [set(), set()]
+    assert [one["node_id"] for one in crew.report(0)["twins"]] == [9]
+    assert [one["node_id"] for one in crew.report(1)["twins"]] == [2]
+
+
+def test_the_ground_station_is_told_about_a_twin(caplog: pytest.LogCaptureFixture) -> None:
+    crew = Crew(agent_with_keys(2), agent_with_keys(9, mavlink={"system_id": 2}))
+    crew.steps(12)
+    assert "RASS: node 9 has our system id 2 and component 191: change one" in caplog.messages
+    assert "RASS: node 2 has our system id 2 and component 191: change one" in caplog.messages
+    assert len(caplog.messages) == 2, "not in each step"
+
+
+def test_own_frames_that_come_back_are_no_twin() -> None:
+    crew = crew_of_three()
+    for frame in crew.recorded:
+        crew.agents[1].peer_bytes(frame, crew.now)
+    recorded = len(crew.recorded)
+    crew.steps(10)
+    for frame in crew.recorded[recorded:]:
+        crew.agents[1].peer_bytes(frame, crew.now)
+    crew.steps(2)
+    assert crew.report(1)["twins"] == []
+
+
+# -- with pymavlink ----------------------------------------------------------------------------------------------------
+
+
+def test_pymavlink_takes_what_a_node_sends_and_a_node_what_pymavlink_sends() -> None:
+    """In order, a node's stream is as any other program expects it."""
+    crew = crew_of_three()
+    theirs = common.MAVLink(None, 250, 190)
+    theirs.signing.secret_key = KEY
+    theirs.robust_parsing = True
+    parsed = [message for frame in crew.recorded for message in theirs.parse_buffer(frame) or ()]
+    assert [message.get_type() for message in parsed] == ["TUNNEL"] * len(crew.recorded)
+    assert theirs.signing.reject_count == 0
+    # pymavlink speaks in the name of node 2, with timestamps of a clock.
+    speaker = common.MAVLink(None, 2, 191)
+    speaker.signing.secret_key, speaker.signing.sign_outgoing, speaker.signing.timestamp = KEY, True, 37_000_000_000_000
+    speaker.signing.link_id = signed_of(crew.agents[1]).streams.own[2]
+    base = crew.agents[0]
+    before = base.peers.received
+    for payload in PAYLOADS:
+        message = common.MAVLink_tunnel_message(0, 0, TYPE, len(payload), payload.ljust(128, b"\0"))
+        base.peer_bytes(bytes(message.pack(speaker)), crew.now)
+    assert base.peers.received == before + len(PAYLOADS)
+
+
+def test_what_waits_for_the_disk_is_not_overtaken_by_more_than_the_window(tmp_path: Path) -> None:
+    """A slow disk holds back a hundred answers, and a beacon leaves before them."""
+    store = open_store(tmp_path / "node.db")
+    agent, hearer = agent_with_keys(7, store, base=True), agent_with_keys(8)
+    gate = CommitGate(store)
+    crew = Crew(hearer)
+
+    def commit() -> list[bytes]:
+        batch = gate.begin(force=True)
+        if batch is not None:
+            store.write(batch)
+        return on_air(gate.written(), agent)
+
+    for second in range(1, 5):
+        crew.steps(1)
+        for frame in [*leave(gate, agent, float(second)), *commit()]:
+            hearer.peer_bytes(frame, crew.now)
+        for frame in crew.recorded:
+            agent.peer_bytes(frame, crew.now)
+        crew.recorded.clear()
+    assert crew.hears(0) == {7}
+    held: list[bytes] = []
+    answers = [agent.peers.frames([SAMPLES["committed"]], store, 5.0)[0]._replace(promises=True) for _ in range(100)]
+    store.set_meta("anything", 1)
+    held += on_air(gate.say(answers), agent)
+    assert held == []
+    beacons = leave(gate, agent, 5.0)
+    received = hearer.peers.received
+    for frame in [*beacons, *commit()]:
+        hearer.peer_bytes(frame, 5.0)
+    assert hearer.peers.received == received + len(beacons) + 100
+    store.abandon()
+
+
+def test_through_the_autopilot_the_neighbours_frames_are_signed_and_no_others() -> None:
+    crew = crew_of_three()
+    agent = crew.agents[1]
+    agent.share_port()
+    reader = agent.vehicle_reader
+    heartbeat = agent.greet_vehicle().frame
+    [read] = reader.feed(heartbeat)
+    assert (read.message_id, read.signed) == (HEARTBEAT, False)
+    signed = beacon_of(crew.agents[2])
+    [read] = reader.feed(signed)
+    assert read.signed
+    unsigned = FrameWriter(3, 191).tunnel(PAYLOADS[0], payload_type=TYPE)
+    assert reader.feed(unsigned + signed[:-1] + bytes([signed[-1] ^ 1])) == []
+    assert reader.check is not None
+    assert (reader.check.unsigned, reader.check.forged) == (1, 1)
+
+
+def test_status_says_what_was_refused() -> None:
+    crew = crew_of_three()
+    hearer = crew.agents[0]
+    again = beacon_of(crew.agents[1])
+    for frame in (again, again):
+        hearer.peer_bytes(frame, crew.now)
+    report = crew.report(0)
+    assert (report["known"], report["strange"], report["twins"]) == (2, 0, [])
+    assert report["refused"]["again"] == 1
