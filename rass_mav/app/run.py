@@ -35,6 +35,8 @@ from .narration import Narration
 from .notify import Notifier
 
 if TYPE_CHECKING:
+    from rass_mav.agent.seals import DataKeys
+
     from .companion import Companion
 
 log = logging.getLogger(__name__)
@@ -63,6 +65,11 @@ class Runtime:
         self._narrate = narrate
         keys = config.open_keys()
         self._keys = None if keys is None else keys.own.about
+        self._seals: DataKeys | None = None
+        if keys is not None and config.keys is not None:
+            from rass_mav.agent.seals import DataKeys  # with PyNaCl, which a node without keys does not need
+
+            self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._driver: Driver | None = None
@@ -134,7 +141,7 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True)
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, seals=self._seals)
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
