@@ -168,10 +168,13 @@ class Participant(ABC):
     def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         if beacon.sender != self.id:
             self.routing.hear(beacon, now)
-        elif beacon.life == self.store.life:
+        elif beacon.life != self.store.life:
+            self.alarms.rival(beacon.life, now)
+        elif (self._beacon_number - beacon.number & 0xFFFF) < self._steps:
             self.alarms.echoes += 1
         else:
-            self.alarms.rival(beacon.life, now)
+            # Numbers start anywhere, so it was not sent in this run.
+            self.alarms.copies += 1
         return []
 
     def _ignore(self, message: Message, now: float) -> list[Message]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from rass_mav.keys.files import GROUND_FILE, drone_file
 
-from .app_nodes import RunningNode, command, line_of
+from .app_nodes import RunningNode, command, free_ports, line_of
 
 Tidy = Callable[[RunningNode], RunningNode]
 SECRET = b"the source is in the third house"
@@ -110,3 +112,45 @@ def test_what_another_drone_makes_in_ones_name_does_not_arrive(tmp_path: Path, t
     # It was not thrown away: who has the right keys can read it.
     found = command(tmp_path, "get", "-c", "n1.db", entry["id"], "--keys", "other/ground.keys")
     assert found.stdout == SECRET
+
+
+def test_two_drones_on_copies_of_one_card_begin_new_epochs(tmp_path: Path, tidy: Tidy) -> None:
+    assert command(tmp_path, "keys", "new", "mission").returncode == 0
+    assert command(tmp_path, "keys", "drone", "2", "-d", "mission").returncode == 0
+    ports = free_ports(3)
+
+    def node(place: int, node_id: int, name: str, **sections: Any) -> RunningNode:
+        peers = [{"address": f"127.0.0.1:{port}"} for port in ports if port != ports[place]]
+        link = {"listen": f"127.0.0.1:{ports[place]}", "peers": peers}
+        return tidy(RunningNode(tmp_path, node_id, name, links=[link], **sections))
+
+    base = node(0, 1, "base", node={"role": "base"}, keys={"file": str(tmp_path / "mission" / GROUND_FILE)})
+    one, other = (
+        node(place, 2, name, keys={"file": str(tmp_path / "mission" / drone_file(2))})
+        for place, name in ((1, "one"), (2, "other"))
+    )
+    base.start()
+    before = one.start().about["epoch"]
+    one.ask("put", payload=b"from before the card was copied")
+    assert one.signal(signal.SIGTERM) == 0
+    for path in tmp_path.glob("one.db*"):
+        shutil.copy(path, tmp_path / path.name.replace("one", "other"))
+    for drone in (one, other):
+        assert drone.start().about["epoch"] == before
+
+    def epochs() -> set[str]:
+        return {drone.status()["epoch"] for drone in (one, other)}
+
+    # Once before the copy, once after it, and once anew.
+    for drone, starts in ((one, 3), (other, 2)):
+        drone.until(lambda drone=drone, starts=starts: drone.log().count("node 2 (drone) runs") == starts)  # type: ignore[misc]
+    assert len(epochs() | {before}) == 3
+    sent = {str(drone.ask("put", payload=drone.name.encode())["id"]) for drone in (one, other)}
+    assert len(sent) == 2
+    base.until(lambda: sent <= set(base.listing()))
+    for drone in (one, other):
+        assert drone.log().count("another node runs on a copy of this store; opening") == 1
+        # What is forged later, or true, has no effect any more.
+        epoch, steps = drone.status()["epoch"], drone.status()["steps"]
+        drone.until(lambda drone=drone, steps=steps: drone.status()["steps"] > steps + 30)  # type: ignore[misc]
+        assert drone.status()["epoch"] == epoch
