@@ -205,9 +205,11 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
         return
     from tempfile import TemporaryDirectory
 
+    from rass_mav.swarm.children import orderly_end
     from rass_mav.swarm.harvest import Harvest
 
     with ExitStack() as stack:
+        stack.enter_context(orderly_end())
         path = options.store
         if path is None:
             path = Path(stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "swarm.db"

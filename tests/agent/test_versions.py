@@ -150,7 +150,7 @@ def test_the_status_names_them() -> None:
         "node_id": 2, "role": "base", "life": "1", "epoch": "1", "uptime_s": 1.0, "steps": 1, "reading": None,
         "sensor": None, "position": None, "store": {"items": 0, "capacity_items": None, "bytes": 0}, "neighbours": [],
         "ground": None, "links": [], "vehicle": None, "ledger": {}, "malformed": 0, "foreign": 9, "rivals": [],
-        "shared_system_ids": [{"system_id": 3, "node_ids": [4, 9]}],
+        "shared_system_ids": [{"system_id": 3, "node_ids": [4, 9]}], "keys": None,
         "commits": {"failed": 0}, "faults": None, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
     lines = list(status_lines(status))

@@ -306,9 +306,13 @@ def test_a_node_does_not_start_with_keys_that_are_not_its_own(
     # The file may still come, or is meant for another computer.
     done = command(tmp_path, "check", name)
     assert (done.returncode, done.stderr.decode()) == (0, f"n.yaml: warning: keys.file: {said}\n")
-    done = command(tmp_path, "doctor", name)
+
+
+def test_the_doctor_finds_keys_that_are_not_the_nodes_own(tmp_path: Path) -> None:
+    mission(tmp_path, 7, 8)
+    done = command(tmp_path, "doctor", config(tmp_path, keys={"file": "m/drone-8.keys"}))
     assert done.returncode == 1
-    assert f"fail  keys: {said}\n" in done.stdout.decode()
+    assert "fail  keys: m/drone-8.keys: holds the keys of drone 8, but this is node 7; " in done.stdout.decode()
 
 
 def test_keys_need_pynacl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

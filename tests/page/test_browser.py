@@ -169,7 +169,7 @@ def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Fli
 
 
 def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
-    words = ["swarm", "field-wifi-6m", "--nodes", "12", "--steps", "600", "--page", "127.0.0.1:0", "--pace", "20"]
+    words = ["swarm", "--nodes", "9", "--topology", "random-walk", "--steps", "9999", "--page", "127.0.0.1:0"]
     command = [sys.executable, "-m", "rass_mav", *words]
     with subprocess.Popen(
         command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

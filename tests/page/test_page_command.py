@@ -7,6 +7,7 @@ import select
 import signal
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from pathlib import Path
 
@@ -92,3 +93,21 @@ def test_it_serves_until_it_is_stopped(store: Path) -> None:
             assert page.stderr.read() == b""
         finally:
             page.kill()
+
+
+def test_the_page_of_a_swarm_ends_with_it(tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
+    words = ["swarm", "demo", "--nodes", "9", "--page", "127.0.0.1:0", "--pace", "1"]
+    command = [sys.executable, "-m", "rass_mav", *words]
+    with subprocess.Popen(
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as swarm:  # fmt: skip
+        assert swarm.stderr is not None
+        url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
+        with urllib.request.urlopen(f"{url}api/mission", timeout=PATIENCE_S) as answer:
+            assert json.load(answer)["store"] == "swarm.db"
+        swarm.terminate()
+        swarm.communicate(timeout=PATIENCE_S)
+    assert swarm.returncode == 128 + signal.SIGTERM
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(url, timeout=PATIENCE_S)
