@@ -46,6 +46,8 @@ def test_only_the_ground_reads_what_drones_with_keys_create(tmp_path: Path, tidy
         name = GROUND_FILE if node.name == "n1" else drone_file(int(node.name[1:]))
         with (tmp_path / node.config).open("a") as file:
             file.write(f"keys: {{file: {mission / name}}}\n")
+            if node.name == "n1":
+                file.write("on_arrival: {command: [sh, -c, 'cat >> told.jsonl'], kinds: [file]}\n")
     base, middle, far = (tidy(node).start() for node in nodes)
     photo = SECRET * 200
     (tmp_path / "photo.jpg").write_bytes(photo)
@@ -77,6 +79,10 @@ def test_only_the_ground_reads_what_drones_with_keys_create(tmp_path: Path, tidy
     done = json.loads(command(tmp_path, "export", "n1.yaml", "--format", "files", "-o", "out", "--json").stdout)
     assert (done["data"], done["sealed"]) == (7, 0)
     assert (tmp_path / "out" / f"{photo_id}-photo.jpg").read_bytes() == photo
+
+    told = tmp_path / "told.jsonl"
+    base.until(lambda: told.exists() and told.read_bytes().endswith(b"\n"))
+    assert json.loads(told.read_text())["name"] == "photo.jpg"
 
     # Without keys, and with those of a drone.
     listed = json.loads(command(tmp_path, "ls", "n1.db", "--json").stdout)["data"]
