@@ -14,6 +14,7 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.seals import DataKeys
 from rass_mav.core.alarms import Alarm
+from rass_mav.core.custody.holdings import State
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Kind, make_datum
 from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.seals import SEALED
@@ -188,6 +189,32 @@ def test_a_forged_datum_with_the_crc_of_the_true_one_takes_nothing_away(mirror: 
     field.until(60.0)
     assert opened(base, id) == TEXT
     assert base.store.counters()["forged"] == 1
+
+
+def test_an_answer_that_a_forger_has_brought_about_costs_time_but_not_the_datum() -> None:
+    """A forger sends a base something in a drone's name, with the number and the CRC of what that hands over just then:
+    the drone believes that the base has it."""
+    field = Row(make(8), make(BASE))
+    field.until(5.0)
+    drone, base = field.agents
+    id = drone.node.put(TEXT, field.now)
+    true = drone.store.get(id)
+    assert true is not None
+    # The frame is lost, but the forger has heard it.
+    [sent] = on(Way.NEIGHBOURS, drone.forward(field.now))
+    fields = tunnel_from_datagram(sent.frame)
+    assert fields is not None
+    message = decode(fields[5], field.now)
+    assert isinstance(message, Data)
+    forged = with_crc(forged_by(7, id, TEXT), true.crc)
+    field.say(0, handed(8, BASE, forged, message.handovers[0].number))
+    holding = drone.node.holdings.get(id)
+    assert holding is not None
+    assert holding.state is State.PASSED_ON
+    assert id not in arrived(base)
+    field.until(300.0)
+    assert opened(base, id) == TEXT
+    assert id in arrived(base)
 
 
 def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> None:
