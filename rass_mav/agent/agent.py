@@ -429,8 +429,9 @@ class Agent:
                 None if position is None else _error_m(position, telemetry.accuracy, now),
             )
         )
-        if self.settings.data.bytes > len(payload):
-            payload += self._rng.randbytes(self.settings.data.bytes - len(payload))
+        size = min(self.settings.data.bytes, node.most_put)
+        if size > len(payload):
+            payload += self._rng.randbytes(size - len(payload))
         try:
             return node.put(payload, now, Kind.MEASUREMENT)
         except StoreFullError:

@@ -136,7 +136,7 @@ class Participant(ABC):
     def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
         """Create a datum here, sealed where there are keys. `kind`: 0..127. Raises `StoreFullError` (counted as
         overflow) or `DatumError` (too large or empty, or another kind)."""
-        most = self.most_bytes - self.seals.added
+        most = self.most_put
         if not 0 < len(payload) <= most:
             raise DatumError(f"a datum holds 1 to {most} bytes, got {len(payload)}")
         if not 0 <= kind < SEALED:
@@ -151,6 +151,11 @@ class Participant(ABC):
         self.observer.created(datum)
         self._keep_own(datum)
         return id
+
+    @property
+    def most_put(self) -> int:
+        """Largest payload that `put` takes."""
+        return self.most_bytes - self.seals.added
 
     @property
     @abstractmethod

@@ -102,6 +102,16 @@ def test_what_fits() -> None:
     bounded.node.put(TEXT[1:], 0.0)
 
 
+@pytest.mark.parametrize(("policy", "most"), [("survival", MAX_PAYLOAD), ("stigmergy", 97)])
+def test_measurements_are_filled_up_to_what_fits(policy: str, most: int) -> None:
+    agent = make(8, policy={"name": policy}, data={"bytes": most})
+    id = agent.measure(0.0)
+    assert id is not None
+    datum = agent.store.get(id)
+    assert datum is not None
+    assert len(datum.payload) == most
+
+
 # -- nobody else makes them --------------------------------------------------------------------------------------------
 
 

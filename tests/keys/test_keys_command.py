@@ -21,7 +21,7 @@ from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.service import check_visible
 from rass_mav.config.loading import to_plain
 from rass_mav.doctor.checkup import as_the_service
-from rass_mav.errors import ServiceError
+from rass_mav.errors import ConfigError, ServiceError
 from rass_mav.keys.files import read_ground, read_keys
 from rass_mav.keys.folder import issue
 from rass_mav.keys.identity import NodeKeys
@@ -336,6 +336,13 @@ def test_a_configuration_shows_the_path_alone(tmp_path: Path, monkeypatch: pytes
     done = command(tmp_path, "check", "n.yaml", "--print")
     assert yaml.safe_load(done.stdout)["keys"] == {"file": "m/drone-7.keys", "accept_open": False}
     assert done.stderr == b""
+
+
+def test_only_a_base_accepts_open_data(tmp_path: Path) -> None:
+    path = tmp_path / config(tmp_path, keys={"file": "m/drone-7.keys", "accept_open": True})
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert caught.value.lines() == [f"{path}: keys.accept_open: only a base can have this key"]
 
 
 def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
