@@ -40,6 +40,10 @@ class StoreDamagedError(StoreError):
     """The database is damaged and can no longer be trusted: abandon the store and open it again, as suspect."""
 
 
+class StoreCopiedError(StoreError):
+    """Another node runs on a copy of the store, so both assign the same numbers: open it again, with a new epoch."""
+
+
 class DatumError(RassError):
     """A datum that cannot be created: empty, or too large."""
 

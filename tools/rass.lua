@@ -19,7 +19,8 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
     "Query", "Passed on", "Words", "Given", "more", "Digest" }
 local VERSION = 2
-local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file" }
+local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status", [128] = "sealed bytes",
+    [129] = "sealed measurement", [130] = "sealed file", [131] = "sealed status" }
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
     [6] = "numbers unknown from here on", [7] = "store damaged" }
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }

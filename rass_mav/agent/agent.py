@@ -6,7 +6,7 @@ import logging
 import math
 import random
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from rass_mav.agent.answers import Answers
 from rass_mav.agent.ground import Ground
@@ -27,6 +27,7 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
 from rass_mav.core.routes.contacts import Motion
+from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -66,6 +67,13 @@ class VehicleService(Protocol):
         """Called once a step."""
 
 
+class _Makings(NamedTuple):
+    """What each life of the node is made with, besides settings and store."""
+
+    participant: type[Participant] | None
+    seals: Callable[[Store], NoSeals] | None
+
+
 class Agent:
     """Bytes in, frames out. The driver provides time, links and commits (docs/architecture.md).
 
@@ -76,7 +84,7 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
-        "_kind",
+        "_makings",
         "_reports",
         "_rng",
         "_said",
@@ -109,13 +117,15 @@ class Agent:
         forgiving: bool = False,
         participant: type[Participant] | None = None,
         keys: SigningKeys | None = None,
+        seals: Callable[[Store], NoSeals] | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
-        others with it. `keys`: of the links; None: they are open.
+        others with it. `keys`: of the links; None: they are open. `seals`: what the node's keys do to data, for each of
+        its lives (`agent.seals`); None: nothing.
         """
         configured = settings
         unfit: list[str] = []
@@ -124,7 +134,7 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
-        self._kind = participant
+        self._makings = _Makings(participant, seals)
         self.answers = Answers(rng)
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
@@ -164,10 +174,11 @@ class Agent:
     def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
-        kind = self._kind or (Replica if policy.replicates else Node)
+        kind = self._makings.participant or (Replica if policy.replicates else Node)
+        seals = None if self._makings.seals is None else self._makings.seals(self.store)
         return kind(
             settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
-            now=now, observer=observer, newborn=newborn,
+            now=now, observer=observer, newborn=newborn, seals=seals,
         )  # fmt: skip
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
@@ -428,8 +439,9 @@ class Agent:
                 None if position is None else _error_m(position, telemetry.accuracy, now),
             )
         )
-        if self.settings.data.bytes > len(payload):
-            payload += self._rng.randbytes(self.settings.data.bytes - len(payload))
+        size = min(self.settings.data.bytes, node.most_put)
+        if size > len(payload):
+            payload += self._rng.randbytes(size - len(payload))
         try:
             return node.put(payload, now, Kind.MEASUREMENT)
         except StoreFullError:

@@ -24,7 +24,8 @@ class DataSettings(Section):
     until_step: Annotated[int, Meta(ge=0)] | None = None
     """No more measurements from this step on."""
     bytes: Annotated[int, Meta(ge=MEASUREMENT_BYTES, le=1 << 20)] = MEASUREMENT_BYTES
-    """Smallest size of a measurement. Random bytes fill the space after the measurement itself, which has up to 23."""
+    """Smallest size of a measurement. Random bytes fill the space after the measurement itself, which has up to 23.
+    With keys it is at most 16 less than what a datum, or under `stigmergy` a frame, holds."""
     lifetime_s: Positive | None = None
     """Data older than this expire; null: never."""
     status_s: NonNegative | None = 0.0

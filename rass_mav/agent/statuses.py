@@ -12,6 +12,7 @@ from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
 log = logging.getLogger(__name__)
@@ -65,7 +66,9 @@ class Statuses:
         # After a stop it does not make up for those that were missed.
         self._due = max(self._due + self._interval_now_s(), now)
         try:
-            self._agent.node.put(encode_status(self._status(now)), now, Kind.STATUS)
+            # Sealed, too, it goes whole in one frame.
+            most = INLINE_BYTES - self._agent.node.seals.added
+            self._agent.node.put(encode_status(self._status(now), most), now, Kind.STATUS)
         except StoreFullError as error:
             log.info("no status: %s", error)
 

@@ -218,6 +218,8 @@ class RunConfig(Section):
         if not self.base and mistakes.sound("node.role"):
             for name in self.outlets:
                 mistakes.add(name, "only a base can have this section")
+        if not self.base and self.keys is not None and self.keys.accept_open and mistakes.sound("node.role"):
+            mistakes.add("keys.accept_open", "only a base can have this key")
         if self.page is not None and mistakes.sound("page.listen", "page.token_file"):
             with mistakes.gathering("page.listen"):
                 self.page.check()

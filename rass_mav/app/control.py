@@ -57,7 +57,7 @@ class PutRequest(Section):
 
     payload: str
     """1 byte to 1 MiB, in base64."""
-    kind: Annotated[int, Meta(ge=0, le=255)] = Kind.BYTES
+    kind: Annotated[int, Meta(ge=0, le=127)] = Kind.BYTES
 
 
 _REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest}

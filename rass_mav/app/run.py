@@ -11,13 +11,15 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.copies import Copies
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.shortages import Shortages
 from rass_mav.agent.version import VersionQuestion
-from rass_mav.errors import ControlError, StoreDamagedError
+from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
 from rass_mav.keys.settings import in_words
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
@@ -36,6 +38,8 @@ from .narration import Narration
 from .notify import Notifier
 
 if TYPE_CHECKING:
+    from rass_mav.agent.seals import DataKeys
+
     from .companion import Companion
 
 log = logging.getLogger(__name__)
@@ -65,8 +69,14 @@ class Runtime:
         keys = config.open_keys()
         self._keys = None if keys is None else keys.own.about
         self._signing = None if keys is None else SigningKeys([link.key.reveal() for link in keys.own.links])
+        self._seals: DataKeys | None = None
+        if keys is not None and config.keys is not None:
+            from rass_mav.agent.seals import DataKeys  # with PyNaCl, which a node without keys does not need
+
+            self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
+        self._anew = False
         self._driver: Driver | None = None
         self._companion: Companion | None = None
         if config.outlets:
@@ -87,18 +97,21 @@ class Runtime:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._on_signal, number)
-        suspect = False
+        suspect, doubt = False, ""
         damages = 0
         while not self._stopped:
             begun = loop.time()
             try:
-                await self._live(suspect)
+                await self._live(suspect, doubt)
+            except StoreCopiedError as error:
+                log.error("%s; opening the store again, with a new epoch", error)
+                doubt = str(error)
             except StoreDamagedError as error:
                 damages = damages + 1 if loop.time() - begun < LIFE_S else 1
                 if damages >= MAX_DAMAGES:
                     raise
                 log.error("%s; opening the store again", error)
-                suspect = True
+                suspect, doubt = True, ""
 
     def _on_signal(self, number: int) -> None:
         if self._stopped:
@@ -110,7 +123,7 @@ class Runtime:
         if self._driver is not None:
             self._driver.stop()
 
-    async def _live(self, suspect: bool) -> None:
+    async def _live(self, suspect: bool, doubt: str) -> None:
         """One life: until the node is stopped, or its store is found damaged."""
         config = self._config
         settings = config.agent_settings()
@@ -121,6 +134,7 @@ class Runtime:
                 draw_epoch=lambda: secrets.randbits(32),
                 quota_bytes=settings.store.quota_bytes,
                 suspect=suspect,
+                doubt=doubt,
             )
             stack.callback(store.abandon)  # does nothing after `close`
             clock = LivedClock(store, _sources(config))
@@ -136,7 +150,7 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing)
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing, seals=self._seals)
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
@@ -153,6 +167,7 @@ class Runtime:
             self._watch(agent, vehicle, sensor, clock.now())
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
+            self._watch_numbers(driver)
             control = ControlServer(driver, config.socket_path, self._around)
             try:
                 await control.start()
@@ -178,6 +193,17 @@ class Runtime:
                 store.close()
                 raise
             store.close()
+
+    def _watch_numbers(self, driver: Driver) -> None:
+        if self._seals is not None and not self._anew:
+            driver.agent.services.append(Copies(driver.agent, partial(self._begin_anew, driver)))
+
+    def _begin_anew(self, driver: Driver) -> None:
+        """Another node seals data under the numbers of this one. It cannot do so in an epoch that is drawn now. Once is
+        enough, so that nobody can bring it about again and again."""
+        self._anew = True
+        driver.agent.tell_ground(_CRITICAL, "RASS: another node has a copy of this store, never copy a drone's card")
+        driver.fail(StoreCopiedError("another node runs on a copy of this store"))
 
     def _around(self) -> dict[str, Any]:
         """For `status`, what the driver does not know."""

@@ -10,6 +10,7 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry
+from rass_mav.mission.opening import Opens
 
 #: Data that are read at a time.
 MOST_ENTRIES = 256
@@ -42,10 +43,10 @@ class Look(NamedTuple):
     """How many data are behind the mark in all."""
 
 
-def look(store: Path, mark: Mark | None) -> Look:
-    """Read what comes next. `mark`: None: the beginning. Raises `StoreError`."""
+def look(store: Path, mark: Mark | None, opens: Opens | None = None) -> Look:
+    """Read what comes next. `mark`: None: the beginning. `opens`: opens sealed data. Raises `StoreError`."""
     # Open only meanwhile: a reader that stays keeps the node from shortening its log.
-    with Archive(store, salvage=False) as archive:
+    with Archive(store, salvage=False, opens=opens) as archive:
         if mark is None or archive.lineage != mark[:2]:
             mark = Mark(*archive.lineage)
         entries = list(islice(archive.entries(after=mark.arrival), MOST_ENTRIES))
@@ -57,17 +58,18 @@ class Contents(NamedTuple):
 
     start: Mark
     data: list[tuple[Entry, Datum]]
-    """Without those whose copy is damaged: a sound one arrives as a new datum."""
+    """The data themselves as they are stored, perhaps sealed. Without those whose copy is damaged: a sound one arrives
+    as a new datum."""
     end: Mark
     """The mark behind them."""
     behind: int
     """How many data are behind `end`, at most."""
 
 
-def look_into(store: Path, mark: Mark | None) -> Contents:
-    """Read what comes next: data, or if there are no more, second contents. `mark`: None: the beginning. Raises
-    `StoreError`."""
-    with Archive(store, salvage=False) as archive:
+def look_into(store: Path, mark: Mark | None, opens: Opens | None = None) -> Contents:
+    """Read what comes next: data, or if there are no more, second contents. `mark`: None: the beginning. `opens`: opens
+    sealed data. Raises `StoreError`."""
+    with Archive(store, salvage=False, opens=opens) as archive:
         if mark is None or archive.lineage != mark[:2]:
             mark = Mark(*archive.lineage)
         data: list[tuple[Entry, Datum]] = []

@@ -16,6 +16,7 @@ from rass_mav.app.outlets import PostgresSection
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreError
 from rass_mav.mission.entry import Entry, iso
+from rass_mav.mission.opening import Opens
 from rass_mav.mission.tables import WRITERS_LOCK, connect, prepare, said, shown
 
 from .arrivals import LOOK_S, Contents, Mark, behind, look_into, losses
@@ -70,9 +71,10 @@ class Poster:
 
     last_s: float | None = 2 * LAST_S
 
-    def __init__(self, section: PostgresSection, store: Path, base: int) -> None:
-        """`base`: the node's id."""
+    def __init__(self, section: PostgresSection, store: Path, base: int, opens: Opens | None = None) -> None:
+        """`base`: the node's id. `opens`: opens sealed data; None: they stay sealed."""
         self._section = section
+        self._opens = opens
         self._store = store
         self._base = base
         self._mark: Mark | None = None
@@ -131,7 +133,7 @@ class Poster:
         last = None
         while last is None or time.monotonic() < last:
             try:
-                found = look_into(self._store, self._mark)
+                found = look_into(self._store, self._mark, self._opens)
             except StoreError as error:
                 # The node itself finds out, and repairs it.
                 self._complain(str(error))
@@ -188,7 +190,7 @@ class Poster:
         return {
             "mission": self._section.mission, "base": self._base,
             "origin": entry.id.origin, "epoch": entry.id.epoch, "sequence": entry.id.sequence, "crc": entry.crc,
-            "kind": entry.kind, "hops": entry.hops,
+            "kind": datum.kind, "hops": entry.hops,
             "utc": entry.utc, "created": iso(entry.utc) if entry.dated else None,
             "error_s": entry.error_s, "at_least": entry.at_least, "age_s": entry.age_s,
             "arrived": entry.arrived, "arrived_at": iso(entry.arrived) if entry.arrived and entry.dated else None,

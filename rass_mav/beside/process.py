@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from rass_mav.app.config import RunConfig
 from rass_mav.app.jsonlines import dump_line
+from rass_mav.mission.opening import opener_of_node
 
 #: Seconds between two reports, at least.
 REPORT_S = 0.5
@@ -33,16 +34,17 @@ class Task(Protocol):
 
 
 def tasks_of(config: RunConfig) -> dict[str, Task]:
-    """What there is to do, by the name of its section."""
+    """What there is to do, by the name of its section. Raises `KeysError`."""
     tasks: dict[str, Task] = {}
+    opens = opener_of_node(config)
     if config.on_arrival is not None:
         from .teller import Teller
 
-        tasks["on_arrival"] = Teller(config.on_arrival, config.store_path)
+        tasks["on_arrival"] = Teller(config.on_arrival, config.store_path, opens)
     if config.page is not None:
         from .site import Site
 
-        tasks["page"] = Site(config.page, config.socket_path, config.store_path)
+        tasks["page"] = Site(config.page, config.socket_path, config.store_path, opens)
     if config.metrics is not None:
         from .metrics import Metrics
 
@@ -50,7 +52,7 @@ def tasks_of(config: RunConfig) -> dict[str, Task]:
     if config.postgres is not None:
         from .poster import Poster
 
-        tasks["postgres"] = Poster(config.postgres, config.store_path, config.node_id)
+        tasks["postgres"] = Poster(config.postgres, config.store_path, config.node_id, opens)
     return tasks
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from rass_mav.app.outlets import PageSection
 from rass_mav.errors import RassError, why
 from rass_mav.mission.archive import Archive
+from rass_mav.mission.opening import Opens
 from rass_mav.page.server import Page, page_of, serve
 
 log = logging.getLogger(__name__)
@@ -27,9 +28,9 @@ class Site:
 
     last_s: float | None = 2.0
 
-    def __init__(self, section: PageSection, socket: Path, store: Path) -> None:
-        """`socket`: of the node that writes the store."""
-        self._section, self._socket, self._store = section, socket, store
+    def __init__(self, section: PageSection, socket: Path, store: Path, opens: Opens | None = None) -> None:
+        """`socket`: of the node that writes the store. `opens`: opens sealed data; None: they stay sealed."""
+        self._section, self._socket, self._store, self._opens = section, socket, store, opens
         self._page: Page | None = None
         self._url: str | None = None
         self._trouble = ""
@@ -58,9 +59,12 @@ class Site:
             log.warning("page: %s", trouble)
         self._trouble = trouble
 
+    def _open(self) -> Archive:
+        return Archive(self._store, salvage=False, opens=self._opens)
+
     async def _serve(self, stopping: Event) -> None:
         # A damaged store is repaired by its node; a copy of what can be read would be outdated at once.
-        self._page = page_of(self._section, lambda: Archive(self._store, salvage=False), self._socket)
+        self._page = page_of(self._section, self._open, self._socket)
         stopped = asyncio.Event()
 
         async def watch() -> None:

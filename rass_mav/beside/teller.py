@@ -13,6 +13,7 @@ from typing import Any
 from rass_mav.app.outlets import OnArrivalSection
 from rass_mav.errors import StoreError, why
 from rass_mav.mission.entry import Entry
+from rass_mav.mission.opening import Opens
 from rass_mav.store.files import beside, make_file, sync_directory
 from rass_mav.store.lock import Lock
 
@@ -38,8 +39,10 @@ class Teller:
 
     last_s: float | None = None
 
-    def __init__(self, section: OnArrivalSection, store: Path) -> None:
+    def __init__(self, section: OnArrivalSection, store: Path, opens: Opens | None = None) -> None:
+        """`opens`: opens sealed data; None: they stay sealed."""
         self._store = store
+        self._opens = opens
         self._kinds = section.kinds
         self._hook = Hook(section)
         self._file = beside(store, ENDING)
@@ -87,7 +90,7 @@ class Teller:
     def _go_on(self, stopping: Event) -> bool:
         """Tell of the next data. Returns whether there were any."""
         try:
-            found = look(self._store, self._mark)
+            found = look(self._store, self._mark, self._opens)
         except StoreError as error:
             # The node itself finds out, and repairs it.
             self._trouble = str(error)

@@ -18,6 +18,7 @@ from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
     from rass_mav.mission.entry import Data, Entry, Filter
+    from rass_mav.mission.opening import Opens
 
 #: Seconds between two looks with --follow.
 LOOK_S = 0.5
@@ -35,7 +36,7 @@ def register(subparsers: Subparsers) -> None:
         subparsers, "ls", _ls, help="list the data in a store; at a base, all that have arrived",
         example="rass-mav ls base.yaml --drone 7 --since 10m --above 0.5",
     )  # fmt: skip
-    ls.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    add_store(ls)
     add_filters(ls)
     ls.add_argument("--sort", choices=_SORTS, default="arrival", help="order of the list (arrival)")
     ls.add_argument("--reverse", action="store_true", help="the last first")
@@ -48,40 +49,56 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav get -c base.yaml 7-0123abcd-42 -o photo.jpg",
     )  # fmt: skip
     get.add_argument("-c", "--config", metavar="STORE|CONFIG", dest="store", help=STORE_HELP)
+    _add_keys(get)
     get.add_argument("id", metavar="ID", help="an id as printed by put and ls")
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
 
-def open_archive(store: str | None) -> Data:
+def add_store(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that name a store, and the keys for what is sealed in it."""
+    parser.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    _add_keys(parser)
+
+
+def _add_keys(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--keys", metavar="FILE", help="the ground's keys, for sealed data (default: those that CONFIG names)"
+    )
+
+
+def open_archive(options: argparse.Namespace) -> Data:
     """The archive that the command names. Raises `ConfigError`, `StoreError`."""
     from rass_mav.app.outlets import SCHEMES
     from rass_mav.mission.archive import Archive
+    from rass_mav.mission.opening import opener_of
 
+    store: str | None = options.store
+    opens = None if options.keys is None else opener_of(options.keys)
     if store is not None and store.startswith(SCHEMES):
-        return _open_database(store)
+        return _open_database(store, opens)
     if store is None:
         found = sorted(Path().glob("rass-*.db"))
         if len(found) != 1:
             what = "no" if not found else "more than one"
             raise ConfigError(f"{what} store rass-*.db in this directory: give the configuration or the store's file")
         store = str(found[0])
-    return Archive.of(store)
+    return Archive.of(store, opens)
 
 
-def _open_database(url: str) -> Data:
+def _open_database(url: str, opens: Opens | None) -> Data:
     try:
         from rass_mav.mission.database import Database
     except ImportError as error:
         raise ConfigError(
             f"postgresql://: needs the Python package psycopg: {installing('postgres')} ({error})"
         ) from None
-    return Database(url)
+    return Database(url, opens=opens)
 
 
 @contextlib.contextmanager
-def read_archive(store: str | None) -> Iterator[Data]:
+def read_archive(options: argparse.Namespace) -> Iterator[Data]:
     """The same; what is wrong with the store is said at the end."""
-    with contextlib.closing(open_archive(store)) as archive:
+    with contextlib.closing(open_archive(options)) as archive:
         try:
             yield archive
         finally:
@@ -94,7 +111,7 @@ def _ls(options: argparse.Namespace) -> int:
     filter = wanted(options)
     if options.follow and (options.sort != "arrival" or options.reverse):
         raise ConfigError("--follow: shows data as they arrive, so it cannot be combined with --sort or --reverse")
-    with read_archive(options.store) as archive:
+    with read_archive(options) as archive:
         if options.follow:
             _follow(archive, filter, as_json=options.json)
         elif options.json:
@@ -178,8 +195,8 @@ def _get(options: argparse.Namespace) -> int:
     from rass_mav.core.datum import Kind
 
     start_logging(options.verbose)
-    with read_archive(options.store) as archive:
-        entry, payload = archive.entry(options.id), archive.datum(options.id).payload
+    with read_archive(options) as archive:
+        entry, payload = archive.entry(options.id), archive.payload(options.id)
     whole = entry.kind == Kind.FILE and not entry.malformed
     data = unpack_file(payload)[1] if whole else payload
     found = {**entry.plain(), "bytes": len(data)}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rass_mav.errors import ConfigError, RassError, os_errors_as
 
 from .common import Subparsers, add_command, answer, clean, lists, progress, start_logging
-from .data import STORE_HELP, read_archive
+from .data import add_store, read_archive
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def register(subparsers: Subparsers) -> None:
         subparsers, "export", _export, help="write the data of a store to a file for other programs",
         example="rass-mav export base.yaml -o mission.gpkg --since 2h",
     )  # fmt: skip
-    parser.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    add_store(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="OUT",
         help="the file to create, or the folder if it is several (default: named after the store, here)",
@@ -49,19 +49,25 @@ def _export(options: argparse.Namespace) -> int:
     if name not in _names():
         raise ConfigError(f"--format: expected one of {', '.join(_names())}, got {name!r}")
     format, filter = format_of(name), wanted(options)
-    with read_archive(options.store) as archive:
+    with read_archive(options) as archive:
+        sealed = 0
         out = options.output or Path(archive.path.stem + (format.ending or f"-{name}"))
         refuse_existing(out)
         with progress(archive.count(), "data", quiet=options.json) as advance:
 
             def entries() -> Iterator[Entry]:
+                nonlocal sealed
                 for entry in archive.entries():
                     advance(1)
                     if filter.admits(entry):
-                        yield entry
+                        sealed += entry.sealed
+                        if not entry.sealed:
+                            yield entry
 
             plain = _write(entries(), out, format, archive)
     left_out = f"; {plain['left_out']} left out ({name} holds {format.holds})" if plain["left_out"] else ""
+    left_out += f"; {sealed} sealed (--keys opens them)" if sealed else ""
+    plain["sealed"] = sealed
     answer(options, {"out": str(out), "format": name, **plain}, [clean(f"{out}: {plain['data']} data{left_out}")])
     return 0
 

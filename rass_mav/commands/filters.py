@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 #: The highest id of a node.
 MAX_NODE = 65534
-_KINDS = ("measurement", "file", "bytes", "status")
+_KINDS = ("measurement", "file", "bytes", "status", "sealed")
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
 _AGE = re.compile(r"(\d{1,9}(?:\.\d{1,9})?)([smhd])", re.ASCII)
 
@@ -27,7 +27,7 @@ def add_filters(parser: argparse.ArgumentParser) -> None:
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
     group = parser.add_argument_group("which data (all)")
     group.add_argument("--drone", metavar="N", nargs="+", help="created by these nodes")
-    group.add_argument("--kind", metavar="KIND", help="of this kind: measurement, file, bytes or status")
+    group.add_argument("--kind", metavar="KIND", help="of this kind: measurement, file, bytes, status or sealed")
     group.add_argument(
         "--since",
         metavar="TIME",

@@ -11,7 +11,7 @@ from typing import Any
 from rass_mav.errors import RassError, os_errors_as
 
 from .common import Subparsers, add_command, answer, clean, start_logging
-from .data import STORE_HELP, read_archive
+from .data import add_store, read_archive
 from .export import refuse_existing
 
 
@@ -22,7 +22,7 @@ def register(subparsers: Subparsers) -> None:
         help="report what has become of the data of each drone: arrived, missing, lost, at risk",
         example="rass-mav report base.yaml",
     )  # fmt: skip
-    report.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    add_store(report)
     report.add_argument(
         "--html", type=Path, metavar="FILE", help="also write it with a map to one file, to mail or to print"
     )
@@ -32,7 +32,7 @@ def _report(options: argparse.Namespace) -> int:
     from rass_mav.mission.report import Report
 
     start_logging(options.verbose)
-    with read_archive(options.store) as archive:
+    with read_archive(options) as archive:
         if options.html is None:
             plain = Report.of(archive).plain(time.time())
         else:

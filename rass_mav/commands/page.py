@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rass_mav.errors import ConfigError, LinkError, RassError, installing, os_errors_as
 
 from .common import Subparsers, add_command, answer, clean, start_logging, warn
-from .data import STORE_HELP, open_archive
+from .data import add_store, open_archive
 
 if TYPE_CHECKING:
     from rass_mav.page.server import Page
@@ -26,7 +26,7 @@ def register(subparsers: Subparsers) -> None:
         subparsers, "page", _page, help="show a map and the state of a mission in a browser, until Ctrl-C",
         example="rass-mav page base.yaml",
     )  # fmt: skip
-    page.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
+    add_store(page)
     page.add_argument("--listen", metavar="HOST:PORT", default=LISTEN, help=f"where browsers find it ({LISTEN})")
     page.add_argument("--token-file", metavar="FILE", help="its first line is the token that browsers have to give")
     page.add_argument(
@@ -57,7 +57,7 @@ def _page(options: argparse.Namespace) -> int:
         raise ConfigError(f"--listen: {error}") from None
     if options.token_file is not None and section.token() and Path(options.token_file).stat().st_mode & 0o077:
         warn(f"{clean(options.token_file)}: others on this computer can read the token: chmod 600 it")
-    page = page_of(section, lambda: open_archive(options.store), _socket_of(options.store))
+    page = page_of(section, lambda: open_archive(options), _socket_of(options.store))
     for remark in page.remarks:
         warn(clean(remark))
     asyncio.run(_serve(page, options))

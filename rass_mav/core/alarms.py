@@ -21,6 +21,8 @@ class Alarm(enum.Enum):
     TWO_CONTENTS = "two contents under one datum id, both kept"
     UNCONFIRMED = "data of this node that no base confirms"
     """They were handed over long ago, a base is in reach, and no base states that it has them."""
+    UNSEALED = "data that were not sealed by the drones that they name"
+    """They came to this base. It keeps some of them apart, and they do not count as arrived."""
     UNKNOWN = "data may have been created that no node knows of"
     """A node that lost count of its numbers reports from which one on."""
     DAMAGED = "the store of a node was damaged"
@@ -30,7 +32,7 @@ class Alarm(enum.Enum):
 class Alarms:
     """How often each kind was raised in this life, and what the last one was about."""
 
-    __slots__ = ("about", "counts", "echoes", "rivals")
+    __slots__ = ("about", "copies", "counts", "echoes", "rivals")
 
     def __init__(self) -> None:
         self.counts: dict[Alarm, int] = {}
@@ -40,6 +42,9 @@ class Alarms:
         """Lives of other nodes heard under this node's id, and when they were last heard, seconds."""
         self.echoes = 0
         """Own beacons that came back."""
+        self.copies = 0
+        """Beacons of this node's id and life that it has not sent: of a node that runs on a copy of its store, or from
+        before its last start."""
 
     def ring(self, alarm: Alarm, about: str) -> None:
         """It has happened once more."""

@@ -75,7 +75,7 @@ class Datum(NamedTuple):
 
     id: DatumId
     kind: int
-    """A `Kind`; data of unknown kinds are carried unchanged."""
+    """A `Kind`, with the bit `seals.SEALED` if the payload is sealed; data of unknown kinds are carried unchanged."""
     created: float
     """When it was created, in seconds on the holder's timeline. On the wire it travels as an age."""
     hops: int

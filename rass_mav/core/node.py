@@ -78,7 +78,7 @@ class Node(Participant):
         settings, store, numbers = self.settings, self.store, HandoverNumbers(self._first_number)
         if self.archive is not None:
             news = self.receipts, self.digests, self.archive
-            return Sink(settings, store, numbers, *news, self.observer, self.alarms)
+            return Sink(settings, store, numbers, *news, self.observer, self.alarms, self.seals)
         told = settings.receipts and settings.acknowledged
         notes = LossNotes(store) if told else NoLossNotes(store)
         return Keeper(settings, store, numbers, self.receipts, notes, self.observer, self.alarms)

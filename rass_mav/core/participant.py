@@ -19,6 +19,7 @@ from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
+from rass_mav.core.seals import SEALED, NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import DatumError, StoreFullError
@@ -45,17 +46,19 @@ class Participant(ABC):
         "risk",
         "rng",
         "routing",
+        "seals",
         "settings",
         "store",
     )  # fmt: skip
 
     def __init__(
         self, settings: NodeSettings, store: Store, policy: Policy, risk: RiskEstimator, rng: random.Random, *,
-        now: float, observer: Observer | None = None, newborn: bool = False,
+        now: float, observer: Observer | None = None, newborn: bool = False, seals: NoSeals | None = None,
     ) -> None:  # fmt: skip
         """`now` in seconds, on the timeline of all later calls.
 
         `newborn`: no node can remember this one from an earlier life, so it need not wait before it uses a route.
+        `seals`: what the node's keys do to data; None: it has no keys.
         """
         self.id = settings.node_id
         self.base = settings.base
@@ -65,6 +68,7 @@ class Participant(ABC):
         self.risk = risk
         self.rng = rng
         self.observer = observer or Observer()
+        self.seals = seals or NoSeals()
         slow = store.get_meta("turn") or 0
         self.routing = RoutingTable(
             settings,
@@ -130,23 +134,33 @@ class Participant(ABC):
         """Counters of this life, by name, for `status`."""
 
     def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
-        """Create a datum here. Raises `StoreFullError` (counted as overflow) or `DatumError` (too large or empty)."""
-        if not 0 < len(payload) <= self.most_bytes:
-            raise DatumError(f"a datum holds 1 to {self.most_bytes} bytes, got {len(payload)}")
-        if not self._has_room_for_own(len(payload)):
+        """Create a datum here, sealed where there are keys. `kind`: 0..127. Raises `StoreFullError` (counted as
+        overflow) or `DatumError` (too large or empty, or another kind)."""
+        most = self.most_put
+        if not 0 < len(payload) <= most:
+            raise DatumError(f"a datum holds 1 to {most} bytes, got {len(payload)}")
+        if not 0 <= kind < SEALED:
+            raise DatumError(f"a kind is 0 to {SEALED - 1}, got {kind}")
+        if not self._has_room_for_own(len(payload) + self.seals.added):
             self.store.count("overflow")
             self.observer.overflow()
             raise StoreFullError("no space for a new datum")
         id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
-        datum = make_datum(id, kind, now, payload)
+        stored_kind, stored = self.seals.seal(id, kind, payload)
+        datum = make_datum(id, stored_kind, now, stored)
         self.observer.created(datum)
         self._keep_own(datum)
         return id
 
     @property
+    def most_put(self) -> int:
+        """Largest payload that `put` takes."""
+        return self.most_bytes - self.seals.added
+
+    @property
     @abstractmethod
     def most_bytes(self) -> int:
-        """Largest payload of a datum that may be created here."""
+        """Largest payload of a datum that may be created here, as it is stored."""
 
     @abstractmethod
     def _has_room_for_own(self, size: int) -> bool:
@@ -159,10 +173,13 @@ class Participant(ABC):
     def _on_beacon(self, beacon: Beacon, now: float) -> list[Message]:
         if beacon.sender != self.id:
             self.routing.hear(beacon, now)
-        elif beacon.life == self.store.life:
+        elif beacon.life != self.store.life:
+            self.alarms.rival(beacon.life, now)
+        elif (self._beacon_number - beacon.number & 0xFFFF) < self._steps:
             self.alarms.echoes += 1
         else:
-            self.alarms.rival(beacon.life, now)
+            # Numbers start anywhere, so it was not sent in this run.
+            self.alarms.copies += 1
         return []
 
     def _ignore(self, message: Message, now: float) -> list[Message]:

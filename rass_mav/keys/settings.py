@@ -14,6 +14,8 @@ class KeysSection(Section):
 
     file: Annotated[str, Meta(min_length=1)]
     """A drone's own file, or the ground's at a base (`rass-mav keys`)."""
+    accept_open: bool = False
+    """At a base: data that nobody has sealed count as arrived, while drones without keys still fly."""
 
 
 class AboutKeys(TypedDict):
@@ -35,7 +37,7 @@ def in_words(keys: AboutKeys | None) -> str:
     who = f"drone {keys['node_id']}, serial {keys['serial']}" if keys["serial"] else f"base {keys['node_id']}"
     numbers = keys["link_keys"]
     links = f"link key{'s' if len(numbers) > 1 else ''} {' and '.join(map(str, numbers))}"
-    return f"keys: mission {keys['mission']}, {who}, {links}; frames are signed, data are not sealed yet"
+    return f"keys: mission {keys['mission']}, {who}, {links}; frames are signed, and data are sealed"
 
 
 def check_package() -> None:

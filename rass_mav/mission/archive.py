@@ -14,8 +14,9 @@ from typing import Any
 from rass_mav.app.clock import MOST_S, DateNote
 from rass_mav.app.payloads import parse_name, unpack_file
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind, datum_crc
+from rass_mav.core.seals import SEALED
 from rass_mav.core.store import StoredInfo
-from rass_mav.errors import ConfigError, MalformedError, StoreDamagedError, StoreError
+from rass_mav.errors import ConfigError, ForgedError, KeysError, MalformedError, StoreDamagedError, StoreError
 from rass_mav.link.airtime import STALE_TURNS
 from rass_mav.store.errors import OutdatedStoreError
 from rass_mav.store.reader import SqliteReader
@@ -25,6 +26,7 @@ from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 
 from .entry import ALL, Entry, Filter
+from .opening import Opens, opened, opener_of_node
 
 #: Bytes of a payload that a list needs: the longest name of a file, and a measurement.
 HEAD_BYTES = 256
@@ -40,16 +42,18 @@ class Archive:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], now: Callable[[], float] = time.time, *, salvage: bool = True
-    ) -> None:
-        """`now`: the date, seconds since 1970. Raises `StoreError` if there is nothing to read; without `salvage`, also
-        if the store is damaged or of the previous version."""
+        self, path: str | os.PathLike[str], now: Callable[[], float] = time.time, *, salvage: bool = True,
+        opens: Opens | None = None,
+    ) -> None:  # fmt: skip
+        """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `StoreError`
+        if there is nothing to read; without `salvage`, also if the store is damaged or of the previous version."""
         self.path = Path(path)
         self.remarks: list[str] = []
         """About the state of the store, for people."""
         self.seen = 0
         """The latest `Entry.arrival` that was read."""
         self._now = now
+        self._opens = opens
         self._stack = ExitStack()
         self._may_salvage = salvage
         self._salvaged = False
@@ -66,17 +70,25 @@ class Archive:
         self._look_at_clock()
 
     @classmethod
-    def of(cls, store_or_config: str) -> Archive:
-        """The archive of a store's file, or of the node of a configuration (`.yaml` or `.yml`). Raises `ConfigError`,
-        `StoreError`."""
+    def of(cls, store_or_config: str, opens: Opens | None = None) -> Archive:
+        """The archive of a store's file, or of the node of a configuration (`.yaml` or `.yml`). `opens`: None: with the
+        keys that the configuration names, if they can be used. Raises `ConfigError`, `StoreError`."""
         path = Path(store_or_config)
+        trouble = ""
         if path.suffix in (".yaml", ".yml"):
             from rass_mav.app.config import load_config
 
-            path = load_config(path).store_path
+            config = load_config(path)
+            path = config.store_path
+            try:
+                opens = opens or opener_of_node(config)
+            except KeysError as error:
+                trouble = str(error)
         if not path.exists():
             raise ConfigError(f"{path}: no such store")
-        return cls(path)
+        archive = cls(path, opens=opens)
+        archive.remarks += [trouble] if trouble else []
+        return archive
 
     def _salvage(self, error: StoreError) -> None:
         copy = Path(self._stack.enter_context(TemporaryDirectory(prefix="rass-mav-"))) / "salvaged.db"
@@ -155,7 +167,8 @@ class Archive:
         if unsound and remark not in self.remarks:
             self.remarks.append(remark)
 
-    def _entry(self, row: Row, apart: bool) -> Entry:
+    def _entry(self, row: Row, apart: bool, whole: Callable[[], bytes] | None = None) -> Entry:
+        """`whole`: returns the payload; None: from the store."""
         arrival, info, head = row
         date = self._date
         arrived = date.offset_s + (arrival - ARRIVAL_0_MS) / 1000 if arrival >= ARRIVAL_0_MS and not apart else None
@@ -173,10 +186,15 @@ class Archive:
             DATE_ERROR_S + DRIFT * aged_s + info.hops * self._hop_s if bounded else None,
             info.at_least, age_s, arrived=arrived, apart=apart,
         )  # fmt: skip
-        return entry._replace(**content(info, head))
+        return entry._replace(**content(info, head, whole or (lambda: self._stored(info, apart)), self._opens))
+
+    def _stored(self, info: StoredInfo, apart: bool) -> bytes:
+        datum = self._reader.get_apart(info.id, info.crc) if apart else self._reader.get(info.id)
+        return b"" if datum is None else datum.payload
 
     def datum(self, name: str) -> Datum:
-        """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
+        """A datum by its name, as it is stored. Raises `DatumError`: not a name; `StoreError`: there is none, or it is
+        corrupt."""
         id, crc = parse_name(name)
         datum = self._reader.get(id) if crc is None else self._reader.get_apart(id, crc)
         if datum is None:
@@ -185,11 +203,16 @@ class Archive:
             raise StoreError(f"{name}: corrupt, its checksum does not match")
         return datum
 
+    def payload(self, name: str) -> bytes:
+        """The contents of a datum by its name. Raises the same, and `StoreError` if it is sealed and cannot be
+        opened."""
+        return opened(name, self.datum(name), self._opens)
+
     def entry(self, name: str) -> Entry:
         """The same as an entry."""
         datum, (_, crc) = self.datum(name), parse_name(name)
         info = StoredInfo(*datum[:5], len(datum.payload), datum.at_least)
-        return self._entry(Row(-1, info, datum.payload[:HEAD_BYTES]), crc is not None)
+        return self._entry(Row(-1, info, datum.payload[:HEAD_BYTES]), crc is not None, lambda: datum.payload)
 
     def losses(self) -> list[tuple[DatumId, Fate]]:
         """What is known to be lost."""
@@ -206,16 +229,29 @@ class Archive:
         self.close()
 
 
-def content(info: StoredInfo, head: bytes) -> dict[str, Any]:
-    """The fields of an entry that its payload tells. `head`: its first `HEAD_BYTES`."""
+def content(info: StoredInfo, head: bytes, whole: Callable[[], bytes], opens: Opens | None) -> dict[str, Any]:
+    """The fields of an entry that its payload tells. `head`: its first `HEAD_BYTES`. `whole`: returns all of it."""
     if info.size == len(head) and datum_crc(info.id, info.kind, head) != info.crc:
         return {"malformed": "corrupt, its checksum does not match"}
+    if not info.kind & SEALED:
+        return _told(info.kind, head)
+    if opens is None:
+        return {}
+    kind = info.kind & ~SEALED
     try:
-        if info.kind == Kind.MEASUREMENT:
+        clear = opens(info.id, kind, head if info.size == len(head) else whole())
+    except (ForgedError, MalformedError) as error:
+        return {"malformed": str(error)}
+    return {"kind": kind, "size": len(clear), **_told(kind, clear[:HEAD_BYTES])}
+
+
+def _told(kind: int, head: bytes) -> dict[str, Any]:
+    try:
+        if kind == Kind.MEASUREMENT:
             return {"measurement": decode_measurement(head)}
-        if info.kind == Kind.STATUS:
+        if kind == Kind.STATUS:
             return {"status": decode_status(head)}
-        if info.kind == Kind.FILE:
+        if kind == Kind.FILE:
             return {"file": unpack_file(head)[0]}
     except MalformedError as error:
         return {"malformed": str(error)}

@@ -18,6 +18,7 @@ from rass_mav.errors import ConfigError, StoreError
 
 from .archive import HEAD_BYTES, content
 from .entry import ALL, Entry, Filter
+from .opening import Opens, opened
 from .tables import check_version, connect, said, shown, split_url
 
 #: Rows that are fetched at a time.
@@ -36,14 +37,16 @@ class Database:
     What is read is of one moment, that of the first read since `renew`, however the database changes meanwhile.
     """
 
-    def __init__(self, url: str, now: Callable[[], float] = time.time) -> None:
+    def __init__(self, url: str, now: Callable[[], float] = time.time, *, opens: Opens | None = None) -> None:
         """`url`: as libpq takes it; `mission=NAME` among its options chooses one, where there are several. `now`: the
-        date, seconds since 1970. Raises `ConfigError`, `StoreError`."""
+        date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `ConfigError`,
+        `StoreError`."""
         plain, mission = split_url(url)
         self.remarks: list[str] = []
         self.seen = 0
         """The latest `Entry.arrival` that was read: here the number of its row."""
         self._now = now
+        self._opens = opens
         self._name = shown(url)
         self._cursors = count()
         with self._explained():
@@ -135,10 +138,15 @@ class Database:
         )  # fmt: skip
         # Where the date was not known, nobody knows how old it is now.
         age_s = max(0.0, self._now() - utc) if entry.dated else age_s
-        return entry._replace(age_s=age_s, **content(info, bytes(head)))
+        told = content(info, bytes(head), lambda: self._stored(number), self._opens)
+        return entry._replace(age_s=age_s, **told)
+
+    def _stored(self, number: int) -> bytes:
+        row = self._connection.execute("SELECT payload FROM rass.datum WHERE number = %s", (number,)).fetchone()
+        return b"" if row is None else bytes(row[0])
 
     def datum(self, name: str) -> Datum:
-        """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none."""
+        """A datum by its name, as it is stored. Raises `DatumError`: not a name; `StoreError`: there is none."""
         *id, kind, utc, hops, crc, payload, at_least = self._row(
             name, "d.origin, d.epoch, d.sequence, d.kind, d.utc, d.hops, d.crc, d.payload, d.at_least"
         )
@@ -146,6 +154,11 @@ class Database:
         if not datum.intact:
             raise StoreError(f"{name}: corrupt, its checksum does not match")
         return datum
+
+    def payload(self, name: str) -> bytes:
+        """The contents of a datum by its name. Raises the same, and `StoreError` if it is sealed and cannot be
+        opened."""
+        return opened(name, self.datum(name), self._opens)
 
     def entry(self, name: str) -> Entry:
         """The same as an entry."""

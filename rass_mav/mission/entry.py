@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind
+from rass_mav.core.seals import SEALED
 from rass_mav.wire.measurement import MOST_READING, Measurement
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -26,9 +27,9 @@ class Entry(NamedTuple):
     id: DatumId
     crc: int
     kind: int
-    """A `Kind`, or that of a later version."""
+    """A `Kind`, or that of a later version; with the bit `SEALED` if the datum is sealed, and could not be opened."""
     size: int
-    """Bytes of payload."""
+    """Bytes of contents; of payload, if it is sealed."""
     hops: int
     utc: float
     """When it was created, seconds since 1970."""
@@ -60,8 +61,15 @@ class Entry(NamedTuple):
         return self.utc >= _FIRST_DATE
 
     @property
+    def sealed(self) -> bool:
+        """Whether the contents are sealed, and could not be opened."""
+        return self.kind & SEALED != 0
+
+    @property
     def kind_name(self) -> str:
-        """For people: measurement, file, bytes or status; the number of an unknown kind."""
+        """For people: measurement, file, bytes, status or sealed; the number of an unknown kind."""
+        if self.sealed:
+            return "sealed"
         try:
             return Kind(self.kind).name.lower()
         except ValueError:
@@ -172,7 +180,12 @@ class Data(Protocol):
         """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
 
     def datum(self, name: str) -> Datum:
-        """A datum by its name. Raises `DatumError`: not a name; `StoreError`: there is none, or it is corrupt."""
+        """A datum by its name, as it is stored. Raises `DatumError`: not a name; `StoreError`: there is none, or it is
+        corrupt."""
+
+    def payload(self, name: str) -> bytes:
+        """The contents of a datum by its name. Raises the same, and `StoreError` if it is sealed and cannot be
+        opened."""
 
     def entry(self, name: str) -> Entry:
         """The same as an entry."""

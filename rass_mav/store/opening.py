@@ -57,6 +57,8 @@ class Opening(NamedTuple):
     suspect: bool
     """Check all of it, whatever its size."""
     check_limit: int
+    doubt: str = ""
+    """Why a new epoch is due, whatever the store says; empty: if it is not sound."""
 
     def prepare(self) -> tuple[OpenReport, Repairs]:
         """Ensure that there is a store, and no damage that can be found beforehand except what the returned repairs
@@ -173,7 +175,7 @@ class Opening(NamedTuple):
         if own is None:
             repairs.reason = "a number of the store's own in table meta is damaged or missing"
         else:
-            repairs.reason = _disagreement(path, own, mark)
+            repairs.reason = _disagreement(path, own, mark) or self.doubt
         if not repairs.reason:
             return
         life = known.get(LIFE, -1 if mark is None else mark.life)

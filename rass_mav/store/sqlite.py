@@ -117,6 +117,7 @@ class SqliteStore:
         quota_bytes: int | None = None,
         file_limit: int | None = None,
         suspect: bool = False,
+        doubt: str = "",
         check_limit: int = CHECK_LIMIT,
         busy_timeout: float = 5.0,
         vfs: str | None = None,
@@ -129,6 +130,8 @@ class SqliteStore:
         `file_limit`: bound of the database file in bytes, rounded down to pages; a commit beyond it fails as on a full
         disk. None: no bound.
         `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
+        `doubt`: why a new epoch is due although the store is sound; for opening again after `StoreCopiedError`. Empty:
+        none is.
         `check_limit`: size of file in bytes up to which the whole file is checked in any case.
         `busy_timeout`: seconds that a commit waits for another program that has locked the database.
         `vfs`: SQLite's name of the file system layer to use, only letters, digits and _ -; None: its default.
@@ -139,7 +142,7 @@ class SqliteStore:
         this program created it, or if one of the previous version cannot be converted.
         """
         path = checked_path(path)
-        opening = Opening(path, node_id, draw_epoch, vfs, suspect, check_limit)
+        opening = Opening(path, node_id, draw_epoch, vfs, suspect, check_limit, doubt)
 
         def load(lock: Lock, report: OpenReport, repairs: Repairs) -> SqliteStore:
             reader: sqlite3.Connection | None = None

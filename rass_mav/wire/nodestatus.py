@@ -19,6 +19,7 @@ _NEXT_HOP = 4
 #: most data.
 MOST_NEIGHBOURS = 10
 MOST_ORIGINS = 10
+_MOST_BYTES = _HEAD.size + 2 + MOST_NEIGHBOURS * _NEIGHBOUR.size + MOST_ORIGINS * _ORIGIN.size
 _MOST_LAT, _MOST_LON = 900_000_000, 1_800_000_000
 _UNKNOWN_16, _UNKNOWN_8 = 0xFFFF, 0xFF
 
@@ -52,16 +53,19 @@ class NodeStatus(NamedTuple):
     """Where its route leads, one of `neighbours`; None: nowhere, or the status does not say."""
 
 
-def encode_status(s: NodeStatus) -> bytes:
+def encode_status(s: NodeStatus, most: int = _MOST_BYTES) -> bytes:
     """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop), held, alone, spares, free, risk, hops, battery,
     latitude, longitude; then a byte and so many neighbours (`<HB`), and a byte and so many origins (`<HH`).
 
-    With flag 4 the first neighbour is the next hop. One that is not among the neighbours is not told.
+    With flag 4 the first neighbour is the next hop. One that is not among the neighbours is not told. `most`: bytes, at
+    least 40; if need be, fewer neighbours and origins are told.
     """
     lat, lon = (0.0, 0.0) if s.place is None else s.place
     neighbours = sorted(s.neighbours.items(), key=lambda item: (item[0] != s.next_hop, -item[1]))[:MOST_NEIGHBOURS]
     flags = (s.place is not None) * _HAS_POSITION + s.base * _BASE + (s.next_hop in s.neighbours) * _NEXT_HOP
     origins = sorted(s.alone_by_origin.items(), key=lambda item: -item[1])[:MOST_ORIGINS]
+    while _HEAD.size + 2 + len(neighbours) * _NEIGHBOUR.size + len(origins) * _ORIGIN.size > most:
+        (neighbours if len(neighbours) >= len(origins) else origins).pop()
     return b"".join(
         (
             _HEAD.pack(

@@ -259,6 +259,21 @@ def test_an_echo_of_our_own_beacon_is_no_rival() -> None:
     agent.peer_bytes(step(agent, 0.0)[0].frame, 0.0)
     assert not agent.node.alarms.rivals
     assert agent.node.alarms.echoes == 1
+    assert agent.node.alarms.copies == 0
+
+
+def test_beacons_in_our_name_that_we_have_not_sent_come_from_a_copy_of_our_store() -> None:
+    agent, twin = make(5), make(5)
+    step(twin, 0.0)
+    for second in range(3):
+        sent = step(agent, float(second))[0].frame
+        agent.peer_bytes(sent, float(second))
+    [beacon] = [message for message in said(twin.step(1.0), 1.0) if isinstance(message, Beacon)]
+    for number in (agent.node._beacon_number + 1, agent.node._beacon_number - 3):
+        [forged] = twin.peers.frames([beacon._replace(number=number & 0xFFFF)], twin.store, 1.0)
+        agent.peer_bytes(forged.frame, 3.0)
+    alarms = agent.node.alarms
+    assert (alarms.echoes, alarms.copies, alarms.rivals) == (3, 2, {})
 
 
 def test_a_full_node_tells_the_ground_and_goes_on() -> None:

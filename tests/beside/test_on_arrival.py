@@ -21,9 +21,11 @@ from rass_mav.beside.teller import Teller, read_mark, write_mark
 from rass_mav.core.datum import Kind
 from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry
+from rass_mav.mission.opening import Opens
 from rass_mav.store.lock import Lock
 from tests.app.app_nodes import RunningNode, command
 from tests.mission.missions import HERE, Base
+from tests.mission.sealed_data import OPENS, sealed
 from tests.patience import PATIENCE_S
 
 from .conftest import Tidy
@@ -143,9 +145,9 @@ class Until(Event):
         return self._condition()
 
 
-def telling(path: Path, *command: str, until: int, **more: Any) -> Teller:
+def telling(path: Path, *command: str, until: int, opens: Opens | None = None, **more: Any) -> Teller:
     """A teller that has run until it has gone on from so many data."""
-    found = Teller(OnArrivalSection(command=command, **more), path)
+    found = Teller(OnArrivalSection(command=command, **more), path, opens)
     found.run(Until(lambda: found.report()["told"] + found.report()["failed"] >= until))
     return found
 
@@ -169,6 +171,13 @@ def test_only_the_kinds_that_are_wanted_are_told(store: Base, tmp_path: Path) ->
     store.arrive(store.datum(7, 3, Kind.BYTES, b"text"), store.measurement(7, 4, HERE))
     telling(store.path, *TELL, until=1, kinds=("bytes",))
     assert (tmp_path / "told.txt").read_text().splitlines()[-1].endswith("-3 7 bytes")
+
+
+def test_sealed_data_are_told_opened(store: Base, tmp_path: Path) -> None:
+    store.arrive(sealed(store.measurement(7, 0, HERE)), sealed(store.file(8, 1, "a.txt", b"a")))
+    telling(store.path, *TELL, until=1, opens=OPENS, kinds=("measurement",))
+    [told] = (tmp_path / "told.jsonl").read_text().splitlines()
+    assert json.loads(told)["measurement"]["reading"] == pytest.approx(HERE.reading)
 
 
 @pytest.mark.parametrize(

@@ -16,15 +16,18 @@ import pytest
 from rass_mav.app.companion import Companion
 from rass_mav.app.config import RunConfig
 from rass_mav.app.outlets import PostgresSection
+from rass_mav.app.payloads import pack_file
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind
 from rass_mav.errors import ConfigError, StoreError
 from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry, Filter
+from rass_mav.mission.opening import Opens
 from rass_mav.mission.report import Report
 from rass_mav.store import SqliteStore
 from tests.app.app_nodes import RunningNode, command
 from tests.mission.mission_stores import NOW, measured, mission, put, stored
+from tests.mission.sealed_data import OPENS, PHOTO, sealed
 from tests.store.store_helpers import commit
 
 from .conftest import Tidy
@@ -66,9 +69,9 @@ class Until(Event):
         return self.is_set()
 
 
-def post(url: str, path: Path, base: int = 1, mission: str = "m") -> Poster:
+def post(url: str, path: Path, base: int = 1, mission: str = "m", opens: Opens | None = None) -> Poster:
     """Write all that a store holds."""
-    poster = Poster(PostgresSection(dsn=url, mission=mission), path, base)
+    poster = Poster(PostgresSection(dsn=url, mission=mission), path, base, opens)
     # Once told to end, it writes what is left.
     poster.run(Until(lambda: poster.report()["connected"] or bool(poster.report()["trouble"])))
     return poster
@@ -173,6 +176,26 @@ def test_a_database_reads_like_the_store(tmp_path: Path, url: str) -> None:
     # Twice the same: nothing changes.
     post(url, path)
     assert rows(url, "SELECT count(*) FROM rass.datum") == [(len(sound),)]
+
+
+def test_of_sealed_data_a_database_has_what_its_columns_say_and_the_contents_stay_sealed(
+    tmp_path: Path, url: str
+) -> None:
+    data = [sealed(measured(0)), sealed(put(1, Kind.FILE, pack_file("photo.jpg", PHOTO)))]
+    path = stored(tmp_path / "base.db", data)
+    post(url, path, opens=OPENS)
+    found = rows(url, "SELECT sequence, kind, payload, reading, unit, ST_Y(place::geometry) FROM rass.datum")
+    assert [row[:3] for row in found] == [(datum.id.sequence, datum.kind, datum.payload) for datum in data]
+    assert [row[3:] for row in found] == [(0.75, "usvh", 47.5), (None, None, None)]
+    photo = str(data[1].id)
+    with Database(url, lambda: NOW, opens=OPENS) as database, Archive(path, lambda: NOW, opens=OPENS) as archive:
+        assert [alike(entry) for entry in database.entries()] == [alike(entry) for entry in archive.entries()]
+        assert database.entry(photo).file == "photo.jpg"
+        assert database.payload(photo) == archive.payload(photo) == pack_file("photo.jpg", PHOTO)
+    with Database(url, lambda: NOW) as database:
+        assert [entry.kind_name for entry in database.entries()] == ["sealed", "sealed"]
+        with pytest.raises(StoreError, match="sealed; give the ground's keys"):
+            database.payload(photo)
 
 
 def test_the_commands_take_a_database(tmp_path: Path, url: str) -> None:

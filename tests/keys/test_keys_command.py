@@ -21,7 +21,7 @@ from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.service import check_visible
 from rass_mav.config.loading import to_plain
 from rass_mav.doctor.checkup import as_the_service
-from rass_mav.errors import ServiceError
+from rass_mav.errors import ConfigError, ServiceError
 from rass_mav.keys.files import read_ground, read_keys
 from rass_mav.keys.folder import issue
 from rass_mav.keys.identity import NodeKeys
@@ -248,7 +248,7 @@ def test_five_commands_from_an_empty_folder_to_a_base_and_three_drones(tmp_path:
         about = {"mission": name, "node_id": node_id, "serial": serial, "link_keys": [1]}
         assert node.status()["keys"] == about
     said = command(tmp_path, "status", others[0].config).stdout.decode().splitlines()
-    line = f"keys: mission {name}, drone 7, serial 1, link key 1; frames are signed, data are not sealed yet"
+    line = f"keys: mission {name}, drone 7, serial 1, link key 1; frames are signed, and data are sealed"
     assert line in said
     (check,) = [
         c
@@ -330,12 +330,19 @@ def test_a_configuration_shows_the_path_alone(tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     loaded = load_config(config(tmp_path, keys={"file": "m/drone-7.keys"}))
     assert loaded.open_keys() is not None
-    assert to_plain(loaded)["keys"] == {"file": "m/drone-7.keys"}
+    assert to_plain(loaded)["keys"] == {"file": "m/drone-7.keys", "accept_open": False}
     secret = yaml.safe_load(Path("m/drone-7.keys").read_text())["secret"]
     assert secret[:8] not in repr(loaded)
     done = command(tmp_path, "check", "n.yaml", "--print")
-    assert yaml.safe_load(done.stdout)["keys"] == {"file": "m/drone-7.keys"}
+    assert yaml.safe_load(done.stdout)["keys"] == {"file": "m/drone-7.keys", "accept_open": False}
     assert done.stderr == b""
+
+
+def test_only_a_base_accepts_open_data(tmp_path: Path) -> None:
+    path = tmp_path / config(tmp_path, keys={"file": "m/drone-7.keys", "accept_open": True})
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert caught.value.lines() == [f"{path}: keys.accept_open: only a base can have this key"]
 
 
 def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
@@ -354,5 +361,5 @@ def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
 def test_in_words() -> None:
     assert in_words(None) == OPEN
     said = in_words({"mission": "4f2a91c3", "node_id": 1, "serial": 0, "link_keys": [2, 1]})
-    assert said == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; frames are signed, data are not sealed yet"
+    assert said == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; frames are signed, and data are sealed"
     assert RunConfig().keys is None

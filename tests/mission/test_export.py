@@ -87,7 +87,7 @@ def test_without_a_name_it_is_that_of_the_store(name: str, out: str, files: int,
     assert found.pop("left_out") == len(mission()) - found.pop("data")
     # A log is one of a drone and a day, and midnight may lie between the measurements.
     assert found.pop("files") in ((files, files + 1) if name == "bgeigie" else (files,))
-    assert found == {"out": out, "format": name}
+    assert found == {"out": out, "format": name, "sealed": 0}
     assert here() == [out]
 
 
@@ -301,7 +301,7 @@ TIME = "expected a date like 2026-11-22T10:30 (UTC) or an age like 90s, 10m, 2h,
         ("--drone", "65535", "--drone: expected the id of a node, 0 to 65534, got '65535'"),
         ("--drone", "-1", "--drone: expected the id of a node, 0 to 65534, got '-1'"),
         ("--drone", "٣", "--drone: expected the id of a node, 0 to 65534, got '٣'"),
-        ("--kind", "photo", "--kind: expected one of measurement, file, bytes, status, got 'photo'"),
+        ("--kind", "photo", "--kind: expected one of measurement, file, bytes, status, sealed, got 'photo'"),
         ("--since", "yesterday", f"--since: {TIME}, got 'yesterday'"),
         ("--until", "10", f"--until: {TIME}, got '10'"),
         ("--until", "10w", f"--until: {TIME}, got '10w'"),

@@ -453,3 +453,15 @@ def test_what_is_made_after_a_bit_flipped_in_the_log_arrives_beside_what_was_mad
             arrived = base.store.get(id)
             assert arrived is not None
             assert arrived.payload == b"%d, made at %d" % (n, start)
+
+
+def test_a_store_of_which_there_is_a_copy_keeps_its_data_and_begins_a_new_epoch(path: Path) -> None:
+    life = life_of(path)
+    with open_store(path, draw_epoch=epochs(NEW_EPOCH), doubt="there is a copy of it") as store:
+        assert (store.life, store.epoch, store.given) == (life, NEW_EPOCH, 0)
+        assert len(list(store.ids())) == COUNT
+        assert (store.report.reason, store.report.lost) == ("there is a copy of it", 0)
+        assert store.report.closed == ((EPOCH, COUNT),)
+        assert (DatumId(7, EPOCH, COUNT), Fate.UNKNOWN) in store.losses(), "the copy may assign more numbers"
+    with open_store(path, draw_epoch=epochs(99)) as store:
+        assert (store.epoch, store.report) == (NEW_EPOCH, OpenReport())

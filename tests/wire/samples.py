@@ -41,6 +41,10 @@ NOW = 1000.0
 
 HELLO = make_datum(DatumId(3, 0xCAFEBABE, 7), 0, NOW - 1.5, b"hello")._replace(hops=2)
 WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
+#: As tests/keys/test_words.py has it.
+SEALED_READING = make_datum(
+    DatumId(7, 0xCAFEBABE, 5), 0x81, NOW - 1.5, bytes.fromhex("226deaa0c41d07a9ab9b9fa6e1992b7aa18d7f9d88d45824cf63")
+)
 #: Its holder was switched off for it does not know how long.
 OLD_HELLO = HELLO._replace(at_least=True)
 
@@ -57,6 +61,7 @@ SAMPLES: dict[str, Message] = {
     ),
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
     "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
+    "data-sealed": Data(7, 2, (Handover(0x01020304, SEALED_READING),)),
     "data-at-least": Data(3, 2, (Handover(0x01020304, OLD_HELLO),)),
     "data-answers": Data(
         3, 2, (Handover(0x01020304, HELLO),), answers=(Committed(3, 9, ((0x01020305, WORLD.crc),), (0x01020306,)),)

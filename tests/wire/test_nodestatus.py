@@ -98,3 +98,16 @@ def test_a_cut_one_is_malformed_wherever_it_is_cut() -> None:
 def test_counts_beyond_the_field_stay_at_its_end() -> None:
     read = decode_status(encode_status(SAID._replace(held=70_000, alone=70_000, free=70_000)))
     assert (read.held, read.alone, read.free) == (65535, 65535, 65534)
+
+
+def test_where_there_is_less_space_the_less_important_is_left_out() -> None:
+    neighbours = {id: 1.0 - id / 20 for id in range(1, 11)}
+    origins = {id: 100 - id for id in range(1, 11)}
+    status = NodeStatus(5, 2, 1, None, 0.5, 2, 80, None, neighbours, origins, next_hop=9)
+    assert len(encode_status(status)) == 94
+    short = encode_status(status, 81)
+    assert len(short) == 80
+    read = decode_status(short)
+    assert list(read.neighbours) == [9, 1, 2, 3, 4, 5, 6, 7]
+    assert list(read.alone_by_origin) == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert read.next_hop == 9

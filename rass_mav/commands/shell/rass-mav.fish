@@ -51,7 +51,7 @@ function _shtab_rass_mav_using
 end
 
 set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' keys 'keys new' 'keys drone' 'keys rotate' 'keys show' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --keys --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -91,8 +91,9 @@ complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l drone -x -d 'created by these nodes'
-complete -c rass-mav -n '_shtab_rass_mav_using ls' -l kind -x -d 'of this kind: measurement, file, bytes or status'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l kind -x -d 'of this kind: measurement, file, bytes, status or sealed'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l since -x -d 'created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l until -x -d 'created before'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l box -x -d 'with a position in this box, degrees; west above east: across the 180th meridian'
@@ -105,15 +106,17 @@ complete -c rass-mav -n '_shtab_rass_mav_using get' -s h -l help -d 'show this h
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -x -d 'a node'"'"'s configuration, a store'"'"'s file (a drone'"'"'s card), or a database (postgresql://...); default: rass-*.db here, if there is one'
+complete -c rass-mav -n '_shtab_rass_mav_using get' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'file to write to (default: stdout)'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a export -d 'Write the data of a store to a file for other programs.'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s o -l output -x -d 'the file to create, or the folder if it is several (default: named after the store, here)'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l format -xka "bgeigie csv files geojson gpkg kml" -d 'the format (default: by the ending of OUT)'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l drone -x -d 'created by these nodes'
-complete -c rass-mav -n '_shtab_rass_mav_using export' -l kind -x -d 'of this kind: measurement, file, bytes or status'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l kind -x -d 'of this kind: measurement, file, bytes, status or sealed'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l since -x -d 'created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l until -x -d 'created before'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l box -x -d 'with a position in this box, degrees; west above east: across the 180th meridian'
@@ -122,11 +125,13 @@ complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -
 complete -c rass-mav -n '_shtab_rass_mav_using report' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using report' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using report' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using report' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using report' -l html -xka "(__fish_complete_path (commandline -ct))" -d 'also write it with a map to one file, to mail or to print'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a page -d 'Show a map and the state of a mission in a browser, until Ctrl-C.'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using page' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l listen -x -d 'where browsers find it (127.0.0.1:8080)'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l token-file -xka "(__fish_complete_path (commandline -ct))" -d 'its first line is the token that browsers have to give'
 complete -c rass-mav -n '_shtab_rass_mav_using page' -l name -x -d 'another name of this computer, by which browsers may ask for the page; may be repeated'

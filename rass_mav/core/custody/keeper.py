@@ -17,6 +17,7 @@ from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
+from rass_mav.core.seals import SEALED, NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
@@ -69,15 +70,17 @@ class Keeper:
         if self.is_squatted(id):
             self.refused += 1
             return False
-        if self.has_custody(giver, number, id, datum.crc):
+        if self.has_custody(giver, number, id, datum.crc, datum.payload):
             self.rejuvenate(id, datum.created, at_least=datum.at_least)
             return True
         size = len(datum.payload)
-        if id in self.holdings or not (self.may_accept(size) or self.make_room(size, own=False)):
+        if self.is_occupied(id, datum.kind) or not (self.may_accept(size) or self.make_room(size, own=False)):
             self.refused += 1
             if number == 0:
                 self.observer.declined(id)
             return False
+        if (other := self.holdings.get(id)) is not None:
+            self.drop(other, Fate.PASSED_ON)
         self.keep(datum.arrived(), giver)
         if number:
             self.numbers.accept(giver, number, id, datum.crc)
@@ -103,17 +106,28 @@ class Keeper:
         self.alarms.ring(Alarm.SQUATTED, str(id))
         return True
 
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
+    def is_occupied(self, id: DatumId, kind: int) -> bool:
+        """Whether the place of a datum on offer is taken by another content under its id.
+
+        If one of two sealed contents is forged, no receipt ends its spares, and only the ground knows which one it is.
+        So what has left custody, and waits for its receipt, makes way for the other one.
+        """
+        holding = self.holdings.get(id)
+        return holding is not None and not (kind & SEALED and holding.state is State.PASSED_ON)
+
+    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, payload: bytes | None = None) -> bool:
         """Whether a datum on offer need not be stored: it is here, or this offer was accepted. A receipt does not
         count: the giver takes a datum that has arrived to the base all the same.
 
-        False while something is held under `id`: that is another datum, so the offer is refused.
+        False while something is held under `id`: that is another datum, so the offer is refused. `payload`: of the
+        datum, where it is known: anybody can find a second one for a CRC.
         """
         holding = self.holdings.get(id)
         accepted = number != 0 and self.numbers.has_accepted(giver, number, id, crc)
         if holding is not None:
             # The giver will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
-            if self.load(holding) is None or holding.crc != crc:
+            loaded = self.load(holding)
+            if loaded is None or loaded.crc != crc or payload not in (None, loaded.payload):
                 return False
             if not accepted:
                 self._comes_round(holding, giver, number)
@@ -283,11 +297,11 @@ class Keeper:
 class Sink(Keeper):
     """The storing half of a base: data that reach it have arrived for good."""
 
-    __slots__ = ("_alarms", "_digests", "archive")
+    __slots__ = ("_alarms", "_digests", "_seals", "archive")
 
     def __init__(
         self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
-        digests: NoDigests, archive: Archive, observer: Observer, alarms: Alarms,
+        digests: NoDigests, archive: Archive, observer: Observer, alarms: Alarms, seals: NoSeals,
     ) -> None:  # fmt: skip
         super().__init__(settings, store, numbers, receipts, NoLossNotes(store), observer, alarms)
         self._digests = digests
@@ -295,6 +309,7 @@ class Sink(Keeper):
         """What has become of all data."""
         self.arrived = archive
         self._alarms = alarms
+        self._seals = seals
 
     def _take_up(self) -> Holdings:
         # Data that have arrived are in the archive.
@@ -308,7 +323,7 @@ class Sink(Keeper):
         """A base drops no data that have arrived."""
         return False
 
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
+    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, payload: bytes | None = None) -> bool:
         """Whether this very datum has arrived. The giver may delete the last copy because of this, so check the
         store."""
         stored = self.store.get(id)
@@ -317,15 +332,34 @@ class Sink(Keeper):
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
         """A datum arrives. False: no space, the giver keeps it. If two contents have one id, both are kept."""
         stored = self.store.get(datum.id)
-        if stored is None or not stored.intact:
-            return super().take_custody(giver, number, datum)
-        if stored.crc == datum.crc:
+        if stored is not None and not stored.intact:
+            stored = None
+        if stored is not None and stored.crc == datum.crc:
             return True
+        if not self._seals.is_made(datum):
+            return self._put_aside(datum)
+        if stored is None:
+            return super().take_custody(giver, number, datum)
         if not (self.may_accept(len(datum.payload)) and self.store.keep_apart(datum)):
             self.refused += 1
             return False
         self._alarms.ring(Alarm.TWO_CONTENTS, str(datum.id))
         self.observer.kept_apart(datum)
+        return True
+
+    def _put_aside(self, datum: Datum) -> bool:
+        """A datum comes in that was not made by the node that it names. False: the disk fails, the giver keeps it.
+
+        It is accepted, or else it would stay with its holders, in the place of the true one. But it has not arrived: no
+        receipt names it. It is kept apart while there is space, because the keys here may be the wrong ones.
+        """
+        if not self.store.accepting:
+            self.refused += 1
+            return False
+        if self.store.get_apart(datum.id, datum.crc) is None:
+            self.store.count("forged")
+            self._alarms.ring(Alarm.UNSEALED, str(datum.id))
+            self.store.keep_apart(datum)
         return True
 
     def keep(self, datum: Datum, giver: int | None = None) -> None:
@@ -349,7 +383,7 @@ class Sink(Keeper):
             id = datum.id
             if id in self.archive or not datum.intact or self.is_squatted(id):
                 continue
-            if self.may_accept(len(datum.payload)):
+            if self.may_accept(len(datum.payload)) and self._seals.is_made(datum):
                 self.keep(datum.arrived())
 
     def heed(self, changed: set[Pair]) -> None:

@@ -122,7 +122,7 @@ class Transfers:
             and -(-offer.size // offer.chunk_size) <= MAX_CHUNKS
             # Names are easy to invent, and each would take a place.
             and offer.sender in self._routing.neighbours
-            and offer.id not in self._keeper.holdings
+            and not self._keeper.is_occupied(offer.id, offer.kind)
             and not self._keeper.is_squatted(offer.id)
         )
 

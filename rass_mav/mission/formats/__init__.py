@@ -7,15 +7,14 @@ from pathlib import Path
 from pkgutil import iter_modules, resolve_name
 from typing import NamedTuple, Protocol
 
-from rass_mav.core.datum import Datum
 from rass_mav.mission.entry import Entry
 
 
 class Source(Protocol):
     """Where the data come from."""
 
-    def datum(self, name: str) -> Datum:
-        """A datum with all its bytes. Raises `StoreError`: there is none, or it is corrupt."""
+    def payload(self, name: str) -> bytes:
+        """All contents of a datum. Raises `StoreError`: there is none, or it is corrupt or sealed."""
 
 
 class Exported(NamedTuple):

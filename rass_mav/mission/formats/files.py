@@ -46,7 +46,7 @@ def _write_file(entry: Entry, out: Path, source: Source) -> str | None:
     if entry.kind not in (Kind.FILE, Kind.BYTES) or entry.malformed:
         return None
     try:
-        content = source.datum(entry.name).payload
+        content = source.payload(entry.name)
     except (DatumError, StoreError):
         return None
     if entry.kind == Kind.FILE:

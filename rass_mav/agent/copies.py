@@ -1,0 +1,48 @@
+"""Detects another node that runs on a copy of this node's store, for example of its card."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from rass_mav.core.participant import Participant
+from rass_mav.mavlink.frames import Frame
+
+#: Steps after the start in which own beacons from before may still be on their way back.
+SETTLED_STEPS = 20
+#: Beacons that show it. Anybody can forge them, so what follows must not harm.
+ENOUGH = 3
+
+
+class Host(Protocol):
+    """The agent."""
+
+    node: Participant
+    steps: int
+
+
+class Copies:
+    """A service of the agent. Both nodes would assign the same ids to different data, and seal both with one nonce."""
+
+    def __init__(self, agent: Host, found: Callable[[], None]) -> None:
+        """`found`: called once."""
+        self._agent = agent
+        self._found = found
+        self._node: Participant | None = None
+        self._from = 0
+        """The step in which that node began."""
+        self._before = 0
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """Nothing: only neighbours tell."""
+
+    def step(self, now: float) -> None:
+        """Once a step."""
+        node, copies = self._agent.node, self._agent.node.alarms.copies
+        if node is not self._node:
+            self._node, self._from = node, self._agent.steps
+        if self._agent.steps <= self._from + SETTLED_STEPS:
+            self._before = copies
+        elif copies >= self._before + ENOUGH:
+            self._before = copies
+            self._found()
