@@ -54,7 +54,7 @@ class _State:
         self.challenged = -1
         """Timestamp of the last challenge of this stream that was answered."""
         self.heard = 0.0
-        """When it was last heard, seconds."""
+        """When a frame of it was last new, or it was strange, seconds."""
         self.ask_at = 0.0
         """From then on it can be asked again, seconds."""
         self.wait_s = 0.0
@@ -144,12 +144,13 @@ class Streams:
             state = self._table[stream] = self._room_for_another()
         if state.known and now - state.heard > SILENT_S:
             state.known = False
-        state.heard = now
         if not state.known:
             self._hear_stranger(stream, state, timestamp, payload, now)
             return False
         new = state.take(timestamp)
-        if not new:
+        if new:
+            state.heard = now
+        else:
             if new is None:
                 self._late += 1
                 # Perhaps its disk was set back. The challenge tells it where to continue.
@@ -180,6 +181,7 @@ class Streams:
 
     def _hear_stranger(self, stream: Stream, state: _State, timestamp: int, payload: bytes, now: float) -> None:
         self._strange += 1
+        state.heard = now
         state.highest = max(state.highest, timestamp)
         challenge = self._opened(payload) if is_challenge(payload) else None
         if challenge is not None:
