@@ -23,7 +23,7 @@ from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer, SigningKeys
 from rass_mav.store.memory import MemoryStore
-from rass_mav.wire import encode
+from rass_mav.wire import beacon_sender, encode
 from rass_mav.wire.challenge import is_challenge
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
@@ -226,13 +226,11 @@ def test_any_order_within_the_window_is_taken_once_each(order: list[int]) -> Non
 
 def test_a_stream_that_was_silent_for_long_is_asked_again_and_its_old_frames_stay_old() -> None:
     crew = crew_of_three()
-    crew.agents.append(crew.agents.pop(1))
-    crew.deaf = {1}
-    heard = crew.recorded[-1]
+    crew.deaf = {2}
+    heard = last_beacon_of(2, crew)
     crew.steps(3)
-    unheard = crew.recorded[-1]
-    assert heard[5] == unheard[5] == 2
-    hearer = crew.agents[1]
+    unheard = last_beacon_of(2, crew)
+    hearer = crew.agents[2]
     for _ in range(70):
         crew.steps(10)
         # Repetitions of what is old do not show that the stream is there.
@@ -242,7 +240,12 @@ def test_a_stream_that_was_silent_for_long_is_asked_again_and_its_old_frames_sta
     assert state(hearer) == before, "it was sent when nobody here could hear it"
     crew.deaf = set()
     crew.steps(4)
-    assert crew.hears(1) == {1, 2}
+    assert crew.hears(2) == {1, 2}
+
+
+def last_beacon_of(node_id: int, crew: Crew) -> bytes:
+    opened = [(frame, open_datagram(frame)) for frame in crew.recorded]
+    return [frame for frame, one in opened if one is not None and beacon_sender(one[3]) == node_id][-1]
 
 
 def test_both_link_keys_are_accepted_while_the_key_changes() -> None:
@@ -277,6 +280,18 @@ def test_the_table_is_bounded_and_who_has_to_go_is_asked_again(monkeypatch: pyte
     assert state(hearer) == before
 
 
+def test_the_old_answer_of_a_stream_that_had_to_go_counts_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rass_mav.agent.streams.MAX_STREAMS", 1)
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    crew.steps(10)
+    base = crew.agents[0]
+    base.peer_bytes(FrameWriter(9, 191, Signer(KEY, 0, 5)).tunnel(b"x", payload_type=TYPE), crew.now)
+    before = state(base)
+    for frame in crew.recorded:
+        base.peer_bytes(frame, crew.now)
+    assert state(base) == before
+
+
 # -- timestamps --------------------------------------------------------------------------------------------------------
 
 
@@ -296,12 +311,14 @@ def test_a_hundred_restarts_without_a_clock_reuse_nothing_and_lock_nobody_out() 
 
 
 def test_who_has_lost_its_store_is_known_again_and_its_old_frames_are_not() -> None:
-    crew = crew_of_three()
+    """Even if nobody is left who remembers how far its timestamps had come."""
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    crew.steps(30)
     old = list(crew.recorded)
     crew.restart(1, store=MemoryStore(77))
     crew.restart(0)
     crew.steps(4)
-    assert crew.hears(0) == {2, 3}
+    assert crew.hears(0) == {2}
     base = crew.agents[0]
     before = state(base)
     for frame in old:
