@@ -211,7 +211,9 @@ class Page:
         with _guessed():
             if not isinstance(given, str) or not self._access.is_token(given.strip(), request.remote):
                 log.warning("%s: a wrong token", request.remote)
-                return self._file("wrong.html", status=401)
+                form = self._file("login.html", status=401)
+                form.body = self._files["login.html"][0].replace(b' role="alert" hidden', b' role="alert"')
+                return form
         found = web.HTTPSeeOther("/")
         found.set_cookie(COOKIE, self._access.log_in(), httponly=True, samesite="Strict", path="/")
         raise found

@@ -134,7 +134,7 @@ def test_the_login_gives_a_cookie_that_scripts_do_not_see(base: Base) -> None:
             for wrong in ({"token": "wrong"}, {}, {"token": ""}):
                 async with client.post("/login", data=wrong) as answer:
                     assert answer.status == 401
-                    assert "This is not the token" in await answer.text()
+                    assert 'role="alert">This is not the token' in await answer.text()
             async with client.post("/login", data={"token": f" {TOKEN}\n"}, allow_redirects=False) as answer:
                 assert answer.status == 303
                 cookie = answer.headers["Set-Cookie"]
