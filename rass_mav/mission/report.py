@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import accumulate
-from math import inf
+from math import inf, isfinite
 from typing import Any, NamedTuple
 
 from rass_mav.core.datum import WOUNDS, DatumId, Fate
@@ -42,8 +42,8 @@ class Numbers:
 
     def note(self, entry: Entry) -> None:
         """When one was created that has arrived."""
-        if entry.error_s is not None:
-            earliest, number = entry.utc - entry.error_s, entry.id.sequence
+        if entry.error_s is not None and isfinite(earliest := entry.utc - entry.error_s):
+            number = entry.id.sequence
             span = int(earliest // _SPAN_S)
             self.firsts[span] = min(number, self.firsts.get(span, number))
             self.newest = max(self.newest, (earliest, number))

@@ -25,6 +25,7 @@ from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry, Filter
 from rass_mav.mission.opening import Opens
 from rass_mav.mission.report import Report
+from rass_mav.page.model import Mission
 from rass_mav.store import SqliteStore
 from tests.app.app_nodes import RunningNode, command
 from tests.environment import unmeasured
@@ -253,6 +254,23 @@ def test_what_came_to_two_bases_is_one_datum_and_two_contents_stay_two(tmp_path:
         assert database.losses() == [(lost, Fate.CORRUPTED)]
         report = Report.of(database).plain(NOW)
         assert (report["arrived"], report["lost"], report["apart"], report["missing"]) == (2, 1, 1, 3)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e308"])
+def test_times_that_are_none_are_unknown(number: str, tmp_path: Path, url: str) -> None:
+    post(url, stored(tmp_path / "one.db", [measured(0), measured(1)]))
+    with psycopg.connect(url) as connection:
+        # As somebody may have written them who can write to the database.
+        connection.execute(f"UPDATE rass.datum SET utc = '{number}', age_s = '{number}'")
+        connection.execute("UPDATE rass.datum SET error_s = -utc")
+        connection.execute(f"UPDATE rass.arrival SET utc = '{number}'")
+    seen = Mission()
+    with Database(url) as database:
+        assert seen.take(database.entries()) == 2
+        database.renew()
+        report = Report.of(database).plain(NOW)
+    for plain in (seen.snapshot(), seen.changes(), seen.at(NOW), seen.drone(7), report):
+        json.dumps(plain, allow_nan=False)
 
 
 _READER = """
