@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import accumulate
+from itertools import accumulate, chain
 from math import inf, isfinite
 from typing import Any, NamedTuple
 
@@ -40,23 +40,30 @@ class Numbers:
     newest: tuple[float, int] = -inf, 0
     """When the newest was created at the earliest, seconds since 1970, and its number; -inf: nobody knows."""
 
+    _marks: tuple[list[int], list[float]] | None = None
+    """`firsts` sorted by number; and for each, when the one before it was created at the earliest. None: outdated."""
+
     def note(self, entry: Entry) -> None:
         """When one was created that has arrived."""
         if entry.error_s is not None and isfinite(earliest := entry.utc - entry.error_s):
             number = entry.id.sequence
             span = int(earliest // _SPAN_S)
-            self.firsts[span] = min(number, self.firsts.get(span, number))
+            if number < self.firsts.get(span, inf):
+                self.firsts[span] = number
+                self._marks = None
             self.newest = max(self.newest, (earliest, number))
 
     def missing(self) -> Iterator[tuple[int, int]]:
         """Ranges of numbers, each as (first, last), that were created and have neither arrived nor been reported
         lost."""
+        gone = self.arrived
+        if self.lost:
+            gone = Ranges()
+            for start, end in self.arrived:
+                gone.add(start, end)
+            for number in self.lost:
+                gone.add(number, number + 1)
         first = 0
-        gone = Ranges()
-        for start, end in self.arrived:
-            gone.add(start, end)
-        for number in self.lost:
-            gone.add(number, number + 1)
         for start, end in (*gone, (self.known, self.known)):
             if first < min(start, self.known):
                 yield first, min(start, self.known) - 1
@@ -73,19 +80,18 @@ class Numbers:
             numbers.append(self.newest[1])
         return min(numbers, default=None)
 
-    def missing_since(self) -> Iterator[tuple[float, int]]:
+    def missing_since(self) -> list[tuple[float, int]]:
         """Each range of missing numbers as a time, seconds since 1970, and a count: they may have been created before
         any later time, and were not created before this one."""
-        marks: list[tuple[int, float]] | None = None
-        since, at = -inf, 0
-        for first, last in self.missing():
-            if marks is None:
-                spans = ((number, span * _SPAN_S) for span, number in self.firsts.items())
-                marks = sorted((*spans, self.newest[::-1]))
-            while at < len(marks) and marks[at][0] < first:
-                since = max(since, marks[at][1])
-                at += 1
-            yield since, last - first + 1
+        if self._marks is None:
+            marks = sorted((number, span * _SPAN_S) for span, number in self.firsts.items())
+            self._marks = [number for number, _ in marks], [-inf, *accumulate((time for _, time in marks), max)]
+        numbers, times = self._marks
+        newest_s, newest = self.newest
+        return [
+            (newest_s if newest < first else times[bisect_left(numbers, first)], last - first + 1)
+            for first, last in self.missing()
+        ]
 
 
 @dataclass
@@ -306,39 +312,33 @@ class Report:
         These are all that are missing, wherever they are: what is lost with a drone has not arrived. Only data of
         drones that no node has ever named are left out. Without bases, and drones that have sent no status.
         """
-        ranges: list[tuple[float, int]] = []
+        ranges: dict[int, list[tuple[float, int]]] = {}
         # At a base, data are at their goal.
         newest = [-inf for id in self.named if id not in self.drones and not self.is_base(id)]
         for drone in self.drones.values():
             if self.is_base(drone.id):
                 continue
             only = drone.only_epoch
-            ranges += [(-inf, drone.missing)] if only is None else only[1].missing_since()
+            ranges[drone.id] = [(-inf, drone.missing)] if only is None else only[1].missing_since()
             newest.append(-inf if only is None else only[1].newest[0])
-        ranges.sort()
         newest.sort()
-        sums = [0, *accumulate(count for _, count in ranges)]
-        return {
-            drone.id: self._bound(drone, told, ranges, sums, newest)
-            for drone in self.drones.values()
-            if (told := drone.told) is not None and not self.is_base(drone.id)
-        }
-
-    def _bound(
-        self, drone: Drone, told: Entry, ranges: list[tuple[float, int]], sums: list[int], newest: list[float]
-    ) -> AtMost:
-        """Of one drone. `ranges`: as of `Numbers.missing_since`, of all, sorted; `sums`: of their counts; `newest`:
-        when the newest datum of each drone was created, sorted."""
-        before = inf if told.error_s is None else told.utc + told.error_s
-        missing = sums[bisect_left(ranges, (before,))]
-        unknown = bisect_left(newest, before)
-        if (only := drone.only_epoch) is not None:
-            # How many it had created itself it says exactly.
-            _, numbers = only
-            missing += numbers.missing_below(told.id.sequence)
-            missing -= sum(count for since, count in numbers.missing_since() if since < before)
-            unknown -= numbers.newest[0] < before
-        return AtMost(max(missing, self.at_risk(drone.id) or 0), unknown)
+        of_all = sorted(chain.from_iterable(ranges.values()))
+        sums = [0, *accumulate(count for _, count in of_all)]
+        bounds = {}
+        for id, of_it in ranges.items():
+            drone = self.drones[id]
+            if (told := drone.told) is None:
+                continue
+            before = inf if told.error_s is None else told.utc + told.error_s
+            missing = sums[bisect_left(of_all, (before,))]
+            unknown = bisect_left(newest, before)
+            if (only := drone.only_epoch) is not None:
+                # How many it had created itself it says exactly.
+                missing += only[1].missing_below(told.id.sequence)
+                missing -= sum(count for since, count in of_it if since < before)
+                unknown -= only[1].newest[0] < before
+            bounds[id] = AtMost(max(missing, self.at_risk(id) or 0), unknown)
+        return bounds
 
     def delay(self, part: float) -> float | None:
         """The delay in seconds that so large a part (0..1) of the arrived data had at most; None: unknown."""

@@ -90,6 +90,26 @@ def test_every_number_below_the_highest_is_arrived_lost_or_missing(arrived: set[
         assert numbers.missing_below(below) == len({number for number in missing if number < below})
 
 
+@given(
+    st.lists(st.tuples(st.integers(0, 40), st.integers(0, 90)), max_size=20),
+    st.sets(st.integers(0, 45)),
+    st.integers(0, 95),
+)
+def test_what_is_missing_of_the_time_before(arrived: list[tuple[int, int]], lost: set[int], utc: int) -> None:
+    numbers = Numbers()
+    for number, at in arrived:
+        numbers.note(Entry(0, DatumId(7, 0, number), 0, Kind.BYTES, 1, 1, float(at), 0.0, False, 0.0))
+        numbers.arrived.add(number, number + 1)
+    numbers.lost = dict.fromkeys(lost - {number for number, _ in arrived}, Fate.DIED)
+    numbers.known = 46
+    missing = sum(count for since, count in numbers.missing_since() if since < utc)
+    below = numbers.created_before(utc)
+    assert missing == numbers.missing_below(46 if below is None else below)
+    # Whatever has arrived and was created at that time or later, all before have lower numbers: so it is a bound.
+    first = min((number for number, at in arrived if at >= utc), default=46)
+    assert missing >= numbers.missing_below(first)
+
+
 known = st.builds(DatumId, st.just(7), st.integers(0, 2), st.integers(0, 12))
 
 
