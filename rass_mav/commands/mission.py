@@ -47,8 +47,8 @@ def _report(options: argparse.Namespace) -> int:
 
 #: The first line of the table of drones.
 HEADER = (
-    f"{'DRONE':>5} {'CREATED':>8} {'ARRIVED':>8} {'MISSING':>8} {'LOST':>6} {'AT RISK':>8} {'HEARD':>7}  "
-    "LAST PLACE, HIGHEST READING"
+    f"{'DRONE':>5} {'CREATED':>8} {'ARRIVED':>8} {'MISSING':>8} {'LOST':>6} {'AT RISK':>8} {'AT MOST':>8} "
+    f"{'HEARD':>7}  LAST PLACE, HIGHEST READING"
 )
 
 
@@ -70,9 +70,10 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
 def _drone_line(drone: dict[str, Any]) -> str:
     heard = "never" if drone["heard"] is None else _span(drone["heard"]["age_s"])
     risk = "unknown" if drone["at_risk"] is None else str(drone["at_risk"])
+    most = "" if (bound := drone["at_most"]) is None else f"{bound['data']}{'+' if bound['drones_unknown'] else ''}"
     line = (
         f"{drone['drone']:>5} {drone['created']:>8} {drone['arrived']:>8} {drone['missing']:>8} "
-        f"{sum(drone['lost'].values()):>6} {risk:>8} {heard:>7}  "
+        f"{sum(drone['lost'].values()):>6} {risk:>8} {most:>8} {heard:>7}  "
     )
     place = "nowhere yet" if drone["place"] is None else "{:.7f} {:.7f}".format(*drone["place"])
     if (highest := drone["highest"]) is None:
@@ -82,6 +83,9 @@ def _drone_line(drone: dict[str, Any]) -> str:
 
 
 def _remarks(drone: dict[str, Any]) -> Iterator[str]:
+    if (named := drone["heard_by"]) is not None:
+        base = "a base, " if named["base"] else ""
+        yield f"{base}heard by drone {named['drone']} {_span(named['age_s'])} ago; nothing has arrived"
     for fate, count in drone["lost"].items():
         yield f"lost: {count} {fate}"
     for wound in drone["wounds"]:

@@ -236,8 +236,9 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
 @contextlib.contextmanager
 def _page(store: Path, options: argparse.Namespace) -> Iterator[subprocess.Popen[str]]:
     """The page of a store, in a process of its own: the swarm needs all of this one."""
-    command = [sys.executable, "-m", "rass_mav", "page", str(store), "--listen", options.page]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as page:
+    # It ends with this process, even if that is killed: then its stdin is closed.
+    command = [sys.executable, "-m", "rass_mav.swarm.tether", "page", str(store), "--listen", options.page]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as page:
         try:
             assert page.stdout is not None
             if not (said := page.stdout.readline()):

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,9 @@ class Database:
         number, origin, epoch, sequence, crc, kind, size, hops, utc, error_s, at_least, age_s, apart, arrived, head = (
             row
         )
+        # What can be written there by others than our bases need not be a time.
+        utc, error_s = (utc, _finite(error_s)) if isfinite(utc) else (0.0, None)
+        age_s, arrived = _finite(age_s) or 0.0, _finite(arrived)
         info = StoredInfo(DatumId(origin, epoch, sequence), kind, utc, hops, crc, size, at_least)
         entry = Entry(
             number, info.id, crc, kind, size, hops, utc, error_s, at_least, age_s, arrived=arrived, apart=apart
@@ -195,3 +199,8 @@ class Database:
 
     def __exit__(self, *raised: object) -> None:
         self.close()
+
+
+def _finite(seconds: float | None) -> float | None:
+    """A time; None: there is none."""
+    return seconds if seconds is not None and isfinite(seconds) else None

@@ -153,15 +153,17 @@ def _drones(drones: list[dict[str, Any]]) -> str:
     rows = "".join(f"<tr>{''.join(_drone(drone))}</tr>\n" for drone in drones)
     note = (
         '<p class="quiet">Created: at least so many. Missing: on their way, or lost without anybody knowing. At risk: '
-        "at most so many are lost if the drone fails; the age is that of its last status, newer data are unknown.</p>"
+        "so many are lost if the drone fails, as it said in its last status, which is so old. At most: all data "
+        "created before that status that are missing. Or more: of some drones nobody knows how many they had created "
+        "by then. Newer data are unknown.</p>"
     )
     last = '<th scope="col" class="text">Last place, highest reading</th>'
     return f"<table><thead><tr>{head}{last}</tr></thead>\n<tbody>{rows}</tbody></table>{note}"
 
 
 def _drone(drone: dict[str, Any]) -> Iterator[str]:
-    status, heard, highest = drone["status"], drone["heard"], drone["highest"]
-    base = " (base)" if status is not None and status["base"] else ""
+    status, heard, named, highest = drone["status"], drone["heard"], drone["heard_by"], drone["highest"]
+    base = " (base)" if (status is not None and status["base"]) or (named is not None and named["base"]) else ""
     yield f"<td>{drone['drone']}{base}</td>"
     for name in ("created", "arrived", "missing"):
         yield f"<td>{drone[name]:,}</td>"
@@ -169,13 +171,25 @@ def _drone(drone: dict[str, Any]) -> Iterator[str]:
     if status is None or drone["at_risk"] is None:
         yield "<td>unknown</td>"
     else:
-        yield f"<td>{drone['at_risk']:,}, {_span(status['age_s'])} ago</td>"
-    yield f"<td>{'never' if heard is None else _span(heard['age_s']) + ' ago'}</td>"
+        yield f"<td>{_risk(drone['at_risk'], drone['at_most'])}, {_span(status['age_s'])} ago</td>"
+    if named is not None:
+        yield f"<td>by drone {named['drone']}; nothing has arrived</td>"
+    else:
+        yield f"<td>{'never' if heard is None else _span(heard['age_s']) + ' ago'}</td>"
     words = ["nowhere yet" if drone["place"] is None else _place(drone["place"])]
     if highest is not None:
         where = "" if highest["place"] is None else f" at {_place(highest['place'])}"
         words.append(f"{_number(highest['reading'])} {UNIT_NAMES.get(highest['unit'], '')}".strip() + where)
     yield f'<td class="text">{_text("; ".join(words))}</td>'
+
+
+def _risk(at_risk: int, bound: dict[str, int] | None) -> str:
+    """What is lost if a drone fails: as it said, and a bound."""
+    if bound is None:
+        return f"{at_risk:,}"
+    if bound["drones_unknown"]:
+        return f"{at_risk:,}, perhaps {bound['data']:,} or more"
+    return f"{at_risk:,}, at most {bound['data']:,}"
 
 
 def _losses(drones: list[dict[str, Any]]) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import accumulate, chain
+from math import inf, isfinite
+from typing import Any, NamedTuple
 
 from rass_mav.core.datum import WOUNDS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
@@ -15,6 +18,8 @@ from .entry import Data, Entry, iso
 
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
+#: Nodes that are known only because drones hear them; of more, those that were heard last. Real ones soon send data.
+MOST_NAMED = 100
 #: How finely it is known when numbers were created, seconds.
 _SPAN_S = 10.0
 #: Delays that are kept to find the median and the 95th percentile of all.
@@ -32,22 +37,33 @@ class Numbers:
     """So many were created at least: the highest number that the base has heard of, and 1."""
     firsts: dict[int, int] = field(default_factory=dict)
     """The lowest number that was created in each `_SPAN_S` (counted since 1970) at the earliest."""
+    newest: tuple[float, int] = -inf, 0
+    """When the newest was created at the earliest, seconds since 1970, and its number; -inf: nobody knows."""
+
+    _marks: tuple[list[int], list[float]] | None = None
+    """`firsts` sorted by number; and for each, when the one before it was created at the earliest. None: outdated."""
 
     def note(self, entry: Entry) -> None:
         """When one was created that has arrived."""
-        if entry.error_s is not None:
-            span = int((entry.utc - entry.error_s) / _SPAN_S)
-            self.firsts[span] = min(entry.id.sequence, self.firsts.get(span, entry.id.sequence))
+        if entry.error_s is not None and isfinite(earliest := entry.utc - entry.error_s):
+            number = entry.id.sequence
+            span = int(earliest // _SPAN_S)
+            if number < self.firsts.get(span, inf):
+                self.firsts[span] = number
+                self._marks = None
+            self.newest = max(self.newest, (earliest, number))
 
     def missing(self) -> Iterator[tuple[int, int]]:
         """Ranges of numbers, each as (first, last), that were created and have neither arrived nor been reported
         lost."""
+        gone = self.arrived
+        if self.lost:
+            gone = Ranges()
+            for start, end in self.arrived:
+                gone.add(start, end)
+            for number in self.lost:
+                gone.add(number, number + 1)
         first = 0
-        gone = Ranges()
-        for start, end in self.arrived:
-            gone.add(start, end)
-        for number in self.lost:
-            gone.add(number, number + 1)
         for start, end in (*gone, (self.known, self.known)):
             if first < min(start, self.known):
                 yield first, min(start, self.known) - 1
@@ -59,7 +75,23 @@ class Numbers:
 
     def created_before(self, utc: float) -> int | None:
         """The numbers below this one include all that were created before that time; None: it is not known."""
-        return min((number for span, number in self.firsts.items() if span * _SPAN_S >= utc), default=None)
+        numbers = [number for span, number in self.firsts.items() if span * _SPAN_S >= utc]
+        if self.newest[0] >= utc:
+            numbers.append(self.newest[1])
+        return min(numbers, default=None)
+
+    def missing_since(self) -> list[tuple[float, int]]:
+        """Each range of missing numbers as a time, seconds since 1970, and a count: they may have been created before
+        any later time, and were not created before this one."""
+        if self._marks is None:
+            marks = sorted((number, span * _SPAN_S) for span, number in self.firsts.items())
+            self._marks = [number for number, _ in marks], [-inf, *accumulate((time for _, time in marks), max)]
+        numbers, times = self._marks
+        newest_s, newest = self.newest
+        return [
+            (newest_s if newest < first else times[bisect_left(numbers, first)], last - first + 1)
+            for first, last in self.missing()
+        ]
 
 
 @dataclass
@@ -138,6 +170,14 @@ class Drone:
             numbers.lost[id.sequence] = fate
             self.lost[fate] += 1
 
+    @property
+    def only_epoch(self) -> tuple[int, Numbers] | None:
+        """The epoch of all its data, and their numbers; None: there are several or none, or numbers were lost, and how
+        many it created before some time cannot be known."""
+        if self.wounds or len(self.epochs) != 1:
+            return None
+        return next(iter(self.epochs.items()))
+
     def _know(self, id: DatumId) -> Numbers:
         """The numbers of its epoch. It was created, and so were all before it."""
         numbers = self.epochs.setdefault(id.epoch, Numbers())
@@ -151,12 +191,24 @@ class Drone:
             self.lost -= Counter((fate,))
 
 
+class AtMost(NamedTuple):
+    """A bound of what is lost if a drone fails, of the data that were created before its last status."""
+
+    data: int
+    """So many of them are known to be missing: on their way, there or elsewhere, or lost without anybody knowing."""
+    drones_unknown: int
+    """Of so many drones the base does not know how many they had created by then, so there may be more; 0: it is a
+    bound."""
+
+
 class Report:
     """Made from the data in a base's store, one after the other."""
 
     def __init__(self) -> None:
         self.drones: dict[int, Drone] = {}
         """By node id."""
+        self.named: dict[int, Entry] = {}
+        """Nodes of which nothing has arrived, each with the latest status that names it as a neighbour."""
         self.delays: list[float] = []
         """Seconds from creation to arrival, where both are known; of every so many data, where there are many."""
         self._every = 1
@@ -179,6 +231,9 @@ class Report:
                 self.apart += 1
                 continue
             self.drone(entry.id.origin).take(entry)
+            self.named.pop(entry.id.origin, None)
+            if entry.status is not None:
+                self._name(entry, entry.status.neighbours)
             if entry.arrived is not None and not entry.at_least:
                 self._delay(max(0.0, entry.arrived - entry.utc))
 
@@ -191,6 +246,30 @@ class Report:
         """What is known of a drone."""
         return self.drones.setdefault(id, Drone(id))
 
+    def _name(self, word: Entry, neighbours: Iterable[int]) -> None:
+        """A status names nodes as neighbours."""
+        for id in neighbours:
+            if id in self.drones and self.drones[id].heard is not None:
+                continue
+            if id not in self.named or word.utc >= self.named[id].utc:
+                self.named[id] = word
+        while len(self.named) > MOST_NAMED:
+            del self.named[min(self.named, key=lambda id: self.named[id].utc)]
+
+    @property
+    def listed(self) -> list[Drone]:
+        """All drones and bases that are known, by id; of some, nothing has arrived."""
+        known = {**{id: Drone(id) for id in self.named}, **self.drones}
+        return [drone for _, drone in sorted(known.items())]
+
+    def is_base(self, id: int) -> bool:
+        """Whether a node has said that it is a base, or is known only as the goal of a neighbour's route."""
+        drone = self.drones.get(id)
+        if drone is not None and drone.status is not None:
+            return drone.status.base
+        word = self.named.get(id)
+        return word is not None and word.status is not None and word.status.hops == 1 and word.status.next_hop == id
+
     def _delay(self, delay_s: float) -> None:
         self._delayed += 1
         if self._delayed % self._every == 0:
@@ -200,13 +279,14 @@ class Report:
                 self._every *= 2
 
     def at_risk(self, id: int) -> int | None:
-        """At most how many data are lost if a drone fails, of those that were created before its last status; None: it
-        has sent none. Newer data are unknown, and so are those that came to it since.
+        """How many data are probably lost if a drone fails, of those that were created before its last status; None: it
+        has sent none.
 
-        Data that it alone held then, and that have arrived since, are safe. Which ones these are is not known, but of
-        each origin no more are at risk than are missing.
+        It is what the drone alone had then. What has arrived since is safe. Which ones these are is not known, but of
+        each origin no more are at risk than are missing. Not in it are data that came to it since, and data of which
+        the other copies that it counts on are gone: `at_most` bounds these.
         """
-        told = self.drone(id).told
+        told = None if (drone := self.drones.get(id)) is None else drone.told
         if told is None or (status := told.status) is None:
             return None
         others = status.alone - sum(status.alone_by_origin.values())
@@ -218,13 +298,47 @@ class Report:
     def _missing_at(self, told: Entry, origin: int) -> int | None:
         """How many data of an origin that are older than a status are missing; None: it is not known."""
         drone = self.drones.get(origin)
-        if drone is None or drone.wounds or len(drone.epochs) != 1:
+        if drone is None or (only := drone.only_epoch) is None:
             return None
-        [(epoch, numbers)] = drone.epochs.items()
+        epoch, numbers = only
         if (origin, epoch) == told.id[:2]:
             return numbers.missing_below(told.id.sequence)
         number = None if told.error_s is None else numbers.created_before(told.utc + told.error_s)
         return None if number is None else numbers.missing_below(number)
+
+    def at_most(self) -> dict[int, AtMost]:
+        """At most how many data are lost if a drone fails, by its id, of those that were created before its last word.
+
+        These are all that are missing, wherever they are: what is lost with a drone has not arrived. Only data of
+        drones that no node has ever named are left out. Without bases, and drones that have sent no status.
+        """
+        ranges: dict[int, list[tuple[float, int]]] = {}
+        # At a base, data are at their goal.
+        newest = [-inf for id in self.named if id not in self.drones and not self.is_base(id)]
+        for drone in self.drones.values():
+            if self.is_base(drone.id):
+                continue
+            only = drone.only_epoch
+            ranges[drone.id] = [(-inf, drone.missing)] if only is None else only[1].missing_since()
+            newest.append(-inf if only is None else only[1].newest[0])
+        newest.sort()
+        of_all = sorted(chain.from_iterable(ranges.values()))
+        sums = [0, *accumulate(count for _, count in of_all)]
+        bounds = {}
+        for id, of_it in ranges.items():
+            drone = self.drones[id]
+            if (told := drone.told) is None:
+                continue
+            before = inf if told.error_s is None else told.utc + told.error_s
+            missing = sums[bisect_left(of_all, (before,))]
+            unknown = bisect_left(newest, before)
+            if (only := drone.only_epoch) is not None:
+                # How many it had created itself it says exactly.
+                missing += only[1].missing_below(told.id.sequence)
+                missing -= sum(count for since, count in of_it if since < before)
+                unknown -= only[1].newest[0] < before
+            bounds[id] = AtMost(max(missing, self.at_risk(id) or 0), unknown)
+        return bounds
 
     def delay(self, part: float) -> float | None:
         """The delay in seconds that so large a part (0..1) of the arrived data had at most; None: unknown."""
@@ -233,7 +347,8 @@ class Report:
 
     def plain(self, now: float) -> dict[str, Any]:
         """As plain values for JSON. `now`: seconds since 1970, for ages."""
-        drones = [self._plain(drone, now) for _, drone in sorted(self.drones.items())]
+        bounds = self.at_most()
+        drones = [self._plain(drone, bounds.get(drone.id), now) for drone in self.listed]
         figures = ("created", "arrived", "missing")
         return {
             **{name: sum(drone[name] for drone in drones) for name in figures},
@@ -243,8 +358,8 @@ class Report:
             "drones": drones,
         }
 
-    def _plain(self, drone: Drone, now: float) -> dict[str, Any]:
-        status, highest = drone.status, drone.highest
+    def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:
+        status, highest, named = drone.status, drone.highest, self.named.get(drone.id)
         return {
             "drone": drone.id,
             "created": drone.created,
@@ -255,6 +370,12 @@ class Report:
             "lost": {fate.value: count for fate, count in drone.lost.items()},
             "wounds": [fate.value for fate in drone.wounds],
             "heard": None if drone.heard is None else {"utc": iso(drone.heard.utc), "age_s": _age(drone.heard, now)},
+            "heard_by": None
+            if named is None
+            else {
+                "drone": named.id.origin, "utc": iso(named.utc), "age_s": _age(named, now),
+                "base": self.is_base(drone.id),
+            },
             "place": None if drone.placed is None else drone.placed[1],
             "highest": None
             if highest is None or highest.measurement is None
@@ -270,6 +391,7 @@ class Report:
                 "age_s": _age(drone.told, now),
             },
             "at_risk": self.at_risk(drone.id),
+            "at_most": None if bound is None else bound._asdict(),
         }  # fmt: skip
 
 

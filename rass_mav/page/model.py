@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from itertools import islice
 from math import inf
 from typing import Any
 
 from rass_mav.core.datum import DatumId, Fate
 from rass_mav.mission.entry import Entry, Place
 from rass_mav.mission.field import Field, Painted
-from rass_mav.mission.report import Drone, Report
+from rass_mav.mission.report import AtMost, Drone, Report
 from rass_mav.mission.slots import Slots
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -189,7 +190,7 @@ class Mission:
 
     def drone(self, id: int) -> dict[str, Any] | None:
         """What only the panel of a drone shows; None: it is not known."""
-        found = self.report.drones.get(id)
+        found = self.report.drones.get(id) or (Drone(id) if id in self.report.named else None)
         if found is None:
             return None
         by_unit: dict[str, Slots[float]] = {}
@@ -221,6 +222,7 @@ class Mission:
                 "lost": lost.total(),
             },
             "lost": dict(lost),
+            "unheard": self._unheard(),
             "apart": self.report.apart,
             "unlisted": self.unlisted,
             "thinned": self.readings.every,
@@ -237,12 +239,23 @@ class Mission:
         return self._delay[1]
 
     def _drones(self) -> list[dict[str, Any]]:
-        return [self._figures(drone) for _, drone in sorted(self.report.drones.items())]
+        bounds = self.report.at_most()
+        return [self._figures(drone, bounds.get(drone.id)) for _, drone in sorted(self.report.drones.items())]
 
-    def _figures(self, drone: Drone) -> dict[str, Any]:
+    def _unheard(self) -> list[dict[str, Any]]:
+        """Drones of which nothing has arrived, and that others hear. All of them each time: they may be gone again."""
+        # If some drones are not shown, data of these may have arrived.
+        left = MOST_DRONES - len(self.report.drones)
+        unheard = (drone for drone in self.report.listed if drone.id not in self.report.drones)
+        return [self._figures(drone, None) for drone in islice(unheard, left)]
+
+    def _figures(self, drone: Drone, bound: AtMost | None) -> dict[str, Any]:
         story = self.stories.get(drone.id)
         last = story.places.ordered[-1] if story is not None and len(story.places) else None
-        highest = drone.highest
+        highest, named = drone.highest, self.report.named.get(drone.id)
+        state = _state(last, drone.status, None if drone.told is None else drone.told.utc)
+        if named is not None:
+            state |= {"heard_by": [named.id.origin, round(named.utc, 1)], "base": self.report.is_base(drone.id)}
         return {
             "drone": drone.id,
             "created": drone.created,
@@ -251,8 +264,9 @@ class Mission:
             "lost": {fate.value: count for fate, count in drone.lost.items()},
             "wounds": sorted({fate.value for fate in drone.wounds}),
             "heard": None if drone.heard is None else round(drone.heard.utc, 1),
-            **_state(last, drone.status, None if drone.told is None else drone.told.utc),
+            **state,
             "at_risk": self.report.at_risk(drone.id),
+            "at_most": None if bound is None else list(bound),
             "highest": None
             if highest is None or highest.measurement is None
             else _highest(highest.utc, highest.reading or 0.0, highest.measurement.unit or "", highest.place),
@@ -274,6 +288,7 @@ def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[s
         "heard": None if heard is None else round(heard, 1),
         **_state(place, None if word is None else word[1], None if word is None else word[0]),
         "at_risk": None if word is None else word[1].alone,
+        "at_most": None,
         "highest": None
         if highest is None
         else _highest(highest.utc, highest.value, highest.unit, (highest.latitude, highest.longitude)),

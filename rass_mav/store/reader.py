@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing, suppress
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
@@ -11,7 +13,7 @@ from rass_mav.core.store import StoredInfo
 from . import schema
 from .drafts import connect
 from .errors import OutdatedStoreError, Unsound, explained
-from .files import checked_path
+from .files import LOG_ENDINGS, beside, checked_path
 from .opening import version_of
 from .reading import connect_alone
 
@@ -30,6 +32,9 @@ class SqliteReader:
         with explained(self._path, "opening the store to read"):
             # A card that is mounted read-only, or another user's store.
             alone = not os.access(self._path.absolute().parent, os.W_OK)
+            self._log = beside(self._path, LOG_ENDINGS[0])
+            self._closed = not alone and not self._log.exists()
+            """Whether no node used the store when it was opened. SQLite then creates the files of a log to read it."""
             self._connection = connect_alone(self._path) if alone else connect(self._path, "ro")
             try:
                 self._connection.execute("BEGIN")
@@ -44,7 +49,7 @@ class SqliteReader:
                 """32 bits each: the store's life and the epoch of its data; and the sequence number of its next own
                 datum."""
             except BaseException:
-                self._connection.close()
+                self.close()
                 raise
 
     def renew(self) -> None:
@@ -119,6 +124,18 @@ class SqliteReader:
     def close(self) -> None:
         """Release the files."""
         self._connection.close()
+        if self._closed:
+            self._tidy()
+
+    def _tidy(self) -> None:
+        """Leave no files of an empty log behind.
+
+        The last connection that may write removes them when it is closed. SQLite sees to it that this is the last one.
+        """
+        with suppress(OSError, sqlite3.Error):
+            if self._log.stat().st_size == 0:
+                with closing(connect(self._path, busy_timeout=0.0)) as connection:
+                    connection.execute("PRAGMA application_id").fetchall()
 
     def __enter__(self) -> SqliteReader:
         return self

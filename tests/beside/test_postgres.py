@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from itertools import count
@@ -24,14 +25,17 @@ from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry, Filter
 from rass_mav.mission.opening import Opens
 from rass_mav.mission.report import Report
+from rass_mav.page.model import Mission
 from rass_mav.store import SqliteStore
 from tests.app.app_nodes import RunningNode, command
+from tests.environment import unmeasured
 from tests.mission.mission_stores import NOW, measured, mission, put, stored
 from tests.mission.sealed_data import OPENS, PHOTO, sealed
+from tests.patience import PATIENCE_S
 from tests.store.store_helpers import commit
 
 from .conftest import Tidy
-from .databases import Server, rows, server
+from .databases import Server, psycopg, rows, server
 
 # After `databases`, which skips the file where the package is missing.
 from rass_mav.beside.poster import Poster  # isort: skip
@@ -250,6 +254,56 @@ def test_what_came_to_two_bases_is_one_datum_and_two_contents_stay_two(tmp_path:
         assert database.losses() == [(lost, Fate.CORRUPTED)]
         report = Report.of(database).plain(NOW)
         assert (report["arrived"], report["lost"], report["apart"], report["missing"]) == (2, 1, 1, 3)
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e308"])
+def test_times_that_are_none_are_unknown(number: str, tmp_path: Path, url: str) -> None:
+    post(url, stored(tmp_path / "one.db", [measured(0), measured(1)]))
+    with psycopg.connect(url) as connection:
+        # As somebody may have written them who can write to the database.
+        connection.execute(f"UPDATE rass.datum SET utc = '{number}', age_s = '{number}'")
+        connection.execute("UPDATE rass.datum SET error_s = -utc")
+        connection.execute(f"UPDATE rass.arrival SET utc = '{number}'")
+    seen = Mission()
+    with Database(url) as database:
+        assert seen.take(database.entries()) == 2
+        database.renew()
+        report = Report.of(database).plain(NOW)
+    for plain in (seen.snapshot(), seen.changes(), seen.at(NOW), seen.drone(7), report):
+        json.dumps(plain, allow_nan=False)
+
+
+_READER = """
+import sys
+from rass_mav.mission.database import Database
+
+def peak():
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM:"))
+
+with Database(sys.argv[1]) as database:
+    few = sum(1 for _ in database.entries(after=19000))
+    before = peak()
+    database.renew()
+    print(few, sum(1 for _ in database.entries()), peak() - before)
+"""
+
+
+def test_the_memory_to_read_it_does_not_grow_with_the_data(tmp_path: Path, url: str) -> None:
+    post(url, stored(tmp_path / "one.db", [put(0, Kind.BYTES, bytes(256))]))
+    with psycopg.connect(url) as connection:
+        columns = "mission, origin, epoch, crc, apart, kind, hops, utc, at_least, age_s, payload"
+        copies = f"SELECT n, {columns} FROM rass.datum, generate_series(1, 20000) n"
+        connection.execute(f"INSERT INTO rass.datum (sequence, {columns}) {copies}")
+    # In a process of its own, as it is the memory of libpq too.
+    read = subprocess.run(
+        [sys.executable, "-c", _READER, url], check=True, capture_output=True, text=True, timeout=PATIENCE_S,
+        env=unmeasured(),
+    )  # fmt: skip
+    few, many, more_kib = map(int, read.stdout.split())
+    assert 900 < few < 1100
+    assert many == 20_001
+    # In one answer of the server they would be 19 MiB.
+    assert more_kib < 2048
 
 
 def test_the_page_follows_a_database(tmp_path: Path, url: str) -> None:

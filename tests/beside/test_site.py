@@ -12,6 +12,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from rass_mav.app.companion import Companion
@@ -72,10 +73,13 @@ def test_a_base_shows_what_arrives_and_who_runs_it(tmp_path: Path, tidy: Tidy) -
     base.until(lambda: base.status()["beside"]["pid"] not in (pid, None))
     again = url_of(base)
     base.until(lambda: ask(f"{again}api/mission")["totals"]["arrived"] == 3)
-    for node in (base, far):
-        assert node.signal(signal.SIGTERM) == 0
+    # The node is killed: the process beside it ends.
+    beside = psutil.Process(base.status()["beside"]["pid"])
+    base.signal(signal.SIGKILL)
+    assert psutil.wait_procs([beside], timeout=PATIENCE_S)[1] == []
     with pytest.raises(urllib.error.URLError):
         ask(f"{again}api/mission")
+    assert far.signal(signal.SIGTERM) == 0
 
 
 def test_a_token_admits_others(tmp_path: Path, tidy: Tidy) -> None:

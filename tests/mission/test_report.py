@@ -16,7 +16,7 @@ from rass_mav.cli import main
 from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate, Kind
 from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry
-from rass_mav.mission.report import Numbers, Report
+from rass_mav.mission.report import MOST_NAMED, AtMost, Numbers, Report
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 
 from .missions import EPOCH, HERE, Base
@@ -90,6 +90,26 @@ def test_every_number_below_the_highest_is_arrived_lost_or_missing(arrived: set[
         assert numbers.missing_below(below) == len({number for number in missing if number < below})
 
 
+@given(
+    st.lists(st.tuples(st.integers(0, 40), st.integers(0, 90)), max_size=20),
+    st.sets(st.integers(0, 45)),
+    st.integers(0, 95),
+)
+def test_what_is_missing_of_the_time_before(arrived: list[tuple[int, int]], lost: set[int], utc: int) -> None:
+    numbers = Numbers()
+    for number, at in arrived:
+        numbers.note(Entry(0, DatumId(7, 0, number), 0, Kind.BYTES, 1, 1, float(at), 0.0, False, 0.0))
+        numbers.arrived.add(number, number + 1)
+    numbers.lost = dict.fromkeys(lost - {number for number, _ in arrived}, Fate.DIED)
+    numbers.known = 46
+    missing = sum(count for since, count in numbers.missing_since() if since < utc)
+    below = numbers.created_before(utc)
+    assert missing == numbers.missing_below(46 if below is None else below)
+    # Whatever has arrived and was created at that time or later, all before have lower numbers: so it is a bound.
+    first = min((number for number, at in arrived if at >= utc), default=46)
+    assert missing >= numbers.missing_below(first)
+
+
 known = st.builds(DatumId, st.just(7), st.integers(0, 2), st.integers(0, 12))
 
 
@@ -161,6 +181,69 @@ class TestAtRisk:
         base.store.lose(DatumId(7, EPOCH, 4), Fate.UNKNOWN)
         base.arrive(status(base, 7, 2, QUIET._replace(held=9, alone=9, alone_by_origin={7: 9})))
         assert report(base).at_risk(7) == 9
+
+
+class TestAtMost:
+    """A bound of what is lost if a drone fails, of the data that were created before its last word."""
+
+    def test_all_that_are_missing_of_what_was_created_before_the_word(self, base: Base) -> None:
+        base.arrive(status(base, 7, 4, QUIET, age_s=60.0), base.measurement(7, 1, HERE, age_s=65.0))
+        base.arrive(*(base.measurement(8, number, HERE, age_s=70.0) for number in (0, 2)))
+        assert report(base).at_most() == {7: AtMost(3 + 1, 1)}, "drone 8 may have created more before"
+        base.arrive(base.measurement(8, 7, HERE, age_s=0.0), base.measurement(7, 9, HERE, age_s=0.0))
+        assert report(base).at_most() == {7: AtMost(3 + 5, 0)}, "how many of these four are older is not known"
+        base.arrive(base.measurement(8, 4, HERE, age_s=40.0))
+        assert report(base).at_most() == {7: AtMost(3 + 2, 0)}, "those between this one and the last are newer"
+        base.store.lose(DatumId(8, EPOCH, 3), Fate.CORRUPTED)
+        base.arrive()
+        assert report(base).at_most() == {7: AtMost(3 + 1, 0)}, "what is lost already is not lost with the drone"
+
+    def test_it_is_not_less_than_what_the_drone_alone_had(self, base: Base) -> None:
+        base.arrive(status(base, 8, 3, QUIET._replace(held=50, alone=50), age_s=90.0))
+        base.arrive(status(base, 7, 0, QUIET, age_s=30.0), base.measurement(8, 9, HERE, age_s=1.0))
+        assert report(base).at_most() == {7: AtMost(3 + 5, 0), 8: AtMost(50, 0)}
+
+    def test_nothing_is_called_a_bound_where_numbers_were_lost_or_a_clock_was_wrong(self, base: Base) -> None:
+        base.arrive(status(base, 7, 2, QUIET, age_s=60.0), base.measurement(8, 3, HERE, age_s=0.0))
+        assert report(base).at_most() == {7: AtMost(2 + 3, 0)}
+        base.arrive(base.measurement(9, 1, HERE, age_s=0.0)._replace(at_least=True))
+        assert report(base).at_most() == {7: AtMost(2 + 3 + 1, 1)}, "drone 9 may have created it long ago"
+        base.store.lose(DatumId(8, EPOCH, 2), Fate.UNKNOWN)
+        base.arrive()
+        assert report(base).at_most() == {7: AtMost(2 + 3 + 1, 2)}
+
+    def test_drones_that_are_only_named_are_unknown_and_bases_are_not(self, base: Base) -> None:
+        said = QUIET._replace(hops=1, neighbours={1: 1.0, 9: 0.5}, next_hop=1)
+        base.arrive(status(base, 7, 0, said), status(base, 2, 3, QUIET._replace(base=True), age_s=50.0))
+        assert report(base).at_most() == {7: AtMost(0, 1)}
+
+
+class TestNamed:
+    """Drones of which nothing has arrived, but which others hear."""
+
+    def test_they_are_in_the_report_until_something_arrives(
+        self, base: Base, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        said = QUIET._replace(hops=1, neighbours={1: 1.0, 9: 0.5}, next_hop=1)
+        base.arrive(status(base, 7, 0, said, age_s=20.0))
+        found = report(base).plain(base.wall)
+        assert [drone["drone"] for drone in found["drones"]] == [1, 7, 9]
+        one, seven, nine = (drone["heard_by"] for drone in found["drones"])
+        assert seven is None
+        assert (one["base"], nine["base"], nine["drone"], nine["age_s"]) == (True, False, 7, 20.0)
+        assert "heard by drone 7" in told(base, capsys)
+        assert "; nothing has arrived" in told(base, capsys)
+        base.arrive(base.measurement(9, 0, HERE), status(base, 7, 1, said))
+        assert [drone["heard_by"] is None for drone in report(base).plain(base.wall)["drones"]] == [False, True, True]
+
+    def test_forged_names_are_bounded(self) -> None:
+        found = Report()
+        for number in range(300):
+            said = QUIET._replace(neighbours={1000 + number: 1.0})
+            id = DatumId(7, EPOCH, number)
+            found.take([Entry(0, id, 0, Kind.STATUS, 1, 1, 1e9 + number, 0.1, False, 0.0, status=said)])
+        assert len(found.listed) == 1 + MOST_NAMED
+        assert 1299 in found.named
 
 
 def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:

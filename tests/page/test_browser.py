@@ -21,6 +21,7 @@ from rass_mav.mission.archive import Archive
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.app.app_nodes import environment
+from tests.mission.missions import HERE
 from tests.patience import PATIENCE_S
 
 from .flights import Flight
@@ -227,6 +228,19 @@ def test_a_phone(browser: Browser, flight: Flight) -> None:
         page.locator("#drones button[data-drone='2']").click()
         expect(page.locator("#drone-title")).to_be_in_viewport()
         shoot(page, "browser-phone")
+
+
+def test_a_drone_that_only_others_hear(browser: Browser, flight: Flight) -> None:
+    word = NodeStatus(0, 0, 0, None, 0.0, 2, None, None, {40: 0.5}, {})
+    flight.base.arrive(flight.base.datum(3, 900, Kind.STATUS, encode_status(word)))
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        row = page.locator("#drones tbody tr", has=page.locator("button[data-drone='40']"))
+        expect(row).to_contain_text("by 3no data")
+        row.locator("button").click()
+        expect(page.locator("#drone-facts")).to_contain_text("Heardby drone 3, ")
+        flight.base.arrive(flight.base.measurement(40, 0, HERE))
+        expect(row).not_to_contain_text("no data")
+        expect(row).to_have_count(1)
 
 
 def test_hostile_names_are_text(browser: Browser, tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def is_json(plain: object) -> None:
 
 
 def is_bounded(shown: dict[str, Any]) -> None:
-    assert len(shown["drones"]) <= SMALL["MOST_DRONES"]
+    assert len(shown["drones"]) + len(shown.get("unheard", ())) <= SMALL["MOST_DRONES"]
     assert all(len(track["points"]) <= SMALL["MOST_PLACES"] for track in shown.get("tracks", {}).values())
     assert len(shown["fields"]) <= len(UNITS) + 1
     assert all(len(found["squares"]) <= 13 * SQUARES for found in shown["fields"].values())

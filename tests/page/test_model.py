@@ -53,7 +53,7 @@ class Browser:
 
     def take(self, news: dict[str, Any]) -> None:
         news = json.loads(json.dumps(news, allow_nan=False))
-        self.frame = {name: news[name] for name in ("totals", "lost", "begin", "end", "arrivals")}
+        self.frame = {name: news[name] for name in ("totals", "lost", "begin", "end", "arrivals", "unheard")}
         self.drones.update({figures["drone"]: figures for figures in news["drones"]})
         for id, track in news["tracks"].items():
             span = track["span_s"]
@@ -106,6 +106,7 @@ def test_its_figures_are_those_of_the_report(flight: Flight) -> None:
     for figures, drone in zip(shown["drones"], report["drones"], strict=True):
         for name in ("drone", "created", "arrived", "missing", "lost", "at_risk"):
             assert figures[name] == drone[name]
+        assert figures["at_most"] == (drone["at_most"] and list(drone["at_most"].values()))
         detail = mission.drone(figures["drone"])
         assert detail is not None
         assert detail["missing_numbers"] == drone["missing_numbers"]
@@ -142,6 +143,8 @@ def test_the_latest_word_counts_whatever_the_order() -> None:
         ]
     )
     (figures,) = mission.snapshot()["drones"]
+    (unheard,) = mission.snapshot()["unheard"]
+    assert (unheard["drone"], unheard["heard"], unheard["heard_by"]) == (8, None, [7, NOW])
     assert (figures["held"], figures["place"], figures["risk"]) == (5, [47.38, 8.54], 0.25)
     assert (figures["neighbours"], figures["next_hop"]) == ([[8, 0.5]], 8)
     (earlier,) = mission.at(NOW - 30)["drones"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import select
 import signal
 import subprocess
@@ -95,19 +97,25 @@ def test_it_serves_until_it_is_stopped(store: Path) -> None:
             page.kill()
 
 
-def test_the_page_of_a_swarm_ends_with_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_the_page_of_a_swarm_ends_with_it(number: signal.Signals) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
     words = ["swarm", "demo", "--nodes", "9", "--page", "127.0.0.1:0", "--pace", "1"]
     command = [sys.executable, "-m", "rass_mav", *words]
     with subprocess.Popen(
-        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as swarm:  # fmt: skip
-        assert swarm.stderr is not None
-        url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
-        with urllib.request.urlopen(f"{url}api/mission", timeout=PATIENCE_S) as answer:
-            assert json.load(answer)["store"] == "swarm.db"
-        swarm.terminate()
-        swarm.communicate(timeout=PATIENCE_S)
-    assert swarm.returncode == 128 + signal.SIGTERM
+        try:
+            assert swarm.stderr is not None
+            url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
+            with urllib.request.urlopen(f"{url}api/mission", timeout=PATIENCE_S) as answer:
+                assert json.load(answer)["store"] == "swarm.db"
+            swarm.send_signal(number)
+            # Returns when the page has ended too: it has the same stderr.
+            swarm.communicate(timeout=PATIENCE_S)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(swarm.pid, signal.SIGKILL)
+    assert swarm.returncode == (128 + number if number == signal.SIGTERM else -number)
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(url, timeout=PATIENCE_S)

@@ -49,8 +49,24 @@ def test_the_reader_works_on_a_closed_store_and_leaves_it_usable(tmp_path: Path)
     with SqliteReader(path) as reader:
         assert reader.get(datum(0).id) == datum(0)
     assert path.read_bytes() == before
+    assert not list(tmp_path.glob("*-*")), "what SQLite needs to read it is gone"
     with open_store(path) as store:
         assert store.get(datum(0).id) == datum(0)
+
+
+def test_a_node_that_starts_while_the_reader_reads_keeps_its_log(tmp_path: Path) -> None:
+    path = tmp_path / "node.db"
+    with open_store(path) as store:
+        store.put(datum(0))
+    reader = SqliteReader(path)
+    with open_store(path) as store:
+        reader.close()
+        store.put(datum(1))
+        commit(store)
+        with SqliteReader(path) as other:
+            assert other.ids() == [datum(0).id, datum(1).id]
+    with open_store(path) as store:
+        assert store.get(datum(1).id) == datum(1)
 
 
 def test_many_data_are_listed_in_the_order_of_arrival(tmp_path: Path) -> None:

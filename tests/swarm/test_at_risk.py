@@ -12,7 +12,7 @@ from rass_mav.agent.statuses import Statuses
 from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.core.store import Store
 from rass_mav.mission.entry import Entry
-from rass_mav.mission.report import Report
+from rass_mav.mission.report import AtMost, Report
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.world import World
 from rass_mav.wire.nodestatus import decode_status
@@ -24,9 +24,14 @@ NODES, STEPS, DEATHS = 36, 240, 5
 class Death(NamedTuple):
     drone: int
     lost: set[DatumId]
-    """Data of which the last copy was there."""
+    """Data of which the last copy was there, without those that the base had been told are lost."""
     at_risk: int
+    at_most: AtMost
     """As the report said then."""
+    missing: set[DatumId]
+    """The same of data that were created before its last status, were somewhere, and had not arrived."""
+    known: set[DatumId]
+    """Those of them of which the base could know that they had been created."""
     word_s: float
     """When the drone had sent the status that this comes from."""
 
@@ -80,8 +85,20 @@ class Mortal:
             died = {id for id, fate in world.ledger.lost.items() if fate is Fate.DIED}
             at_risk, word = report.at_risk(drone), report.drone(drone).told
             if at_risk is not None and word is not None:
-                self.deaths.append(Death(drone, died - before, at_risk, word.utc))
+                # Copies of some may be left. They count as lost already.
+                before |= {id for id, _ in world.stores[0].losses()}
+                born = {id for id, step in world.ledger.born.items() if step * world.step_s <= word.utc}
+                missing = born - world.ledger.arrived.keys() - before
+                known = {id for id in missing if id.sequence < _created(report, id)}
+                at_most = report.at_most()[drone]
+                self.deaths.append(Death(drone, died - before, at_risk, at_most, missing, known, word.utc))
             del self.victims[0], self.from_step[0]
+
+
+def _created(report: Report, id: DatumId) -> int:
+    """How many of an epoch the base knows of."""
+    drone = report.drones.get(id.origin)
+    return drone.epochs[id.epoch].known if drone is not None and id.epoch in drone.epochs else 0
 
 
 def entries(store: Store) -> Iterator[Entry]:
@@ -103,12 +120,16 @@ def test_what_a_drone_alone_had_is_what_is_lost_with_it(
         # Links come and go, and now and then a drone is cut off with what it has.
         swarm = Mortal(seed, **{"topology": "random-walk", "radio.range_m": 2.2, "custody.mirror": mirror})
         swarm.run(monkeypatch)
-        for drone, died, at_risk, word_s in swarm.deaths:
+        for drone, died, at_risk, at_most, missing, known, word_s in swarm.deaths:
             # Ages travel as milliseconds.
             _, had = min((abs(now - word_s), ids) for (id, now), ids in swarm.alone.items() if id == drone)
             assert at_risk >= len(died & had), "of what it held at its last word that arrived"
             said += at_risk
-            lost += len({id for id in died if swarm.world.ledger.born[id] * swarm.world.step_s <= word_s})
+            old = {id for id in died if swarm.world.ledger.born[id] * swarm.world.step_s <= word_s}
+            assert old <= missing
+            assert len(known) <= at_most.data, "any of these can be what is lost"
+            assert missing == known or at_most.drones_unknown
+            lost += len(old)
             deaths += 1
     assert deaths > 2 * runs
     # What came to it since, and copies that it counted on and that were gone too, are not in its word: they are few.

@@ -2,7 +2,7 @@
 
 import { ReadingsChart } from "./chart.js";
 import { by, make, say, tell } from "./dom.js";
-import { sum } from "./panels.js";
+import { bound, sum } from "./panels.js";
 import { age, clock, count, place, reading, unitName } from "./words.js";
 
 /** What the server has more is asked for at most this often, milliseconds. */
@@ -61,7 +61,7 @@ export class DronePanel {
     const ago = (utc) => `${age(now - utc)} ago (${clock(utc, now)})`;
     const lost = figures.lost === null ? "not known for earlier times" : Object.entries(figures.lost).map(([why, n]) => `${count(n)} ${why}`).join(", ") || "0";
     const facts = [
-      ["Heard", figures.heard === null ? "never" : ago(figures.heard)],
+      ["Heard", figures.heard_by ? `by drone ${figures.heard_by[0]}, ${ago(figures.heard_by[1])}; nothing has arrived` : figures.heard === null ? "never" : ago(figures.heard)],
       ["Place", figures.place === null ? "unknown" : `${place(figures.place)}, ${ago(figures.placed)}`],
       ["Risk", figures.risk === null ? "unknown: counts as the worst" : figures.risk.toFixed(3)],
       ["Data", `${count(figures.created)} created at least, ${count(figures.arrived)} arrived, ${count(figures.missing)} missing`],
@@ -77,7 +77,7 @@ export class DronePanel {
       facts.push(
         ["Status", `${ago(figures.told)}; newer: unknown`],
         ["In custody", `${count(figures.held)}, ${count(figures.alone)} of them nowhere else`],
-        ["At risk", `at most ${count(figures.at_risk)} if it fails now, newer: unknown`],
+        ["At risk", [`${count(figures.at_risk)} if it fails now`, ...bound(figures), "newer: unknown"].join(", ")],
         ["Spare copies", `${count(figures.spares)} for others`],
         ["Free space", figures.free === null ? "no limit" : `${count(figures.free)} data`],
         ["Route", figures.base ? "is a base" : figures.hops === null ? "none" : `${figures.hops} ${figures.hops === 1 ? "hop" : "hops"} to a base`],

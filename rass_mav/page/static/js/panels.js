@@ -48,8 +48,21 @@ function fill(row, figures, state) {
   set(missing, count(figures.missing));
   set(lost, figures.lost === null ? "-" : count(sum(figures.lost)), figures.wounds.length ? "or more" : "");
   if (figures.at_risk === null) set(atRisk, "?", "no status");
-  else set(atRisk, count(figures.at_risk), figures.told === null ? "" : age(state.now - figures.told));
-  set(heard, figures.heard === null ? "never" : age(state.now - figures.heard));
+  else set(atRisk, count(figures.at_risk), [...bound(figures, true), ...(figures.told === null ? [] : [age(state.now - figures.told)])].join(", "));
+  if (figures.heard_by) set(heard, `by ${figures.heard_by[0]}`, "no data");
+  else set(heard, figures.heard === null ? "never" : age(state.now - figures.heard));
+}
+
+/**
+ * At most how many data are lost with a drone, in words; none for earlier times.
+ * @param {boolean} short for the table
+ * @returns {string[]}
+ */
+export function bound({ at_most: most }, short = false) {
+  if (most === null) return [];
+  const data = count(most[0]);
+  if (most[1]) return [short ? `${data}+` : `perhaps ${data} or more`];
+  return [`${short ? "max" : "at most"} ${data}`];
 }
 
 function set(cell, text, more = "") {

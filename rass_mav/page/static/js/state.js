@@ -61,13 +61,15 @@ export class State {
 
   /** The figures that are shown, by the drone's number. @returns {any[]} */
   get shown() {
-    const drones = this.past === null ? [...this.drones.values()] : this.past.drones;
+    const drones = this.past === null ? [...this.drones.values(), ...(this.frame?.unheard ?? [])] : this.past.drones;
     return drones.sort((one, other) => one.drone - other.drone);
   }
 
   /** The figures of a drone that are shown. */
   figures(id) {
-    return this.past === null ? this.drones.get(id) : this.past.drones.find((figures) => figures.drone === id);
+    if (this.past === null && this.drones.has(id)) return this.drones.get(id);
+    const others = this.past === null ? (this.frame?.unheard ?? []) : this.past.drones;
+    return others.find((figures) => figures.drone === id);
   }
 
   /** The totals that are shown. */
