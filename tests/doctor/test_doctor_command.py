@@ -59,6 +59,12 @@ def examined(path: Path, capsys: Capture, code: int) -> dict[str, dict[str, Any]
     return {check["name"]: check for check in report["checks"]} | {"report": report}
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what shows without waiting: the command does not wait in vain for what never comes."""
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
+
+
 def levels(found: dict[str, dict[str, Any]], *names: str) -> list[str]:
     return [found[name]["level"] for name in names]
 
@@ -117,6 +123,7 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     other.signal(signal.SIGTERM)
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("running", [False, True], ids=["trial", "running"])
 def test_a_node_with_nothing(running: bool, tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
@@ -224,6 +231,7 @@ def test_an_autopilot_that_wants_signatures(
     assert found["position"]["level"] == "pass"
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     vehicle_port, listen, peer = free_ports(3)
@@ -251,7 +259,9 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
         links=[{"type": "autopilot"}],
         mavlink={"autopilot_id": 1},
     )  # fmt: skip
-    found = examined(Path(node.config), capsys, 1)
+    with monkeypatch.context() as impatient:
+        impatient.setattr(watch, "MOST_S", 0.5)
+        found = examined(Path(node.config), capsys, 1)
     assert levels(found, f"serial port {device.path}", f"serial port {counter.path}") == 2 * ["fail"]
     # What needs them has no remedy of its own.
     assert levels(found, "autopilot", "position", "sensor", "links[0]", "neighbours") == 5 * ["skip"]
@@ -273,6 +283,7 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
         counter.unplug()
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     device = SerialDevice(tmp_path / "ttyAMA0").plug()
@@ -310,6 +321,7 @@ class Talking:
         self._thread.join()
 
 
+@pytest.mark.usefixtures("impatient")
 def test_only_on_a_link_that_forwards(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     listen, peer = free_ports(2)
@@ -329,6 +341,7 @@ def test_the_same_node_id_twice(tmp_path: Path, tidy: Tidy, capsys: Capture, mon
     assert found["node id"]["level"] == "fail"
     tidy(node).start()
     node.until(lambda: node.status()["rivals"] != [])
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
     assert examined(Path(node.config), capsys, 1)["node id"]["level"] == "fail"
 
 
@@ -351,6 +364,7 @@ def test_two_nodes_under_one_system_id(tmp_path: Path, tidy: Tidy, capsys: Captu
     assert (status["system_id"], status["neighbours"][0]["system_id"]) == (42, 42)
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_neighbour_of_another_version(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     mine, theirs = free_ports(2)

@@ -20,6 +20,7 @@ import yaml
 from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.service import check_visible
 from rass_mav.config.loading import to_plain
+from rass_mav.doctor import watch
 from rass_mav.doctor.checkup import as_the_service
 from rass_mav.errors import ConfigError, ServiceError
 from rass_mav.keys.files import read_ground, read_keys
@@ -271,7 +272,8 @@ def config(directory: Path, **sections: Any) -> str:
     return "n.yaml"
 
 
-def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack) -> None:
+def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
     node = RunningNode(tmp_path, 7, links=[{"listen": "127.0.0.1:0", "peers": [{"address": "127.0.0.1:9"}]}])
     stack.callback(node.end)
     node.start()
@@ -308,7 +310,8 @@ def test_a_node_does_not_start_with_keys_that_are_not_its_own(
     assert (done.returncode, done.stderr.decode()) == (0, f"n.yaml: warning: keys.file: {said}\n")
 
 
-def test_the_doctor_finds_keys_that_are_not_the_nodes_own(tmp_path: Path) -> None:
+def test_the_doctor_finds_keys_that_are_not_the_nodes_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
     mission(tmp_path, 7, 8)
     done = command(tmp_path, "doctor", config(tmp_path, keys={"file": "m/drone-8.keys"}))
     assert done.returncode == 1
