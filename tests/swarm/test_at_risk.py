@@ -60,7 +60,8 @@ class Mortal:
 
         with monkeypatch.context() as watching:
             watching.setattr(Statuses, "_status", tell)
-            self.world.run(STEPS, after=self._kill)
+            while self.victims and self.world.t < STEPS:
+                self.world.run(1, after=self._kill)
 
     def _report(self) -> Report:
         """As the base would give it now."""
