@@ -125,7 +125,10 @@ class RunningNode:
         (directory / self.config).write_text(yaml.safe_dump(plain))
 
     def start(self, *, measured: bool = True) -> RunningNode:
-        """Returns when it runs. `measured`: with its coverage, which takes long; where others reach the same, without."""
+        """Returns when it runs.
+
+        :param measured: with its coverage, which takes long. Without it where other tests reach the same code.
+        """
         with (self.directory / f"{self.name}.log").open("ab") as log:
             self.process = subprocess.Popen(
                 self.arguments(),
