@@ -15,12 +15,15 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-# Tests that run at the same time.
-JOBS ?= 2
+# Tests that run at the same time: more than two cores, because many of them only wait for a real node.
+JOBS ?= 3
 # For `make paper`: runs of each kind, their length, and where the tables and figures go.
 RUNS ?= 2
 STEPS ?= 500
 OUT ?= build/paper
+
+# The tests start hundreds of interpreters. Without compiled files each would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 BIN := $(VENV)/bin
 # Compiled when first imported: most of what is installed never is.

@@ -13,7 +13,7 @@ from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.app.service import config_path, place
 from rass_mav.errors import ConfigError
 
-from . import computer, keys, neighbours, network, node, ports, service, storage, vehicle
+from . import computer, keys, neighbours, network, node, ports, service, storage, vehicle, watch
 from .finding import Finding, failed, passed
 from .trial import try_out
 from .watch import Evidence
@@ -81,7 +81,7 @@ def check_up(path: str) -> Report:
     found, evidence, free = node.look(config)
     findings.append(found)
     if evidence is None and free:
-        evidence = asyncio.run(try_out(config))
+        evidence = asyncio.run(try_out(config, watch.MOST_S))
     findings += (neighbours.hops(config, index) for index in range(len(config.links)))
     if evidence is not None:
         evidence.blocked = frozenset(key for key, finding in serial.items() if finding.level == "fail")

@@ -11,8 +11,9 @@ from rass_mav.app.client import ControlClient
 from rass_mav.app.config import RunConfig
 from rass_mav.errors import ControlError
 
+from . import watch
 from .finding import Finding, failed, passed, warned
-from .watch import LOOK_S, MOST_S, Evidence, Status, seen_enough
+from .watch import LOOK_S, Evidence, Status, seen_enough
 
 #: How long to wait for the node's answer, seconds.
 ANSWER_S = 2.0
@@ -44,7 +45,7 @@ def look(
     began = clock()
     try:
         with client:
-            while not samples or (clock() - began < MOST_S and not seen_enough(config, samples)):
+            while not samples or (clock() - began < watch.MOST_S and not seen_enough(config, samples)):
                 if samples:
                     pause(LOOK_S)
                 samples.append(client.ask("status")["status"])

@@ -37,7 +37,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 
 from .network import is_known
-from .watch import LOOK_S, MOST_S, Ear, Evidence, seen_enough
+from .watch import LOOK_S, Ear, Evidence, seen_enough
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
 #: An autopilot may not answer about parameters that it does not have, and there is not much time.
@@ -87,7 +87,7 @@ class Listener:
             self.ear.parameters = {name: value.value for name, value in talk.values.items()}
 
 
-async def try_out(config: RunConfig, most_s: float = MOST_S) -> Evidence:
+async def try_out(config: RunConfig, most_s: float) -> Evidence:
     """Open the configured ports, observe them for at most `most_s` seconds, and close them. Opens no store."""
     clock = Clock()
     evidence = Evidence(False, [])

@@ -227,6 +227,7 @@ def test_an_answer_that_a_forger_has_brought_about_costs_time_but_not_the_datum(
     assert id in arrived(base)
 
 
+@pytest.mark.no_cover
 def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> None:
     base = make(BASE)
     for sequence in range(MAX_APART + 10):

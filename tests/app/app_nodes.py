@@ -23,6 +23,7 @@ from rass_mav.app.client import ControlClient
 from rass_mav.cli import main
 from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry
+from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -123,13 +124,16 @@ class RunningNode:
         plain = {"node": node, "data": data, "store": store, **sections}
         (directory / self.config).write_text(yaml.safe_dump(plain))
 
-    def start(self) -> RunningNode:
-        """Returns when it runs."""
+    def start(self, *, measured: bool = True) -> RunningNode:
+        """Returns when it runs.
+
+        :param measured: with its coverage, which takes long. Without it where other tests reach the same code.
+        """
         with (self.directory / f"{self.name}.log").open("ab") as log:
             self.process = subprocess.Popen(
                 self.arguments(),
                 cwd=self.directory,
-                env=environment(),
+                env=environment() if measured else unmeasured(PYTHONPATH=str(ROOT)),
                 stdout=subprocess.PIPE,
                 stderr=log,
             )

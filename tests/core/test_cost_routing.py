@@ -63,6 +63,7 @@ def test_more_risk_never_costs_less(a: float, b: float) -> None:
     assert 1 <= toll(low) <= toll(high) < NO_COST
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(60), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_ever_and_the_cheapest_ways_once_the_network_heals(seed: int) -> None:
@@ -76,6 +77,7 @@ def test_no_cycles_ever_and_the_cheapest_ways_once_the_network_heals(seed: int) 
         assert found == best
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(40), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_in_a_swarm_of_two_policies(seed: int) -> None:
@@ -84,6 +86,7 @@ def test_no_cycles_in_a_swarm_of_two_policies(seed: int) -> None:
         swarm.turn()
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(60), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> None:
@@ -103,6 +106,7 @@ def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> 
         swarm.turn()
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(60), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_where_queues_come_and_go(seed: int) -> None:

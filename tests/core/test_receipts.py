@@ -225,6 +225,7 @@ def test_who_is_not_heard_is_not_talked_to_for_ever() -> None:
     assert net.agree()
 
 
+@pytest.mark.no_cover
 @given(
     st.lists(st.integers(1, 8), min_size=5, max_size=5),
     st.integers(0, 1000),
@@ -303,6 +304,7 @@ def test_the_base_with_the_most_statements_forgets_its_oldest() -> None:
     assert receipts.disagreement() == ""
 
 
+@pytest.mark.no_cover
 def test_a_flood_of_invented_bases_leaves_the_named_one_alone() -> None:
     receipts = Receipts()
     named = Neighbour(beacon(5, 1, Route(1, 9, 1, 0)), 0.0)

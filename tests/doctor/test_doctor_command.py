@@ -59,6 +59,12 @@ def examined(path: Path, capsys: Capture, code: int) -> dict[str, dict[str, Any]
     return {check["name"]: check for check in report["checks"]} | {"report": report}
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what shows without waiting: the command does not wait in vain for what never comes."""
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
+
+
 def levels(found: dict[str, dict[str, Any]], *names: str) -> list[str]:
     return [found[name]["level"] for name in names]
 
@@ -83,13 +89,13 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     monkeypatch.chdir(tmp_path)
     vehicle_port, listen, peer = free_ports(3)
     node = drone(tmp_path, vehicle_port, listen, peer)
-    other = tidy(base(tmp_path, peer, listen)).start()
+    other = tidy(base(tmp_path, peer, listen)).start(measured=False)
     vehicle = MockVehicle(42)
     vehicle.reading = 25.0
     vehicle.parameters = {"SERIAL2_PROTOCOL": (2, INT8), "SERIAL2_OPTIONS": (0, INT16)}
     with vehicle.on_udp(vehicle_port):
         if running:
-            tidy(node).start()
+            tidy(node).start(measured=False)
             node.until(lambda: node.status()["neighbours"] != [])
         found = examined(Path(node.config), capsys, 0)
     assert found["report"]["running"] is running
@@ -117,13 +123,14 @@ def test_a_node_with_all_it_needs(running: bool, tmp_path: Path, tidy: Tidy, cap
     other.signal(signal.SIGTERM)
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("running", [False, True], ids=["trial", "running"])
 def test_a_node_with_nothing(running: bool, tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     vehicle_port, listen, peer = free_ports(3)
     node = drone(tmp_path, vehicle_port, listen, peer)
     if running:
-        tidy(node).start()
+        tidy(node).start(measured=False)
     found = examined(Path(node.config), capsys, 1)
     # One fault, one remedy: the autopilot is not there.
     assert levels(found, "autopilot", "sensor", "position", "neighbours") == ["fail", "skip", "skip", "warn"]
@@ -215,7 +222,7 @@ def test_an_autopilot_that_wants_signatures(
     vehicle.signing = True
     with vehicle.on_udp(vehicle_port):
         if running:
-            tidy(node).start()
+            tidy(node).start(measured=False)
             node.until(lambda: node.status()["autopilot"] is not None)
         found = examined(Path(node.config), capsys, 1)
     assert levels(found, "autopilot", "sensor") == ["fail", "skip"]
@@ -224,6 +231,7 @@ def test_an_autopilot_that_wants_signatures(
     assert found["position"]["level"] == "pass"
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     vehicle_port, listen, peer = free_ports(3)
@@ -251,7 +259,9 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
         links=[{"type": "autopilot"}],
         mavlink={"autopilot_id": 1},
     )  # fmt: skip
-    found = examined(Path(node.config), capsys, 1)
+    with monkeypatch.context() as impatient:
+        impatient.setattr(watch, "MOST_S", 0.5)
+        found = examined(Path(node.config), capsys, 1)
     assert levels(found, f"serial port {device.path}", f"serial port {counter.path}") == 2 * ["fail"]
     # What needs them has no remedy of its own.
     assert levels(found, "autopilot", "position", "sensor", "links[0]", "neighbours") == 5 * ["skip"]
@@ -273,6 +283,7 @@ def test_serial_ports(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None
         counter.unplug()
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_serial_port_that_another_program_has(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     device = SerialDevice(tmp_path / "ttyAMA0").plug()
@@ -310,6 +321,7 @@ class Talking:
         self._thread.join()
 
 
+@pytest.mark.usefixtures("impatient")
 def test_only_on_a_link_that_forwards(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     listen, peer = free_ports(2)
@@ -323,12 +335,13 @@ def test_only_on_a_link_that_forwards(tmp_path: Path, capsys: Capture, monkeypat
 def test_the_same_node_id_twice(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     mine, theirs = free_ports(2)
-    tidy(base(tmp_path, theirs, mine, 5, "rival")).start()
+    tidy(base(tmp_path, theirs, mine, 5, "rival")).start(measured=False)
     node = base(tmp_path, mine, theirs, 5)
     found = examined(Path(node.config), capsys, 1)
     assert found["node id"]["level"] == "fail"
-    tidy(node).start()
+    tidy(node).start(measured=False)
     node.until(lambda: node.status()["rivals"] != [])
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
     assert examined(Path(node.config), capsys, 1)["node id"]["level"] == "fail"
 
 
@@ -336,7 +349,7 @@ def test_two_nodes_under_one_system_id(tmp_path: Path, tidy: Tidy, capsys: Captu
     monkeypatch.chdir(tmp_path)
     vehicle_port, mine, theirs = free_ports(3)
     # A base without an autopilot takes its system id from its node id.
-    tidy(base(tmp_path, theirs, mine, 42)).start()
+    tidy(base(tmp_path, theirs, mine, 42)).start(measured=False)
     node = drone(tmp_path, vehicle_port, mine, theirs)
     vehicle = MockVehicle(42)
     vehicle.reading = 25.0
@@ -344,17 +357,18 @@ def test_two_nodes_under_one_system_id(tmp_path: Path, tidy: Tidy, capsys: Captu
         found = examined(Path(node.config), capsys, 0)
         assert found["system ids"]["level"] == "warn"
         assert found["system ids"]["text"].startswith("nodes 7, 42 all use system id 42")
-        tidy(node).start()
+        tidy(node).start(measured=False)
         node.until(lambda: node.status()["shared_system_ids"] != [])
         status = node.status()
     assert status["shared_system_ids"] == [{"system_id": 42, "node_ids": [7, 42]}]
     assert (status["system_id"], status["neighbours"][0]["system_id"]) == (42, 42)
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_neighbour_of_another_version(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     mine, theirs = free_ports(2)
-    node = tidy(base(tmp_path, mine, theirs)).start()
+    node = tidy(base(tmp_path, mine, theirs)).start(measured=False)
     old = FrameWriter(3, 191).tunnel(VERSION_1["beacon-drone"], payload_type=33200)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as neighbour:
         neighbour.sendto(old, ("127.0.0.1", mine))
@@ -371,7 +385,7 @@ def test_a_loop_that_brings_everything_back(tmp_path: Path, tidy: Tidy, capsys: 
     (mine,) = free_ports(1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as forwarder:
         forwarder.bind(("127.0.0.1", 0))
-        node = tidy(base(tmp_path, mine, forwarder.getsockname()[1])).start()
+        node = tidy(base(tmp_path, mine, forwarder.getsockname()[1])).start(measured=False)
         stop, stopped = socket.socketpair()
 
         def forward() -> None:
@@ -394,7 +408,7 @@ def test_a_node_that_does_not_answer_and_one_that_was_killed(
     tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start(measured=False)
     assert node.process is not None
     node.process.send_signal(signal.SIGSTOP)
     found = examined(Path(node.config), capsys, 1)
@@ -409,7 +423,7 @@ def test_a_node_that_does_not_answer_and_one_that_was_killed(
 
 def test_a_running_node_of_another_configuration(tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start()
+    node = tidy(RunningNode(tmp_path, 1, node={"role": "base"}, links=[])).start(measured=False)
     RunningNode(tmp_path, 2, "n1", node={"role": "base"}, links=[])
     found = examined(Path(node.config), capsys, 1)
     assert "is running: node 1 (base)" in found["node"]["text"]

@@ -23,12 +23,27 @@ def test_every_attacker_meets_every_policy_with_and_without_spare_copies() -> No
         assert run.scenario.custody.mirror is hostile.VARIANTS[run.variant]
 
 
+def test_every_row_and_figure_of_a_short_run_is_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The attacker has come, and has not left yet. Measured; the long run is not."""
+    summary = asked(
+        capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
+        "survival", "--jobs", "1", "--steps", str(ATTACK[0] + 10),
+    )  # fmt: skip
+    check_files(tmp_path, summary)
+    _, rows = table(tmp_path / "table.csv")
+    found = {(row["attacker"], row["variant"]): float(row["delivered_mean"]) for row in rows}
+    assert len(found) == 4
+    for variant in hostile.VARIANTS:
+        assert found["sinkhole", variant] < found["nobody", variant]
+
+
+@pytest.mark.no_cover
 def test_what_a_sinkhole_takes_is_healed_from_spares_and_told_where_there_are_none(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     summary = asked(
         capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
-        "survival", "--jobs", "1", "--steps", "420",
+        "survival", "--jobs", "1", "--steps", "420", "--set", f"data.until_step={ATTACK[1]}",
     )  # fmt: skip
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")

@@ -20,6 +20,7 @@ import yaml
 from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.service import check_visible
 from rass_mav.config.loading import to_plain
+from rass_mav.doctor import watch
 from rass_mav.doctor.checkup import as_the_service
 from rass_mav.errors import ConfigError, ServiceError
 from rass_mav.keys.files import read_ground, read_keys
@@ -242,7 +243,7 @@ def test_five_commands_from_an_empty_folder_to_a_base_and_three_drones(tmp_path:
         config = yaml.safe_load((tmp_path / node.config).read_text())
         held = "mission/ground.keys" if node is first else f"drone-{config['node']['id']}.keys"
         (tmp_path / node.config).write_text(yaml.safe_dump({**config, "keys": {"file": held}}))
-        node.start()
+        node.start(measured=False)
     for node, node_id in zip((first, *others), (1, 7, 8, 9), strict=True):
         serial = 0 if node is first else 1
         about = {"mission": name, "node_id": node_id, "serial": serial, "link_keys": [1]}
@@ -271,10 +272,11 @@ def config(directory: Path, **sections: Any) -> str:
     return "n.yaml"
 
 
-def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack) -> None:
+def test_without_keys_a_node_is_open(tmp_path: Path, stack: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
     node = RunningNode(tmp_path, 7, links=[{"listen": "127.0.0.1:0", "peers": [{"address": "127.0.0.1:9"}]}])
     stack.callback(node.end)
-    node.start()
+    node.start(measured=False)
     assert node.status()["keys"] is None
     assert OPEN in command(tmp_path, "status", node.config).stdout.decode().splitlines()
     assert f"pass  keys: {OPEN}\n" in command(tmp_path, "doctor", node.config).stdout.decode()
@@ -308,7 +310,8 @@ def test_a_node_does_not_start_with_keys_that_are_not_its_own(
     assert (done.returncode, done.stderr.decode()) == (0, f"n.yaml: warning: keys.file: {said}\n")
 
 
-def test_the_doctor_finds_keys_that_are_not_the_nodes_own(tmp_path: Path) -> None:
+def test_the_doctor_finds_keys_that_are_not_the_nodes_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watch, "MOST_S", 0.5)
     mission(tmp_path, 7, 8)
     done = command(tmp_path, "doctor", config(tmp_path, keys={"file": "m/drone-8.keys"}))
     assert done.returncode == 1

@@ -508,6 +508,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return stored(folder / "few.db", flight(FEW)), stored(folder / "many.db", flight(MANY))
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("name", NAMES)
 def test_memory_does_not_grow_with_the_data(name: str, flights: tuple[Path, Path], tmp_path: Path) -> None:
     peaks = []

@@ -20,7 +20,8 @@ from rass_mav.core.datum import DatumId, Fate, Kind
 from rass_mav.mission.archive import Archive
 from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
-from tests.app.app_nodes import environment
+from tests.app.app_nodes import ROOT
+from tests.environment import unmeasured
 from tests.mission.missions import HERE
 from tests.patience import PATIENCE_S
 
@@ -173,7 +174,7 @@ def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
     words = ["swarm", "--nodes", "9", "--topology", "random-walk", "--steps", "9999", "--page", "127.0.0.1:0"]
     command = [sys.executable, "-m", "rass_mav", *words]
     with subprocess.Popen(
-        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env=unmeasured(PYTHONPATH=str(ROOT)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as swarm:  # fmt: skip
         try:
             assert swarm.stderr is not None

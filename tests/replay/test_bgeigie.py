@@ -146,6 +146,7 @@ def test_the_command_takes_both_kinds(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "replay: sensor.tube: expected one of j305, lnd-7317" in capsys.readouterr().err
 
 
+@pytest.mark.no_cover
 @needs_samples
 def test_an_airliner_between_two_continents() -> None:
     rows, result = played(str(SAMPLES / "flight-204-part1.LOG"), keys=("sensor.unit=cpm",), range_m=3e7)

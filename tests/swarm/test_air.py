@@ -236,6 +236,7 @@ def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
     assert 0 < summary["air"]["busy"] < 1
 
 
+@pytest.mark.no_cover
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
     def digest(seed: int) -> str:
         keys = {**SMALL, "seed": seed, "radio": {"preset": "wifi-1m"}, "radiation": {"strikes_per_step": 3}}
@@ -285,6 +286,7 @@ def test_drones_that_fail_leave_the_air() -> None:
     assert world.ledger.arrived
 
 
+@pytest.mark.no_cover
 def test_attackers_and_disks_work_on_an_air_that_takes_time() -> None:
     keys = {
         **SMALL, "radio": {"preset": "wifi-6m"}, "radiation": {"corruption": False},

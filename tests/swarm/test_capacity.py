@@ -60,6 +60,7 @@ def test_every_preset_has_a_capacity_with_or_without_its_air(preset: str) -> Non
     assert capacity(20, 7, 5.0, preset=preset, air="none") == capacity(20, 7, 5.0, preset=preset)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize(("preset", "step_s"), [("lora", 10.0), ("sik-250k", 2.0)])
 def test_saturated_neighbours_deliver_what_a_paced_radio_can_carry(preset: str, step_s: float) -> None:
     rng, nodes, steps = Random(1), 6, 60

@@ -13,6 +13,7 @@ from rass_mav.core.messages import Digest
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.world import World
+from tests.extent import seeds
 from tests.nodes import node_of
 
 pytestmark = pytest.mark.no_cover
@@ -34,7 +35,7 @@ def copies_of(checked: bool, **keys: Any) -> Copies:
     return copies
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", seeds(1, 4))
 @pytest.mark.parametrize(
     ("topology", "part"),
     # Where nodes move, the one that has to tell that it passed a datum on may be out of range by then.

@@ -140,6 +140,7 @@ def test_another_seed_is_another_plan() -> None:
 # -- the whole ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(15), suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10**6),
@@ -202,6 +203,7 @@ def history(policy: str, seed: int = 3) -> tuple[list[dict[int, int | None]], di
     return off, world.statistics.summary()
 
 
+@pytest.mark.no_cover
 def test_the_same_seed_fails_the_same_robots_whatever_the_policy() -> None:
     off, summary = history("rass")
     assert history("rass") == (off, summary)
@@ -213,6 +215,7 @@ def test_the_same_seed_fails_the_same_robots_whatever_the_policy() -> None:
     assert history("rass", seed=4)[0] != off
 
 
+@pytest.mark.no_cover
 def test_failures_that_never_come_change_no_byte() -> None:
     summaries = []
     for failures in ({}, NEVER, {"die_rate": 1.0}):

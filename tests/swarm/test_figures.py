@@ -19,10 +19,10 @@ PARITY = Path(__file__).parents[3] / "shared" / "data" / "paper" / "parity-grid.
 
 
 def paper_grid(
-    policy: str, seed: int, sources: Any = None, *, due: str = "step-id", bandwidth: int = 10
+    policy: str, seed: int, sources: Any = None, *, steps: int = 500, due: str = "step-id", bandwidth: int = 10
 ) -> dict[str, Any]:
     options: dict[str, Any] = {
-        "policy.name": policy, "seed": seed, "data.due": due, "store.bandwidth_items": bandwidth,
+        "policy.name": policy, "seed": seed, "steps": steps, "data.due": due, "store.bandwidth_items": bandwidth,
     }  # fmt: skip
     if sources is not None:
         options["radiation.sources"] = sources
@@ -68,7 +68,7 @@ def test_hop_count_agrees_with_exact_computation(seeds: int) -> None:
 @pytest.mark.parametrize("policy", ["hop-count", "rass", "rass-literal"])
 def test_it_agrees_with_an_independent_simulator(policy: str) -> None:
     """The means over the worlds are closer than any of them."""
-    differences = differences_from_an_independent_simulator(policy, worlds=6, seeds=2)
+    differences = differences_from_an_independent_simulator(policy, worlds=6, seeds=2, steps=500)
     for name, mean, most in (("reliability", 0.02, 0.03), ("delay", 0.1, 0.3)):
         found = [difference[name] for difference in differences]
         assert abs(sum(found) / len(found)) < mean
@@ -77,12 +77,14 @@ def test_it_agrees_with_an_independent_simulator(policy: str) -> None:
 
 @pytest.mark.parametrize("policy", ["rass", "rass-literal"])
 def test_in_one_world_it_agrees_with_an_independent_simulator(policy: str) -> None:
-    (difference,) = differences_from_an_independent_simulator(policy, worlds=1, seeds=1)
+    (difference,) = differences_from_an_independent_simulator(policy, worlds=1, seeds=1, steps=250)
     assert abs(difference["reliability"]) < 0.03
     assert abs(difference["delay"]) < 0.3
 
 
-def differences_from_an_independent_simulator(policy: str, worlds: int, seeds: int) -> list[dict[str, float]]:
+def differences_from_an_independent_simulator(
+    policy: str, worlds: int, seeds: int, steps: int
+) -> list[dict[str, float]]:
     """Of reliability and of mean delay in steps, world by world."""
     if not PARITY.exists():
         pytest.skip("needs ../shared/data/paper, which is not part of the repository")
@@ -91,7 +93,7 @@ def differences_from_an_independent_simulator(policy: str, worlds: int, seeds: i
     assert len(parity["sources"]) >= worlds
     differences = []
     for world in range(worlds):
-        runs = [paper_grid(policy, seed, parity["sources"][world]) for seed in range(seeds)]
+        runs = [paper_grid(policy, seed, parity["sources"][world], steps=steps) for seed in range(seeds)]
         reliability = sum(r["reliability"] for r in runs) / len(runs)
         delay = sum(r["delay_steps"]["mean"] for r in runs) / len(runs)
         differences.append(
@@ -106,7 +108,7 @@ def differences_from_an_independent_simulator(policy: str, worlds: int, seeds: i
 def test_data_that_are_born_in_a_wave_towards_the_base_bunch_and_wait() -> None:
     """Half a step of delay, and none where a drone may send all it has."""
     delay = {
-        (due, bandwidth): paper_grid("hop-count", 0, due=due, bandwidth=bandwidth)["delay_steps"]["mean"]
+        (due, bandwidth): paper_grid("hop-count", 0, steps=200, due=due, bandwidth=bandwidth)["delay_steps"]["mean"]
         for due, bandwidth in (("step-id", 10), ("step+id", 10), ("step+id", 50))
     }
     assert delay["step+id", 10] > delay["step-id", 10] + 0.3

@@ -17,9 +17,11 @@ from typing import Any
 import psutil
 import pytest
 
+from rass_mav.cli import main
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.tunnel import decode_tunnel
+from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
 pytest.importorskip("mavsdk.asyncio.mavsdk", reason="MAVSDK 4 is not installed (it is made for 64-bit computers only)")
@@ -54,22 +56,24 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "rass_mav", "sitl", *arguments]
 
 
-def environment(path: str | None = None) -> dict[str, str]:
-    variables = {**os.environ, "PYTHONPATH": str(ROOT)}
+def environment(path: str | None = None, measured: bool = False) -> dict[str, str]:
+    variables = {**os.environ, "PYTHONPATH": str(ROOT)} if measured else unmeasured(PYTHONPATH=str(ROOT))
     if path is not None:
         variables["PATH"] = path
     return variables
 
 
-def fly(*arguments: str, deadline_s: float = PATIENCE_S, path: str | None = None) -> tuple[dict[str, Any], str]:
-    """The summary, and what was said on stderr."""
+def fly(
+    *arguments: str, deadline_s: float = PATIENCE_S, path: str | None = None, measured: bool = False
+) -> tuple[dict[str, Any], str]:
+    """The summary, and what was said on stderr. `measured`: with its coverage, which makes all processes slow."""
     done = subprocess.run(
         command(*arguments, "--json"),
         capture_output=True,
         text=True,
         timeout=deadline_s,
         check=False,
-        env=environment(path),
+        env=environment(path, measured),
     )
     assert done.returncode == 0, done.stderr
     summary: dict[str, Any] = json.loads(done.stdout)
@@ -110,7 +114,7 @@ def check_delivery(summary: dict[str, Any]) -> None:
 
 def test_the_mock_flies_its_mission_beside_the_autopilots(quick: str, tmp_path: Path) -> None:
     kept, tape = tmp_path / "kept", tmp_path / "air.tlog"
-    summary, said = fly(quick, "--mock", "--keep", str(kept), "--record", str(tape))
+    summary, said = fly(quick, "--mock", "--keep", str(kept), "--record", str(tape), measured=True)
     assert said == ""
     check_delivery(summary)
     flight = summary["sitl"]
@@ -153,7 +157,7 @@ def test_through_the_autopilots_of_a_binary_on_the_path(quick: str, tmp_path: Pa
     path = f"{place}{os.pathsep}{os.environ['PATH']}"
     # A telemetry radio is slower: with longer steps there are fewer beacons on it.
     pace = ("--set", "node.step_s=0.2", "--steps", "50")
-    summary, said = fly(quick, "--through-autopilots", *pace, "--record", str(tape), path=path)
+    summary, said = fly(quick, "--through-autopilots", *pace, "--record", str(tape), path=path, measured=True)
     assert said == ""
     check_delivery(summary)
     flight = summary["sitl"]
@@ -216,18 +220,20 @@ def test_a_node_that_is_killed_comes_back_and_an_autopilot_does_not(quick: str, 
         ),
     ],
 )
-def test_what_cannot_be_flown_is_one_line(quick: str, tmp_path: Path, arguments: list[str], expected: str) -> None:
-    done = subprocess.run(
-        command(*(quick if word == "QUICK" else word for word in arguments)),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=environment(str(tmp_path)),
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert expected in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+def test_what_cannot_be_flown_is_one_line(
+    quick: str,
+    tmp_path: Path,
+    arguments: list[str],
+    expected: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert main(["sitl", *(quick if word == "QUICK" else word for word in arguments)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert expected in said.err
+    assert len(said.err.splitlines()) == 1
 
 
 def test_a_vehicle_that_ends_fails_the_run_with_what_it_said(quick: str, tmp_path: Path) -> None:
@@ -240,7 +246,7 @@ def test_a_vehicle_that_ends_fails_the_run_with_what_it_said(quick: str, tmp_pat
         text=True,
         timeout=PATIENCE_S,
         check=False,
-        env=environment(),
+        env=environment(measured=True),
     )
     assert done.returncode == 1
     assert done.stderr in [f"vehicle {n}: ended with exit code 5: out of memory\n" for n in (1, 2)]

@@ -105,7 +105,7 @@ def test_the_invariants_hold_whatever_is_set(
     assert found["altered"] == 0
 
 
-@pytest.mark.parametrize(("nodes", "steps"), [(40, 120), pytest.param(60, 400, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("nodes", "steps"), [(40, 80), pytest.param(60, 400, marks=pytest.mark.soak)])
 def test_where_drones_come_and_go_more_copies_save_more(nodes: int, steps: int) -> None:
     base: dict[str, Any] = {
         "nodes": nodes, "steps": steps, "topology": "random-walk", "policy": {"name": "survival"},

@@ -91,6 +91,7 @@ def test_several_bases_start_in_different_corners(name: str) -> None:
 # Random walk
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(15))
 @given(seeds)
 def test_every_walker_moves_15_cm_a_step_and_stays_inside_the_walls(seed: int) -> None:

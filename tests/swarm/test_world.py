@@ -263,6 +263,7 @@ def test_routes_die_when_the_base_is_out_of_reach() -> None:
     assert [h == NO_ROUTE for h in hops] == [n is None for n in near]
 
 
+@pytest.mark.no_cover
 def test_the_far_half_of_islands_is_cut_off_for_good() -> None:
     world = World(load_scenario("islands", {"steps": 120}))
     far = {n for n, (x, _) in enumerate(world.surroundings.positions) if x > 0}
@@ -273,6 +274,7 @@ def test_the_far_half_of_islands_is_cut_off_for_good() -> None:
     assert {n for n, hops in enumerate(world.graph.hops_from([0])) if hops is None} == far
 
 
+@pytest.mark.no_cover
 def test_when_an_island_rejoins_all_that_it_held_arrives() -> None:
     options = {"nodes": 36, "arena_m": 12, "mobility.split_step": 30, "mobility.rejoin_step": 130}
     still = ["radiation.sources=[]", "data.until_step=130", "data.interval_steps=10"]
