@@ -147,7 +147,7 @@ class VirtualSwarm(ABC):
         some = self.agents[0]
         self.hostile = Band(
             hostile, nodes=len(self.agents), seed=seed, payload_type=some.settings.mavlink.payload_type,
-            costs=some.node.policy.costs is not None,
+            costs=some.node.policy.costs is not None, keys=keys, step_s=self.step_s,
         )  if hostile else None  # fmt: skip
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
