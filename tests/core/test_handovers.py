@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
+from rass_mav.core.fingerprints import Fingerprints
 
 from .build import datum, make_node
 
@@ -12,11 +13,11 @@ Y = datum(sequence=1).id
 
 @pytest.fixture
 def numbers() -> HandoverNumbers:
-    return HandoverNumbers(4711)
+    return HandoverNumbers(4711, Fingerprints())
 
 
 def test_numbers_wrap_without_zero() -> None:
-    numbers = HandoverNumbers(0xFFFFFFFE)
+    numbers = HandoverNumbers(0xFFFFFFFE, Fingerprints())
     assert [numbers.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
 
 
