@@ -9,12 +9,13 @@ from itertools import chain
 from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.peers import Opened, Peers, open_datagram
 from rass_mav.agent.signed import Signed
+from rass_mav.agent.tags import OPEN
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.store.memory import MemoryStore
+from rass_mav.swarm.mission import SwarmKeys
 from rass_mav.swarm.scenario import HostileSection
-from rass_mav.wire import decode, encode
+from rass_mav.wire import decode
 
 from .attacker import Attacker, Said
 from .kinds import KINDS
@@ -25,18 +26,20 @@ MOST_FRAMES = 300
 
 class _Member:
     def __init__(
-        self, section: HostileSection, attacker: Attacker, payload_type: int, keys: SigningKeys | None, step_s: float
+        self, section: HostileSection, attacker: Attacker, payload_type: int, keys: SwarmKeys | None, step_s: float
     ) -> None:
-        """`keys`: of the links, which a captured drone has."""
+        """`keys`: of the swarm. A captured drone has the link key, and its own."""
         self.section = section
         self.attacker = attacker
         self.left = 0
         self._payload_type = payload_type
         self._writer = FrameWriter(attacker.id % 255 + 1, 191)
-        signed = None
+        self._store = MemoryStore(attacker.id)
+        signed, tags = None, OPEN
         if section.captured and keys is not None:
-            signed = Signed.begin(keys, self._writer, MemoryStore(attacker.id), attacker.rng, step_s)
-        self._peers = Peers(attacker.id, self._writer, payload_type, signed)
+            signed = Signed.begin(keys.signing, self._writer, self._store, attacker.rng, step_s)
+            tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
+        self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
 
     def is_there(self, t: int) -> bool:
         section = self.section
@@ -44,15 +47,18 @@ class _Member:
 
     def frames(self, said: Iterable[Said], now: float) -> Iterator[bytes]:
         for message in said:
-            for payload in [message] if isinstance(message, bytes) else encode(message, now):
+            for payload in self._payloads(message, now):
                 if self.left <= 0:
                     return
                 self.left -= 1
                 for outgoing in frames_about_links([payload], self._writer, self._payload_type):
                     yield self._peers.leaving(outgoing).frame
 
+    def _payloads(self, said: Said, now: float) -> list[bytes]:
+        return [said] if isinstance(said, bytes) else self._peers.tags.encoded(said, self._store, now)
+
     def hear(self, frame: bytes, opened: Opened, now: float) -> None:
-        """If captured: note who asks whether this stream of frames is there now."""
+        """If captured: note who asks whether this stream of frames, or this node, is there now."""
         if self.section.captured:
             self._peers.heard(frame, opened, now)
 
@@ -67,9 +73,9 @@ class Band:
 
     def __init__(
         self, sections: Sequence[HostileSection], *, nodes: int, seed: int, payload_type: int, costs: bool,
-        keys: SigningKeys | None, step_s: float,
+        keys: SwarmKeys | None, step_s: float,
     ) -> None:  # fmt: skip
-        """`costs`: see `Attacker`. `keys`: of the swarm's links; None: they are open."""
+        """`costs`: see `Attacker`. `keys`: of the swarm; None: it has none."""
         self._members = {
             nodes + index: _Member(
                 section,
