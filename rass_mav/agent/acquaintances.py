@@ -56,7 +56,7 @@ _NAMED = Struct("<HI")
 class Acquaintance:
     """Another node."""
 
-    __slots__ = ("ask_at", "bits", "certificate", "pair", "place", "proved_by", "wait_s")
+    __slots__ = ("ask_at", "bits", "certificate", "doubted", "pair", "place", "proved_by", "wait_s")
 
     def __init__(self) -> None:
         self.certificate: Certificate | None = None
@@ -68,6 +68,8 @@ class Acquaintance:
         """Bit i: the word at `place` - i was heard, or must not be any more."""
         self.proved_by = -1
         """Which nonce of this node was in its last proof: an earlier one proves nothing more."""
+        self.doubted = True
+        """Whether it should prove where it is: it has not yet, or it may have started again since."""
         self.ask_at = 0.0
         """From then on it can be asked again, seconds."""
         self.wait_s = 0.0
@@ -89,6 +91,7 @@ class Acquaintance:
     def proves(self, place: int, nonce: int) -> None:
         """It is there now, and this is the place of its last word. `nonce`: which one of this node shows it."""
         self.proved_by = nonce
+        self.doubted = False
         self.wait_s = 0.0
         if self.place is None or self.place >> 32 != place >> 32 or place - self.place >= WINDOW:
             # All earlier words are old, whether they were heard or not.
@@ -163,8 +166,8 @@ class Acquaintances:
         """A beacon in the name of a node."""
         known = self._known.pop(node_id, None) or self._room_for_another()
         self._known[node_id] = known
-        if known.place is None:
-            self.ask(node_id, now)
+        if known.doubted and now >= known.ask_at:
+            self._asks[node_id] = None
 
     def _room_for_another(self) -> Acquaintance:
         known = self._known
@@ -177,10 +180,12 @@ class Acquaintances:
         return Acquaintance()
 
     def ask(self, node_id: int, now: float) -> None:
-        """If it was not asked a moment ago, ask a node for its certificate, and to prove that it is there."""
+        """Ask a node for its certificate, and to prove that it is there; if it was asked a moment ago, later."""
         known = self._known.get(node_id)
-        if known is not None and now >= known.ask_at:
-            self._asks[node_id] = None
+        if known is not None:
+            known.doubted = True
+            if now >= known.ask_at:
+                self._asks[node_id] = None
 
     def hear(self, introduction: Introduction, now: float) -> None:
         """Somebody introduces himself. All of it may be forged or old."""
@@ -251,9 +256,11 @@ class Acquaintances:
         if known is None or known.pair is None:
             return
         for number, nonce in self._nonces:
-            if number > known.proved_by and known.pair.made(INTRODUCTION, proof_said(nonce, place), tag):
-                known.proves(place, number)
-                self._asks.pop(sender, None)
+            if known.pair.made(INTRODUCTION, proof_said(nonce, place), tag):
+                # It may be repeated by somebody, when the node is not there any more.
+                if number > known.proved_by:
+                    known.proves(place, number)
+                    self._asks.pop(sender, None)
                 return
         self.forged += 1
 
@@ -301,7 +308,9 @@ class Acquaintances:
         return True
 
     def _to_ask(self, most: int) -> tuple[int, ...]:
-        asked = tuple(self._asks)[:most]
+        # Who has shown a certificate is not asked for it because others have not.
+        lacking = [node_id for node_id in self._asks if self._known[node_id].pair is None]
+        asked = tuple(lacking or self._asks)[:most]
         newest = self._nonces[-1][0] if self._nonces else -1
         if asked and newest <= max(self._known[node_id].proved_by for node_id in asked):
             self._nonces.append((newest + 1, self._rng.getrandbits(64)))

@@ -32,6 +32,7 @@ _DATUM = Struct("<HIIBB")
 _NOTE = Struct("<HIIB")
 _PLACE = Struct("<Q")
 _NO_TAG = bytes(TAG_SIZE)
+_NO_TAGS = (_NO_TAG, b"")
 
 
 class StrongFingerprints(Fingerprints):
@@ -121,9 +122,11 @@ class PairTags(NoTags):
     def is_said(self, said: Said) -> bool:
         """Whether the sender has said this, and it is new if it has a place."""
         known = self.acquaintances.get(said.sender)
-        if known is None or known.pair is None:
+        if known is None or known.pair is None or said.tag in _NO_TAGS:
+            # One of the two does not know the other's certificate yet.
             self._unknown += 1
-            self.acquaintances.ask(said.sender, self._now)
+            if known is None or known.pair is None:
+                self.acquaintances.ask(said.sender, self._now)
             return False
         if said.place is None:
             made = known.pair.made(said.type, said.data, said.tag)
