@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import random
-from functools import partial
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
