@@ -56,9 +56,11 @@ _NAMED = Struct("<HI")
 class Acquaintance:
     """Another node."""
 
-    __slots__ = ("ask_at", "bits", "certificate", "doubted", "pair", "place", "proved_by", "wait_s")
+    __slots__ = ("ask_at", "bits", "certificate", "doubted", "heard", "pair", "place", "proved_by", "wait_s")
 
     def __init__(self) -> None:
+        self.heard = 0.0
+        """When a beacon in its name came, or its certificate, seconds."""
         self.certificate: Certificate | None = None
         self.pair: Pair | None = None
         """None: its certificate is not known."""
@@ -113,7 +115,7 @@ class Acquaintances:
         self._rng = rng
         self._step_s = step_s
         self._known: dict[int, Acquaintance] = {}
-        """By node id, the longest silent first."""
+        """By node id."""
         self._asks: dict[int, None] = {}
         """Nodes to ask."""
         self._nonces: list[tuple[int, int]] = []
@@ -164,8 +166,10 @@ class Acquaintances:
 
     def heard(self, node_id: int, now: float) -> None:
         """A beacon in the name of a node."""
-        known = self._known.pop(node_id, None) or self._room_for_another()
-        self._known[node_id] = known
+        known = self._known.get(node_id)
+        if known is None:
+            known = self._known[node_id] = self._room_for_another()
+        known.heard = now
         if known.doubted and now >= known.ask_at:
             self._asks[node_id] = None
 
@@ -173,8 +177,7 @@ class Acquaintances:
         known = self._known
         if len(known) >= MAX_KNOWN:
             # Names are easy to invent, certificates are not.
-            invented = next((node_id for node_id, one in known.items() if one.pair is None), None)
-            gone = next(iter(known)) if invented is None else invented
+            gone = min(known, key=lambda node_id: (known[node_id].pair is not None, known[node_id].heard))
             del known[gone]
             self._asks.pop(gone, None)
         return Acquaintance()
@@ -234,7 +237,7 @@ class Acquaintances:
             self._store.set_meta(_serial_key(node_id), serial)
         # Whatever was known is about its predecessor.
         known = self._room_for_another() if self._known.pop(node_id, None) is None else Acquaintance()
-        known.certificate, known.pair = certificate, pair
+        known.certificate, known.pair, known.heard = certificate, pair, now
         self._known[node_id] = known
         self.ask(node_id, now)
 

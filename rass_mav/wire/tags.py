@@ -48,12 +48,17 @@ class Checks(Protocol):
 
 
 def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Message | None:
-    """The message without what its sender has not said to this node, for all that is known; None: nothing is left.
+    """The message without what its sender has not said to this node, for all that is known; None: nothing is left. What
+    is for other nodes may stay.
 
     :param payload: the TUNNEL payload from which it was decoded. :param own: this node's id.
     """
     if type(message) is Beacon or type(message) is Data:
-        if not message.answers:
+        for answer in message.answers:
+            if answer.target == own:
+                break
+        else:
+            # Answers to others end nothing here.
             return message
         tags = _tags_in(payload, _end_of_fields(message))
         kept = [
