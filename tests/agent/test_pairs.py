@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import cast
 
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from rass_mav.agent import acquaintances
 from rass_mav.agent.pairs import PairTags, StrongFingerprints
-from rass_mav.core.datum import Datum, DatumId, datum_crc, make_datum
+from rass_mav.core.datum import Datum, DatumId, Fate, datum_crc, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
     Beacon,
@@ -39,8 +40,11 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import TAG_BYTES, answer_said
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
-from tests.wire.samples import SAMPLES
+from tests.wire.samples import HELLO, NOW, SAMPLES
 
+from .crew import agent_with_keys
+
+PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
 BASE, GIVER, TAKER, CAPTURED = 1, 2, 3, 9
 GROUND = Ground(Secret(bytes(range(32))))
 STRANGER = Ground(Secret(bytes(32)))
@@ -252,6 +256,25 @@ def test_what_it_handed_over_in_the_name_of_another_ends_no_custody() -> None:
     giver.says(offered(spare=True, number=78))
     assert giver.believes(taker.says(answer(number=78))) is None
     assert giver.believes(taker.says(answer(number=78, spare=True))) is not None
+
+
+@pytest.mark.parametrize("base", [False, True])
+def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
+    """Somebody else was first to hand over a datum under the giver's number, with another content."""
+    node = agent_with_keys(TAKER, base=base, words=True).node
+    first, second = (node.receive(offered(datum), 1.0) for datum in (twin(D), D))
+    assert first == [answer(twin(D))]
+    assert second == [Committed(TAKER, GIVER, (), (77,))], "it keeps its own"
+    if not base:
+        # When it has passed the other one on, it takes this one, and does not just remember the number.
+        node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
+        assert node.receive(offered(), 2.0) == [answer()]
+        stored = node.store.get(D.id)
+        assert stored is not None
+        assert stored.payload == D.payload
+        node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
+        assert node.receive(offered(), 3.0) == [answer()], "this very one was accepted"
+        assert D.id not in node.holdings
 
 
 Change = Callable[[bytes, st.DataObject], bytes]
@@ -489,3 +512,34 @@ def test_what_is_covered_tells_a_spare_from_custody_and_one_content_from_another
     covered = [answer_said(answer(datum, spare=spare)) for datum in (D, twin(D)) for spare in (False, True)]
     assert len(set(covered)) == 4
     assert len({said[:12] for said in covered}) == 1, "on the wire they are the same"
+
+
+# -- golden vectors ---------------------------------------------------------------------------------------------------
+
+HELLO_ANSWER = Committed(2, 3, ((0x01020304, PRINTS.of(HELLO)),), (0x01020305,))
+GOLDEN: dict[str, Message] = {
+    "committed-tagged": HELLO_ANSWER,
+    "data-answers-tagged": Data(2, 9, (Handover(0x01020306, HELLO),), answers=(HELLO_ANSWER,)),
+    "words-tagged": Words(2, 3, (WordEntry(HELLO.id, Word.TAKEN),)),
+    "passed-on-tagged": PassedOn(2, BROADCAST, (HELLO.id,), (3, 9)),
+}
+
+
+def golden(name: str) -> bytes:
+    """What node 2 says to nodes 3 and 9 of the mission whose secret is 00 01 .. 1f."""
+    speaker, _, _ = acquainted(2, 3, 9)
+    speaker.tags.acquaintances.place = 0x0A0B0C0D00000004
+    return speaker.says(GOLDEN[name], NOW)
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_page_shows_these_bytes(name: str) -> None:
+    assert f"| `{name}` | `{golden(name).hex()}` |" in PROTOCOL.read_text(encoding="utf-8")
+
+
+def test_the_page_shows_a_fingerprint() -> None:
+    text = PROTOCOL.read_text(encoding="utf-8")
+    for spare in (False, True):
+        fingerprint = PRINTS.of(HELLO, spare=spare)
+        assert fingerprint & 0xFFFFFFFF == HELLO.crc
+        assert f"`{(fingerprint >> 32).to_bytes(16, 'little').hex()}`" in text
