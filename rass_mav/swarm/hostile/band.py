@@ -40,6 +40,7 @@ class _Member:
             signed = Signed.begin(keys.signing, self._writer, self._store, attacker.rng, step_s)
             tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
+        attacker.prints = tags.prints
 
     def is_there(self, t: int) -> bool:
         section = self.section
