@@ -42,7 +42,7 @@ from rass_mav.wire.codec import TAG_BYTES, answer_said
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
 from tests.wire.samples import HELLO, NOW, SAMPLES
 
-from .crew import agent_with_keys
+from .crew import Crew, agent_with_keys
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
 BASE, GIVER, TAKER, CAPTURED = 1, 2, 3, 9
@@ -382,6 +382,19 @@ def test_old_introductions_bring_back_no_old_place() -> None:
         giver.tags.introduced(payload, air.now)
         assert not any(giver.believes(word, air.now) for word in said)
     assert giver.believes(taker.says(words()[0]), air.now)
+
+
+def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
+    crew = Crew(agent_with_keys(BASE, base=True, words=True), agent_with_keys(GIVER, words=True))
+    for restarted in (None, 0, 1, 1, 0):
+        if restarted is not None:
+            crew.restart(restarted)
+        crew.steps(12)
+        base, giver = crew.agents
+        ids = [giver.node.put(bytes(size), crew.now) for size in (20, 97, 98, 5000)]
+        crew.steps(12)
+        assert not giver.node.holdings.custody
+        assert all(base.store.get(id) is not None for id in ids)
 
 
 # -- certificates -----------------------------------------------------------------------------------------------------
