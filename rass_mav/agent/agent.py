@@ -19,6 +19,7 @@ from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.statuses import Statuses
+from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
@@ -72,6 +73,7 @@ class _Makings(NamedTuple):
 
     participant: type[Participant] | None
     seals: Callable[[Store], NoSeals] | None
+    tags: NoTags
 
 
 class Agent:
@@ -118,6 +120,7 @@ class Agent:
         participant: type[Participant] | None = None,
         keys: SigningKeys | None = None,
         seals: Callable[[Store], NoSeals] | None = None,
+        tags: Callable[[Store, random.Random, float], NoTags] | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
@@ -125,7 +128,8 @@ class Agent:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
         others with it. `keys`: of the links; None: they are open. `seals`: what the node's keys do to data, for each of
-        its lives (`agent.seals`); None: nothing.
+        its lives (`agent.seals`); None: nothing. `tags`: prove its words to other nodes (`agent.pairs`); made with the
+        store, the generator and the length of a step. None: there are none.
         """
         configured = settings
         unfit: list[str] = []
@@ -134,7 +138,8 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
-        self._makings = _Makings(participant, seals)
+        words = OPEN if tags is None else tags(store, rng, settings.step_s)
+        self._makings = _Makings(participant, seals, words)
         self.answers = Answers(rng)
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
@@ -148,7 +153,7 @@ class Agent:
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         writer = FrameWriter(system_id, mavlink.component_id)
         signed = None if keys is None else Signed.begin(settings.node_id, keys, writer, store, rng, settings.step_s)
-        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed)
+        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, words)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -178,7 +183,7 @@ class Agent:
         seals = None if self._makings.seals is None else self._makings.seals(self.store)
         return kind(
             settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
-            now=now, observer=observer, newborn=newborn, seals=seals,
+            now=now, observer=observer, newborn=newborn, seals=seals, prints=self._makings.tags.prints,
         )  # fmt: skip
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:

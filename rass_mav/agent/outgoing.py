@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
+from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.wire import encode
 
 
 class Way(IntEnum):
@@ -41,7 +41,7 @@ def aside(frame: bytes, way: Way, *, promises: bool = False) -> Outgoing:
 
 
 def frames_of(
-    messages: Sequence[Message], writer: FrameWriter, payload_type: int, store: Store, now: float
+    messages: Sequence[Message], writer: FrameWriter, payload_type: int, store: Store, now: float, tags: NoTags = OPEN
 ) -> list[Outgoing]:
     """The messages as frames of `writer`, in the same order. `now`: seconds on the node's timeline, for ages."""
     tunnel, unwritten = writer.tunnel, store.unwritten
@@ -53,7 +53,7 @@ def frames_of(
             data = KINDS[type(message)].rests(message)
             # Data that are on disk leave at once, so a node whose disk is full can still hand over its data.
             promises = data is None or not all(map(store.durable, data))
-        for payload in encode(message, now):
+        for payload in tags.encoded(message, store, now):
             out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
     return out
 

@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
 from rass_mav.agent.signed import Signed
+from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.core.messages import BROADCAST, Message
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
@@ -62,16 +63,20 @@ class Peers:
 
     __slots__ = (
         "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "overhears", "reader", "received",
-        "signed", "system_ids", "writer",
+        "signed", "system_ids", "tags", "writer",
     )  # fmt: skip
 
-    def __init__(self, node_id: int, writer: FrameWriter, payload_type: int, signed: Signed | None = None) -> None:
+    def __init__(
+        self, node_id: int, writer: FrameWriter, payload_type: int, signed: Signed | None = None, tags: NoTags = OPEN
+    ) -> None:
         """:param payload_type: of the swarm's TUNNEL messages.
         :param signed: of this `writer`; None: frames are not signed, and signatures not checked.
+        :param tags: prove this node's words, and doubt others'.
         """
         self._node_id = node_id
         self._payload_type = payload_type
         self.signed = signed
+        self.tags = tags
         self.writer = writer
         self.reader = FrameReader(None if signed is None else signed.check())
         self.overhears = False
@@ -134,7 +139,9 @@ class Peers:
         ):
             return None
         try:
-            return decode(payload, now)
+            return (
+                None if self.tags.introduced(payload, now) else self.tags.believed(decode(payload, now), payload, now)
+            )
         except MalformedError as error:
             self._count(error, now)
             return None
@@ -162,13 +169,18 @@ class Peers:
 
     def frames(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
         """The frames with these messages for the neighbours."""
-        return self._claimed(frames_of(messages, self.writer, self._payload_type, store, now))
+        if not messages:
+            return []
+        # Before the words that they prove.
+        frames = frames_about_links(self.tags.introductions(now), self.writer, self._payload_type)
+        return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self.tags))
 
     def challenges(self, now: float) -> list[Outgoing]:
-        """The frames in which this node asks strange streams, and answers them. Call it in each step."""
+        """The frames in which this node asks strange streams and nodes, and answers them. Call it in each step."""
         if self.signed is None:
             return []
-        return self._claimed(frames_about_links(self.signed.streams.due(now), self.writer, self._payload_type))
+        payloads = self.signed.streams.due(now) + self.tags.introductions(now)
+        return self._claimed(frames_about_links(payloads, self.writer, self._payload_type))
 
     def _claimed(self, frames: list[Outgoing]) -> list[Outgoing]:
         """These frames, held back if their timestamps are not claimed on disk yet."""

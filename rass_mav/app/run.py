@@ -18,7 +18,9 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.copies import Copies
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.shortages import Shortages
+from rass_mav.agent.tags import NoTags
 from rass_mav.agent.version import VersionQuestion
+from rass_mav.core.store import Store
 from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
 from rass_mav.keys.settings import in_words
 from rass_mav.link.address import parse_vehicle_url
@@ -70,9 +72,13 @@ class Runtime:
         self._keys = None if keys is None else keys.own.about
         self._signing = None if keys is None else SigningKeys([link.key.reveal() for link in keys.own.links])
         self._seals: DataKeys | None = None
+        self._tags: Callable[[Store, random.Random, float], NoTags] | None = None
         if keys is not None and config.keys is not None:
-            from rass_mav.agent.seals import DataKeys  # with PyNaCl, which a node without keys does not need
+            # With PyNaCl, which a node without keys does not need.
+            from rass_mav.agent.pairs import PairTags
+            from rass_mav.agent.seals import DataKeys
 
+            self._tags = partial(PairTags, keys.own)
             self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
@@ -150,7 +156,10 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing, seals=self._seals)
+            agent = Agent(
+                settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing, seals=self._seals,
+                tags=self._tags,
+            )  # fmt: skip
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:

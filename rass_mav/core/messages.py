@@ -87,7 +87,8 @@ class Committed(NamedTuple):
     sender: int
     target: int
     committed: tuple[tuple[int, int], ...]
-    """(hand-over number, CRC-32 of the datum that is on disk)."""
+    """(hand-over number, fingerprint of what is on disk). Only the low 32 bits of a fingerprint are on the wire, its
+    CRC-32; where there are keys, the rest is in the proof of who says so (`rass_mav.core.fingerprints`)."""
     refused: tuple[int, ...]
     """Hand-over numbers that were not accepted (no space): the giver keeps custody."""
 
@@ -365,6 +366,8 @@ class PassedOn(NamedTuple):
     sender: int
     target: int
     ids: tuple[DatumId, ...]
+    backers: tuple[int, ...] = ()
+    """With BROADCAST as the target: the nodes that it concerns, ascending. Not on the wire without keys."""
 
 
 class Word(enum.IntEnum):

@@ -8,7 +8,6 @@ from typing import Any
 
 from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
-from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
@@ -38,8 +37,9 @@ class Node(Participant):
     __slots__ = ("_answered", "archive", "digests", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
-        self._answered: dict[tuple[int, int], tuple[DatumId, int]] = {}
-        """Datum and checksum of what was accepted since the last turn, by giver and number, the latest last."""
+        self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
+        """Datum and fingerprint of what was accepted since the last turn, and whether as a spare, by giver and number,
+        the latest last."""
         self.archive = Archive(self.store.ids(), self.store.losses()) if self.base else None
         """At a base: what has become of all data."""
         self.digests = NoDigests()
@@ -75,7 +75,7 @@ class Node(Participant):
         return Receipts(source, archive=self.archive, serials=serials, period=period, phase=phase)
 
     def _make_keeper(self) -> Keeper:
-        settings, store, numbers = self.settings, self.store, HandoverNumbers(self._first_number)
+        settings, store, numbers = self.settings, self.store, self.numbers
         if self.archive is not None:
             news = self.receipts, self.digests, self.archive
             return Sink(settings, store, numbers, *news, self.observer, self.alarms, self.seals)
@@ -222,7 +222,7 @@ class Node(Participant):
         return []
 
     def _take(self, data: messages.Data) -> list[Message]:
-        keeper = self.keeper
+        keeper, prints = self.keeper, self.numbers.prints
         committed: list[tuple[int, int]] = []
         refused: list[int] = []
         for number, datum in data.handovers:
@@ -235,9 +235,10 @@ class Node(Participant):
             ):
                 refused.append(number)
             elif number:
-                committed.append((number, datum.crc))
+                fingerprint = prints.of(datum, spare=data.spare)
+                committed.append((number, fingerprint))
                 if self.settings.measured:
-                    self._answered[data.sender, number] = datum.id, datum.crc
+                    self._answered[data.sender, number] = datum.id, fingerprint, data.spare
         while len(self._answered) > MAX_ANSWERED:
             del self._answered[next(iter(self._answered))]
         return self._answer(data.sender, committed, [number for number in refused if number])
@@ -245,16 +246,16 @@ class Node(Participant):
     def _answers_again(self) -> tuple[Committed, ...]:
         answered, self._answered = self._answered, {}
         to: dict[int, list[tuple[int, int]]] = {}
-        for (giver, number), (id, crc) in answered.items():
+        for (giver, number), (id, fingerprint, spare) in answered.items():
             # The giver may delete its copy because of this, so the copy here must still be good.
             stored = self.store.get(id)
-            if stored is None or stored.crc != crc or not stored.intact:
+            if stored is None or self.numbers.prints.of(stored, spare=spare) != fingerprint or not stored.intact:
                 continue
             if self.store.durable(id):
-                to.setdefault(giver, []).append((number, crc))
+                to.setdefault(giver, []).append((number, fingerprint))
             else:
                 # The answer itself still waits for the disk.
-                self._answered[giver, number] = id, crc
+                self._answered[giver, number] = id, fingerprint, spare
         return tuple([Committed(self.id, giver, tuple(done), ()) for giver, done in to.items()])
 
     def _answer(self, to: int, committed: list[tuple[int, int]], refused: list[int]) -> list[Message]:
@@ -329,16 +330,13 @@ class Node(Participant):
     def _on_loss_note(self, note: messages.LossNote, now: float) -> list[Message]:
         if not self.keeper.takes_notes:
             return []
-        taken = {
-            number: self.keeper.take_note(id, Note(reason, crc, note.sender))
-            for number, id, reason, crc in note.entries
-            if is_sound_note(id, reason, crc)
-        }
-        if not taken:
-            return []
-        committed = tuple([(number, 0) for number, good in taken.items() if good])
-        refused = tuple([number for number, good in taken.items() if not good])
-        return [Committed(self.id, note.sender, committed, refused)]
+        taken: dict[int, int | None] = {}
+        for number, id, reason, crc in note.entries:
+            if is_sound_note(id, reason, crc):
+                good = self.keeper.take_note(id, Note(reason, crc, note.sender))
+                taken[number] = self.numbers.prints.of_note(id, reason) if good else None
+        committed = [(number, fingerprint) for number, fingerprint in taken.items() if fingerprint is not None]
+        return self._answer(note.sender, committed, [number for number, good in taken.items() if good is None])
 
 
 def _told(archive: Archive) -> dict[str, int]:

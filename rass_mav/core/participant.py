@@ -6,8 +6,10 @@ import random
 from abc import ABC, abstractmethod
 
 from rass_mav.core.alarms import Alarms
+from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holdings
 from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import BEACON_BASE, BEACON_WANTED, NO_ROUTE, Beacon, Committed, Message
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.observer import Observer
@@ -31,13 +33,13 @@ class Participant(ABC):
     __slots__ = (
         "_announcements",
         "_beacon_number",
-        "_first_number",
         "_slow_until",
         "_steps",
         "alarms",
         "base",
         "holdings",
         "id",
+        "numbers",
         "observer",
         "pace",
         "policy",
@@ -54,11 +56,12 @@ class Participant(ABC):
     def __init__(
         self, settings: NodeSettings, store: Store, policy: Policy, risk: RiskEstimator, rng: random.Random, *,
         now: float, observer: Observer | None = None, newborn: bool = False, seals: NoSeals | None = None,
+        prints: Fingerprints | None = None,
     ) -> None:  # fmt: skip
         """`now` in seconds, on the timeline of all later calls.
 
         `newborn`: no node can remember this one from an earlier life, so it need not wait before it uses a route.
-        `seals`: what the node's keys do to data; None: it has no keys.
+        `seals`: what the node's keys do to data; `prints`: what answers to hand-overs confirm. None: it has no keys.
         """
         self.id = settings.node_id
         self.base = settings.base
@@ -85,7 +88,8 @@ class Participant(ABC):
         self.alarms = Alarms()
         self._slow_until = now + HOLD_LIFETIMES * self.routing.longest_s
         # Random starts: no message of an earlier life is mistaken for one of this life.
-        self._beacon_number, self._first_number = divmod(rng.getrandbits(48), 1 << 32)
+        self._beacon_number, first = divmod(rng.getrandbits(48), 1 << 32)
+        self.numbers = HandoverNumbers(first, prints or Fingerprints())
         self._steps = 0
         self.receipts = NoReceipts()
         """What bases report as arrived."""

@@ -37,10 +37,9 @@ class Pair:
         """The tag of what this node says to the other one, 8 bytes. `kind`: the message's type on the wire, 0..255."""
         return _tag(self._said, kind, data)
 
-    def check(self, kind: int, data: bytes, tag: bytes) -> None:
-        """:raises ForgedError: the other node did not say this to this node."""
-        if not compare_digest(_tag(self._heard, kind, data), tag):
-            raise ForgedError("not said by the node that it names")
+    def made(self, kind: int, data: bytes, tag: bytes) -> bool:
+        """Whether the other node has said this to this node."""
+        return compare_digest(_tag(self._heard, kind, data), tag)
 
 
 def _tag(key: Secret, kind: int, data: bytes) -> bytes:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import random
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from rass_mav.agent.tags import NoTags
+from rass_mav.core.store import Store
 from rass_mav.keys.settings import KeysSection, check_package
 from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.swarm.scenario import Scenario
@@ -25,11 +30,27 @@ def ground_of(scenario: Scenario) -> Ground:
     return Ground(secret, serials=dict.fromkeys(range(scenario.bases, scenario.nodes), 1))
 
 
-def signing_keys(scenario: Scenario) -> SigningKeys | None:
-    """Those of the links; None: the scenario has no keys. Raises `KeysError` if PyNaCl is missing."""
+class SwarmKeys(NamedTuple):
+    """The keys of all nodes."""
+
+    signing: SigningKeys
+    """Of the links."""
+    tags: Callable[[int], Callable[[Store, random.Random, float], NoTags]]
+    """For each node id, what proves its words (`Agent`)."""
+
+
+def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
+    """None: the scenario has no keys. Raises `KeysError` if PyNaCl is missing."""
     if not scenario.keys:
         return None
-    return SigningKeys([link.key.reveal() for link in ground_of(scenario).node(0).links])
+    ground = ground_of(scenario)
+    from rass_mav.agent.pairs import PairTags
+
+    def tags(node_id: int) -> Callable[[Store, random.Random, float], NoTags]:
+        serial = 0 if node_id < scenario.bases else ground.serials.get(node_id, 1)
+        return partial(PairTags, ground.node(node_id, serial))
+
+    return SwarmKeys(SigningKeys([link.key.reveal() for link in ground.node(0).links]), tags)
 
 
 def write_files(scenario: Scenario, directory: Path) -> list[KeysSection | None]:

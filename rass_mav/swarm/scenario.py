@@ -264,6 +264,8 @@ class HostileSection(Section):
     """The first step in which it is present."""
     end: Count | None = None
     """The first step in which it is gone; null: it stays."""
+    captured: bool = False
+    """It has the swarm's link key, from a captured drone: nodes take its frames. Needs `keys`."""
 
 
 #: As many as there are system ids: nodes with keys take nothing from each other if they share one.
@@ -324,6 +326,8 @@ class Scenario(Section):
         for index, attacker in enumerate(self.hostile):
             if attacker.near >= self.nodes:
                 yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
+            if attacker.captured and not self.keys:
+                yield f"hostile[{index}].captured: expected false without keys"
         if self.transport != "loopback" and self.radio.takes_time:
             yield "radio.air: expected none unless the transport is loopback"
         if self.radiation.strikes_per_step > 1 and self.transport != "loopback":

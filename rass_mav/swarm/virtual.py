@@ -21,7 +21,6 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.store.memory import MemoryStore, flipped
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
@@ -35,6 +34,7 @@ from rass_mav.swarm.medium.instant import Instant
 from rass_mav.swarm.medium.settings import RadioSection
 from rass_mav.swarm.medium.tally import Record
 from rass_mav.swarm.medium.timeline import Order, Timeline
+from rass_mav.swarm.mission import SwarmKeys
 from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
@@ -77,7 +77,7 @@ class VirtualSwarm(ABC):
         strikes: int = 1,
         record: Record | None = None,
         participant: type[Participant] | None = None,
-        keys: SigningKeys | None = None,
+        keys: SwarmKeys | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -91,7 +91,7 @@ class VirtualSwarm(ABC):
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
-        :param keys: of the links; None: they are open.
+        :param keys: of all nodes; None: they have none.
         """
         agents = list(agents)
         self.seed = seed
@@ -137,7 +137,15 @@ class VirtualSwarm(ABC):
             self.gates.append(self.make_gate(store))
             self.agents.append(
                 Agent(
-                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant, keys=keys
+                    settings,
+                    store,
+                    rng,
+                    now=0.0,
+                    observer=observer,
+                    newborn=True,
+                    participant=participant,
+                    keys=None if keys is None else keys.signing,
+                    tags=None if keys is None else keys.tags(settings.node_id),
                 )
             )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
@@ -147,7 +155,7 @@ class VirtualSwarm(ABC):
         some = self.agents[0]
         self.hostile = Band(
             hostile, nodes=len(self.agents), seed=seed, payload_type=some.settings.mavlink.payload_type,
-            costs=some.node.policy.costs is not None,
+            costs=some.node.policy.costs is not None, keys=keys, step_s=self.step_s,
         )  if hostile else None  # fmt: skip
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
@@ -372,7 +380,7 @@ class VirtualSwarm(ABC):
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
-            keys=None if old.peers.signed is None else old.peers.signed.keys,
+            keys=None if old.peers.signed is None else old.peers.signed.keys, tags=old.peers.tags.again,
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

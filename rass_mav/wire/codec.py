@@ -7,13 +7,14 @@ be counted separately from garbage. Times travel as ages.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 from zlib import crc32
 
 from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.fingerprints import CRC_MASK
 from rass_mav.core.messages import (
     BROADCAST,
     KINDS,
@@ -70,6 +71,8 @@ ANSWERS = 1
 DISTANCE = 2
 #: The block of a beacon with the sender's motion.
 MOTION = 3
+#: The block with the tags of the answers in the frame, in the same order.
+TAGS = 5
 _MOVES = struct.Struct("<Q")
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
@@ -104,8 +107,17 @@ _SPARE = 0x80
 # In an age: the datum is at least this old. And the largest age, which means the same.
 _AT_LEAST = 0x80000000
 _OLDEST = 0x7FFFFFFF
-# Bytes that stay free after answers that end custody or are about copies: for a message authentication code.
+# Bytes that stay free after answers that end custody or are about copies, for a message authentication code: a tag
+# behind the head of its block, or behind the place of the word among all words of its sender.
 _MAC = 12
+#: Bytes of a tag.
+TAG_BYTES = 8
+#: Bytes of a word's place, before its tag.
+PLACE_BYTES = 4
+#: Backers that one frame is for. Each has a tag of its own, behind its node id.
+MOST_BACKERS = 4
+_BACKER = struct.Struct(f"<H{TAG_BYTES}s")
+_STRONG_BYTES = 16
 # The types in which, in every version, the node id of the sender follows the head.
 _WITH_SENDER = frozenset((BEACON, DATA, OFFER, ACCEPT, SACK, COMMITTED, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS))
 
@@ -119,6 +131,16 @@ class ForeignError(MalformedError):
         """Major version of the message, 0..15."""
         self.sender = sender
         """Node id of the sender of a message of another version; None: the message has none."""
+
+
+class Tags(Protocol):
+    """Shows the receivers who says what ends custody or is about copies: for nodes with keys."""
+
+    def of_answer(self, to: int, said: bytes) -> bytes:
+        """The tag of an answer, `TAG_BYTES`. `said`: `answer_said`."""
+
+    def of_word(self, type_: int, to: Sequence[int], said: bytes) -> tuple[int, list[bytes]]:
+        """The place of a message of this type, and its tag for each receiver. `said`: the message so far."""
 
 
 def _head(type_: int) -> int:
@@ -136,29 +158,37 @@ def _age(created: float, now: float, at_least: bool) -> int:
 # -- encoding ----------------------------------------------------------------------------------------------------------
 
 
-def encode(message: Message, now: float) -> list[bytes]:
+def encode(message: Message, now: float, tags: Tags | None = None) -> list[bytes]:
     """The TUNNEL payloads of a message: usually one; data and answers that do not fit one frame fill several.
 
-    `now`: seconds on the sender's timeline, for ages. ValueError or struct.error: a message that exceeds its bounds,
-    which is our bug.
+    `now`: seconds on the sender's timeline, for ages. `tags`: None: the node has no keys. ValueError or struct.error: a
+    message that exceeds its bounds, which is our bug.
     """
-    return _ENCODERS[type(message)](message, now)
+    encoder = _ENCODERS[type(message)]
+    return encoder(message, now) if tags is None or encoder not in _WITH_TAGS else encoder(message, now, tags)
+
+
+def answer_said(m: Committed) -> bytes:
+    """What the tag of an answer covers: its bytes without the sender, and then all of each fingerprint but the checksum
+    in them."""
+    strong = [(fingerprint >> 32).to_bytes(_STRONG_BYTES, "little") for _, fingerprint in m.committed]
+    return _answer_bytes(m) + b"".join(strong)
 
 
 _BEACON_HEAD = _head(BEACON)
 _DATA_HEAD = bytes([_head(DATA)])
 
 
-def _encode_beacon(m: Beacon, now: float) -> list[bytes]:
+def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
     rest = _BEACON.pack(_BEACON_HEAD, *m[:-2])
     if m.moves:
         rest += _BLOCK.pack(MOTION, _MOVES.size) + _MOVES.pack(m.moves)
     if m.answers:
-        rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size)[0]
+        rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size, tags)[0]
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
 
 
-def _encode_data(m: Data, now: float) -> list[bytes]:
+def _encode_data(m: Data, now: float, tags: Tags | None = None) -> list[bytes]:
     frames = []
     parts: list[bytes] = []
     tail = _BLOCK.pack(DISTANCE, _DISTANCE.size) + _DISTANCE.pack(*m.distance) if m.spare and m.distance else b""
@@ -178,39 +208,46 @@ def _encode_data(m: Data, now: float) -> list[bytes]:
         room -= size
     frames.append(_TO.pack(_head(DATA), m.sender, m.target, flag | len(parts) // 2) + b"".join(parts) + tail)
     if m.answers:
-        block, rest = _encode_answers(m.answers, MAX_TUNNEL - len(frames[-1]))
+        block, rest = _encode_answers(m.answers, MAX_TUNNEL - len(frames[-1]), tags)
         frames[-1] += block
         for answer in rest:
-            frames += _encode_committed(answer, now)
+            frames += _encode_committed(answer, now, tags)
     return frames
 
 
-def _encode_answers(answers: tuple[Committed, ...], room: int) -> tuple[bytes, list[Committed]]:
-    """A block with as much of the answers as fits `room` bytes, and what does not fit."""
+def _encode_answers(answers: tuple[Committed, ...], room: int, tags: Tags | None) -> tuple[bytes, list[Committed]]:
+    """A block with as much of the answers as fits `room` bytes, the block with their tags, and what does not fit."""
     room -= _BLOCK.size + _MAC
-    riders = b""
+    riders = told = b""
     left = []
     for answer in answers:
-        rider, rest = _encode_answer(answer, room - len(riders))
-        riders += rider
+        # The first tag and the head of its block are in what stays free.
+        part, rest = _part_of(answer, room - len(riders) - len(told))
+        if part is not None:
+            riders += _answer_bytes(part)
+            told += b"" if tags is None else tags.of_answer(part.target, answer_said(part))
         if rest is not None:
             left.append(rest)
-    return (_BLOCK.pack(ANSWERS, len(riders)) + riders if riders else b""), left
+    blocks = _BLOCK.pack(ANSWERS, len(riders)) + riders if riders else b""
+    return (blocks + _BLOCK.pack(TAGS, len(told)) + told if told else blocks), left
 
 
-def _encode_answer(m: Committed, room: int) -> tuple[bytes, Committed | None]:
+def _part_of(m: Committed, room: int) -> tuple[Committed | None, Committed | None]:
     """As much of an answer as fits `room` bytes, without its sender, and what does not fit."""
     room = max(0, room - _RIDER.size)
     done = m.committed[: room // _DONE.size]
     no = m.refused[: (room - len(done) * _DONE.size) // _NUMBER.size]
     if len(done) == len(m.committed) and len(no) == len(m.refused):
-        rest = None
-    else:
-        rest = m._replace(committed=m.committed[len(done) :], refused=m.refused[len(no) :])
-        if not done and not no:
-            return b"", rest
-    numbers = struct.pack(f"<{2 * len(done) + len(no)}I", *chain(*done, no))
-    return _RIDER.pack(m.target, len(done), len(no)) + numbers, rest
+        return m, None
+    rest = m._replace(committed=m.committed[len(done) :], refused=m.refused[len(no) :])
+    return (m._replace(committed=done, refused=no) if done or no else None), rest
+
+
+def _answer_bytes(m: Committed) -> bytes:
+    """An answer without its sender."""
+    done = [(number, fingerprint & CRC_MASK) for number, fingerprint in m.committed]
+    numbers = struct.pack(f"<{2 * len(done) + len(m.refused)}I", *chain(*done, m.refused))
+    return _RIDER.pack(m.target, len(done), len(m.refused)) + numbers
 
 
 def _encode_offer(m: Offer, now: float) -> list[bytes]:
@@ -237,13 +274,15 @@ def _encode_sack(m: Sack, now: float) -> list[bytes]:
     return [_SACK.pack(_head(SACK), m.sender, m.target, m.handle, m.next_index, len(bitmap)) + bitmap]
 
 
-def _encode_committed(m: Committed, now: float) -> list[bytes]:
+def _encode_committed(m: Committed, now: float, tags: Tags | None = None) -> list[bytes]:
     head = _SENDER.pack(_head(COMMITTED), m.sender)
     frames = []
     rest: Committed | None = m
     while rest is not None:
-        answer, rest = _encode_answer(rest, MAX_TUNNEL - _MAC - len(head))
-        frames.append(head + answer)
+        part, rest = _part_of(rest, MAX_TUNNEL - _MAC - len(head))
+        assert part is not None
+        tag = b"" if tags is None else tags.of_answer(part.target, answer_said(part))
+        frames.append(head + _answer_bytes(part) + tag)
     return frames
 
 
@@ -268,15 +307,23 @@ def _encode_digest(m: Digest, now: float) -> list[bytes]:
 
 
 def _encode_rows(
-    type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0
-) -> list[bytes]:
-    """As many frames as necessary, at least one; `free`: bytes that stay free at the end of each."""
+    type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0,
+    tags: Tags | None = None, to: Sequence[int] = (),
+) -> list[bytes]:  # fmt: skip
+    """As many frames as necessary, at least one; `free`: bytes that stay free at the end of each, or hold the tags for
+    these nodes."""
     each = (MAX_TUNNEL - _TO.size - free) // row.size
     frames = []
     for start in range(0, len(rows) or 1, each):
         part = rows[start : start + each]
         head = _TO.pack(_head(type_), m.sender, m.target, len(part))
-        frames.append(head + b"".join([row.pack(*fields) for fields in part]))
+        frame = head + b"".join([row.pack(*fields) for fields in part])
+        if tags is not None and to:
+            place, told = tags.of_word(type_, to, frame)
+            if m.target == BROADCAST:
+                told = [_BACKER.pack(*backer) for backer in zip(to, told, strict=True)]
+            frame += _NUMBER.pack(place) + b"".join(told)
+        frames.append(frame)
     return frames
 
 
@@ -301,12 +348,20 @@ def _encode_query(m: Query, now: float) -> list[bytes]:
     return _encode_rows(QUERY, m, _ID, m.ids)
 
 
-def _encode_passed_on(m: PassedOn, now: float) -> list[bytes]:
-    return _encode_rows(PASSED_ON, m, _ID, m.ids, _MAC)
+def _encode_passed_on(m: PassedOn, now: float, tags: Tags | None = None) -> list[bytes]:
+    if tags is None or m.target != BROADCAST:
+        return _encode_rows(PASSED_ON, m, _ID, m.ids, _MAC, tags, (m.target,))
+    frames = []
+    for start in range(0, len(m.backers), MOST_BACKERS):
+        to = m.backers[start : start + MOST_BACKERS]
+        frames += _encode_rows(PASSED_ON, m, _ID, m.ids, PLACE_BYTES + len(to) * _BACKER.size, tags, to)
+    return frames
 
 
-def _encode_words(m: Words, now: float) -> list[bytes]:
-    return _encode_rows(WORDS, m, _WORD, [(*e.id, e.word) for e in m.entries], _MAC)
+def _encode_words(m: Words, now: float, tags: Tags | None = None) -> list[bytes]:
+    # What is said to everybody is a question, and ends nothing.
+    to = () if m.target == BROADCAST else (m.target,)
+    return _encode_rows(WORDS, m, _WORD, [(*e.id, e.word) for e in m.entries], _MAC, tags, to)
 
 
 # -- decoding ----------------------------------------------------------------------------------------------------------
@@ -600,6 +655,7 @@ FORMATS: dict[type, Format] = {
     Digest: Format(DIGEST, _encode_digest, _decode_digest),
 }
 _ENCODERS = {kind: format.encode for kind, format in FORMATS.items()}
+_WITH_TAGS = frozenset({_encode_beacon, _encode_data, _encode_committed, _encode_passed_on, _encode_words})
 # By second byte, after a first one of type 15.
 _MORE_DECODERS = {format.number: format.decode for format in FORMATS.values() if format.number > MORE}
 # By first byte.

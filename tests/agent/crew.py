@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
+from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.core.store import Store
+from rass_mav.keys.identity import Ground
+from rass_mav.keys.secret import Secret
 from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.store.memory import MemoryStore
 
@@ -19,19 +23,21 @@ from .conversation import SECTIONS
 KEY = bytes(range(7, 39))
 STRANGERS_KEY = bytes(32)
 KEYS = SigningKeys([KEY])
+GROUND = Ground(Secret(bytes(range(32))))
 
 
 def agent_with_keys(
     node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
-    keys: SigningKeys = KEYS, **sections: Any,
+    keys: SigningKeys = KEYS, words: bool = False, **sections: Any,
 ) -> Agent:  # fmt: skip
-    """`life`: another one has other random numbers."""
+    """`life`: another one has other random numbers. `words`: it proves its own to others, and doubts theirs."""
     raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys)
+    tags = partial(PairTags, GROUND.node(node_id, 0 if base else 1)) if words else None
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys, tags=tags)
 
 
 class Crew:
@@ -69,8 +75,9 @@ class Crew:
         old = self.agents[position]
         life = int(self.now) + 1
         self.agents[position] = agent_with_keys(
-            old.settings.node_id, base=old.settings.base, life=life, now=self.now, **{"store": old.store, **changed}
-        )
+            old.settings.node_id, base=old.settings.base, life=life, now=self.now,
+            words=isinstance(old.peers.tags, PairTags), **{"store": old.store, **changed},
+        )  # fmt: skip
 
     def hears(self, position: int) -> set[int]:
         """The node ids that an agent has as neighbours."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.custody.handovers import MAX_ACCEPTED, HandoverNumbers
+from rass_mav.core.fingerprints import Fingerprints
 
 from .build import datum, make_node
 
@@ -12,11 +13,11 @@ Y = datum(sequence=1).id
 
 @pytest.fixture
 def numbers() -> HandoverNumbers:
-    return HandoverNumbers(4711)
+    return HandoverNumbers(4711, Fingerprints())
 
 
 def test_numbers_wrap_without_zero() -> None:
-    numbers = HandoverNumbers(0xFFFFFFFE)
+    numbers = HandoverNumbers(0xFFFFFFFE, Fingerprints())
     assert [numbers.draw() for _ in range(3)] == [0xFFFFFFFF, 1, 2]
 
 
@@ -42,3 +43,14 @@ def test_the_memory_is_bounded_and_forgets_the_oldest(numbers: HandoverNumbers) 
     assert not numbers.has_accepted(7, 0, X, 5)
     assert numbers.has_accepted(7, 1, X, 5)
     assert len(numbers._accepted) == MAX_ACCEPTED
+
+
+def test_what_was_accepted_under_a_number_is_known_by_its_checksum_too(numbers: HandoverNumbers) -> None:
+    """An offer of a large datum names no more than that."""
+    strong = 77 << 32 | 5
+    numbers.accept(7, 100, X, strong)
+    assert numbers.accepted(7, 100, X, 5) == strong
+    assert not numbers.has_accepted(7, 100, X, 5), "another content"
+    assert numbers.accepted(7, 100, X, 6) is None
+    assert numbers.accepted(7, 100, Y, 5) is None
+    assert numbers.accepted(8, 100, X, 5) is None

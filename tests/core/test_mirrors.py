@@ -498,7 +498,7 @@ def test_two_backers_of_one_datum_are_told_in_one_frame() -> None:
     assert out == []
     speech.step()
     speech.flush(out)
-    assert out == [PassedOn(2, BROADCAST, (id,))]
+    assert out == [PassedOn(2, BROADCAST, (id,), (1, 3))]
 
 
 def test_a_backer_that_is_counted_on_is_not_told_what_others_are() -> None:
@@ -510,4 +510,4 @@ def test_a_backer_that_is_counted_on_is_not_told_what_others_are() -> None:
     speech.passed_on(1, rests)
     speech.step()
     speech.flush(out)
-    assert out == [PassedOn(2, BROADCAST, (moved,)), PassedOn(2, 1, (rests,))]
+    assert out == [PassedOn(2, BROADCAST, (moved,), (1, 3)), PassedOn(2, 1, (rests,))]

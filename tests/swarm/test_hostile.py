@@ -109,7 +109,14 @@ def test_what_nobody_made_is_not_in_the_ledger() -> None:
 
 
 @pytest.mark.parametrize(
-    "hostile", ["[{kind: friend}]", "[{kind: sinkhole, near: 25}]", "[{kind: sinkhole, end: 0}]", "[{near: 3}]"]
+    "hostile",
+    [
+        "[{kind: friend}]",
+        "[{kind: sinkhole, near: 25}]",
+        "[{kind: sinkhole, end: 0}]",
+        "[{near: 3}]",
+        "[{kind: sinkhole, captured: true}]",
+    ],
 )
 def test_attackers_that_make_no_sense_are_refused(hostile: str) -> None:
     with pytest.raises(ConfigError, match="hostile"):

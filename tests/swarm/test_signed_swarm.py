@@ -48,6 +48,14 @@ def test_a_stranger_costs_not_one_datum(kind: str) -> None:
     assert ignored(world) + refused(world).again > 0, "it was there"
 
 
+def test_a_captured_drone_is_heard() -> None:
+    """Otherwise what others show about it would show nothing."""
+    attacker = "hostile=[{kind: sinkhole, near: 12, begin: 20, end: 120, captured: true}]"
+    world = swarm("hostile", attacker, "custody.mirror=false")
+    world.run(60)
+    assert world.statistics.summary()["lost"]["unfounded"] > 20
+
+
 def test_the_same_seed_is_the_same_mission() -> None:
     digests = []
     for seed in (1, 1, 2):

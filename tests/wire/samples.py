@@ -213,7 +213,7 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
     ),
     Put: st.builds(Put, u16, u16, u16, data(100)),
     Query: st.builds(Query, node_ids, u16, st.lists(ids, max_size=12).map(tuple)),
-    PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple)),
+    PassedOn: st.builds(PassedOn, u16, u16, st.lists(ids, max_size=30).map(tuple), st.just(())),
     Words: st.builds(Words, u16, u16, st.lists(st.builds(WordEntry, ids, u8), max_size=30).map(tuple)),
 }
 any_message = st.one_of(*by_type.values())

@@ -16,6 +16,7 @@ forgotten, so that it can be sent again.
 from __future__ import annotations
 
 from rass_mav.core.datum import DatumId
+from rass_mav.core.fingerprints import CRC_MASK, Fingerprints
 
 #: How many accepted hand-over numbers a node remembers.
 MAX_ACCEPTED = 1024
@@ -24,13 +25,16 @@ MAX_ACCEPTED = 1024
 class HandoverNumbers:
     """The hand-over numbers of one node."""
 
-    __slots__ = ("_accepted", "_next", "_of")
+    __slots__ = ("_accepted", "_next", "_of", "prints")
 
-    def __init__(self, first: int) -> None:
-        """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life."""
+    def __init__(self, first: int, prints: Fingerprints) -> None:
+        """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life.
+        `prints`: of what is handed over."""
         self._next = first
+        self.prints = prints
+        """Of what is handed over."""
         self._accepted: dict[tuple[int, int], tuple[DatumId, int]] = {}
-        """What was accepted, and its checksum, by giver and number, the oldest first."""
+        """What was accepted, and its fingerprint, by giver and number, the oldest first."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
         """The same by datum."""
 
@@ -39,12 +43,12 @@ class HandoverNumbers:
         self._next = (self._next + 1) & 0xFFFFFFFF or 1
         return self._next
 
-    def accept(self, giver: int, number: int, id: DatumId, crc: int) -> None:
-        """Remember that this hand-over of a datum with this checksum was accepted."""
+    def accept(self, giver: int, number: int, id: DatumId, fingerprint: int) -> None:
+        """Remember that this hand-over of a datum with this fingerprint was accepted."""
         key = (giver, number)
         # A restarted giver may draw a number again.
         self._drop(key)
-        self._accepted[key] = id, crc
+        self._accepted[key] = id, fingerprint
         self._of.setdefault(id, set()).add(key)
         if len(self._accepted) > MAX_ACCEPTED:
             self._drop(next(iter(self._accepted)))
@@ -57,9 +61,14 @@ class HandoverNumbers:
             if not self._of[id]:
                 del self._of[id]
 
-    def has_accepted(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
+    def has_accepted(self, giver: int, number: int, id: DatumId, fingerprint: int) -> bool:
         """Whether this same hand-over was accepted before."""
-        return self._accepted.get((giver, number)) == (id, crc)
+        return self._accepted.get((giver, number)) == (id, fingerprint)
+
+    def accepted(self, giver: int, number: int, id: DatumId, crc: int) -> int | None:
+        """The fingerprint of the datum with this checksum that was accepted under this number; None: there is none."""
+        known, fingerprint = self._accepted.get((giver, number), (None, 0))
+        return fingerprint if known == id and fingerprint & CRC_MASK == crc else None
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it no longer counts as accepted."""

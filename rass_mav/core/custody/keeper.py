@@ -70,7 +70,7 @@ class Keeper:
         if self.is_squatted(id):
             self.refused += 1
             return False
-        if self.has_custody(giver, number, id, datum.crc, datum.payload):
+        if self.has_custody(giver, number, id, datum.crc, datum):
             self.rejuvenate(id, datum.created, at_least=datum.at_least)
             return True
         size = len(datum.payload)
@@ -83,7 +83,7 @@ class Keeper:
             self.drop(other, Fate.PASSED_ON)
         self.keep(datum.arrived(), giver)
         if number:
-            self.numbers.accept(giver, number, id, datum.crc)
+            self.numbers.accept(giver, number, id, self.numbers.prints.of(datum))
         return True
 
     def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
@@ -115,22 +115,26 @@ class Keeper:
         holding = self.holdings.get(id)
         return holding is not None and not (kind & SEALED and holding.state is State.PASSED_ON)
 
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, payload: bytes | None = None) -> bool:
+    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
         """Whether a datum on offer need not be stored: it is here, or this offer was accepted. A receipt does not
         count: the giver takes a datum that has arrived to the base all the same.
 
-        False while something is held under `id`: that is another datum, so the offer is refused. `payload`: of the
-        datum, where it is known: anybody can find a second one for a CRC.
+        False while something is held under `id`: that is another datum, so the offer is refused. `datum`: itself, where
+        it is known: anybody can find a second one for a CRC.
         """
         holding = self.holdings.get(id)
-        accepted = number != 0 and self.numbers.has_accepted(giver, number, id, crc)
+        accepted = number != 0 and (
+            self.numbers.accepted(giver, number, id, crc) is not None
+            if datum is None
+            else self.numbers.has_accepted(giver, number, id, self.numbers.prints.of(datum))
+        )
         if holding is not None:
             # The giver will delete its copy because of our answer, so ours must be good now; a bad one is dropped.
             loaded = self.load(holding)
-            if loaded is None or loaded.crc != crc or payload not in (None, loaded.payload):
+            if loaded is None or loaded.crc != crc or (datum is not None and datum.payload != loaded.payload):
                 return False
             if not accepted:
-                self._comes_round(holding, giver, number)
+                self._comes_round(holding, loaded, giver, number)
                 return True
         elif not accepted:
             return False
@@ -138,12 +142,19 @@ class Keeper:
             self.spares.not_here(id, giver)
         return True
 
-    def _comes_round(self, holding: Holding, giver: int, number: int) -> None:
+    def confirmed(self, giver: int, number: int, id: DatumId, crc: int) -> int:
+        """The fingerprint of the datum for which `has_custody` is true."""
+        stored = self.store.get(id)
+        if stored is not None and stored.crc == crc:
+            return self.numbers.prints.of(stored)
+        return self.numbers.accepted(giver, number, id, crc) or crc
+
+    def _comes_round(self, holding: Holding, datum: Datum, giver: int, number: int) -> None:
         """A datum is offered that is here already: from now on the giver may rely on this copy."""
         # Whatever we offered of it, no answer may delete it any more.
         self.holdings.cancel(holding)
         if number:
-            self.numbers.accept(giver, number, holding.id, holding.crc)
+            self.numbers.accept(giver, number, holding.id, self.numbers.prints.of(datum))
         self.spares.take_back(holding)
         self.spares.took(holding, giver)
 
@@ -323,11 +334,13 @@ class Sink(Keeper):
         """A base drops no data that have arrived."""
         return False
 
-    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, payload: bytes | None = None) -> bool:
+    def has_custody(self, giver: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
         """Whether this very datum has arrived. The giver may delete the last copy because of this, so check the
         store."""
         stored = self.store.get(id)
-        return stored is not None and stored.crc == crc and stored.intact
+        if stored is None or stored.crc != crc or not stored.intact:
+            return False
+        return datum is None or datum.payload == stored.payload
 
     def take_custody(self, giver: int, number: int, datum: Datum) -> bool:
         """A datum arrives. False: no space, the giver keeps it. If two contents have one id, both are kept."""
@@ -335,7 +348,10 @@ class Sink(Keeper):
         if stored is not None and not stored.intact:
             stored = None
         if stored is not None and stored.crc == datum.crc:
-            return True
+            same = stored.payload == datum.payload
+            # Somebody has made a second content for a checksum.
+            self.refused += not same
+            return same
         if not self._seals.is_made(datum):
             return self._put_aside(datum)
         if stored is None:

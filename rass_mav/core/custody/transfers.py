@@ -98,7 +98,7 @@ class Transfers:
         keeper = self._keeper
         if keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
             keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
-            return [self._committed(offer)]
+            return [self._committed(offer, keeper.confirmed(offer.sender, offer.number, offer.id, offer.crc))]
         running = next((t for t in self._receiving.values() if t.offer.sender == offer.sender), None)
         if running is not None:
             same = running.offer
@@ -157,10 +157,10 @@ class Transfers:
             self._keeper.corrupt_received += 1
             return []
         taken = self._keeper.take_custody(offer.sender, offer.number, datum)
-        return [self._committed(offer) if taken else self._refused(offer)]
+        return [self._committed(offer, self._keeper.numbers.prints.of(datum)) if taken else self._refused(offer)]
 
-    def _committed(self, offer: Offer) -> Committed:
-        return Committed(self._id, offer.sender, ((offer.number, offer.crc),), ())
+    def _committed(self, offer: Offer, fingerprint: int) -> Committed:
+        return Committed(self._id, offer.sender, ((offer.number, fingerprint),), ())
 
     def _refused(self, offer: Offer) -> Committed:
         return Committed(self._id, offer.sender, (), (offer.number,))

@@ -208,8 +208,8 @@ class Mirrors(NoSpares):
         holdings = keeper.holdings
         id = datum.id
         holding = holdings.get(id)
-        if holding is not None and keeper.load(holding) is not None:
-            if holding.crc != datum.crc:
+        if holding is not None and (copy := keeper.load(holding)) is not None:
+            if copy.payload != datum.payload or copy.crc != datum.crc:
                 return False
             if distance is not None and holding.state is not State.PASSED_ON:
                 return True

@@ -59,6 +59,8 @@ class Speech:
             ids.setdefault(target if self._counts(id) else BROADCAST, {})[id] = None
         shared_with = {target for id, target in self._passed_on if id in ids.get(BROADCAST, ())}
         for target, some in ids.items():
-            only = shared_with.pop() if target == BROADCAST and len(shared_with) == 1 else target
-            out.append(PassedOn(self._id, only, tuple(some)))
+            if target == BROADCAST and len(shared_with) > 1:
+                out.append(PassedOn(self._id, BROADCAST, tuple(some), tuple(sorted(shared_with))))
+            else:
+                out.append(PassedOn(self._id, shared_with.pop() if target == BROADCAST else target, tuple(some)))
         self._passed_on = {}

@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rass_mav.core import messages
-from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.messages import BROADCAST, Committed, Data, Handover, Message, Word, WordEntry, Words
@@ -57,7 +56,7 @@ class Baseline(Participant):
     """A node of a protocol that others have published. A subclass says what goes where."""
 
     __slots__ = (
-        "_archive", "_full_at", "_gained", "_learned", "_live", "_may_tell", "_met", "_numbers", "_offered",
+        "_archive", "_full_at", "_gained", "_learned", "_live", "_may_tell", "_met", "_offered",
         "_pending", "_stirred", "_strangers", "refused", "where",
     )  # fmt: skip
 
@@ -79,7 +78,6 @@ class Baseline(Participant):
         """Which neighbours are known to have a datum."""
         self.refused = 0
         """Copies refused for lack of space."""
-        self._numbers = HandoverNumbers(self._first_number)
         self._pending: dict[DatumId, Sending] = {}
         self._offered: dict[int, DatumId] = {}
         """What is pending, by number."""
@@ -245,7 +243,7 @@ class Baseline(Participant):
 
     def _number(self, mark: int) -> int:
         """A number for a copy with this mark; 0 would mean that no answer is wanted."""
-        return (self._numbers.draw() & 0xFFFF) << 16 | mark or self._number(mark)
+        return (self.numbers.draw() & 0xFFFF) << 16 | mark or self._number(mark)
 
     @property
     def _patience_s(self) -> float:
@@ -321,7 +319,7 @@ class Baseline(Participant):
         self._gained.pop(id, None)
         self.where.pop(id, None)
         if fate not in (Fate.PASSED_ON, Fate.DELIVERED):
-            self._numbers.forget(id)
+            self.numbers.forget(id)
         self.end(id)
         self.store.count(fate.value)
         self.holdings.remove(holding, fate)
@@ -377,14 +375,14 @@ class Baseline(Participant):
                 self._cancel(id)
             self.where.setdefault(id, set()).add(giver)
             return True
-        if id in self.receipts or self._numbers.has_accepted(giver, number, id, datum.crc):
+        if id in self.receipts or self.numbers.has_accepted(giver, number, id, datum.crc):
             return True
         if not self._make_room(len(datum.payload), own=False):
             self.refused += 1
             return False
         self._keep(datum.arrived(), number & 0xFFFF)
         self.where.setdefault(id, set()).add(giver)
-        self._numbers.accept(giver, number, id, datum.crc)
+        self.numbers.accept(giver, number, id, datum.crc)
         return True
 
     def _on_committed(self, answer: Committed, now: float) -> list[Message]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable
 
+from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
 
@@ -26,6 +27,8 @@ class Attacker:
         self.costs = costs
         self.beacons: dict[int, Beacon] = {}
         """The last beacon of each sender overheard."""
+        self.prints = Fingerprints()
+        """What its answers confirm."""
         self._number = rng.getrandbits(16)
         self.begin()
 
@@ -63,11 +66,14 @@ class Attacker:
         """Confirm whatever is handed over to it."""
         taken: tuple[tuple[int, int], ...] = ()
         if isinstance(message, Data) and message.target == self.id:
-            taken = tuple((number, datum.crc) for number, datum in message.handovers if number)
+            prints = self.prints
+            taken = tuple(
+                (number, prints.of(datum, spare=message.spare)) for number, datum in message.handovers if number
+            )
         elif isinstance(message, Offer) and message.target == self.id:
             taken = ((message.number, message.crc),)
         elif isinstance(message, LossNote) and message.target == self.id:
-            taken = tuple((entry.number, 0) for entry in message.entries)
+            taken = tuple((entry.number, self.prints.of_note(entry.id, entry.reason)) for entry in message.entries)
         else:
             return ()
         return (Committed(self.id, message.sender, taken, ()),)

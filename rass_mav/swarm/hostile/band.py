@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 
-from rass_mav.agent.peers import open_datagram
+from rass_mav.agent.outgoing import frames_about_links
+from rass_mav.agent.peers import Opened, Peers, open_datagram
+from rass_mav.agent.signed import Signed
+from rass_mav.agent.tags import OPEN
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.store.memory import MemoryStore
+from rass_mav.swarm.mission import SwarmKeys
 from rass_mav.swarm.scenario import HostileSection
-from rass_mav.wire import decode, encode
+from rass_mav.wire import decode
 
 from .attacker import Attacker, Said
 from .kinds import KINDS
@@ -19,12 +25,22 @@ MOST_FRAMES = 300
 
 
 class _Member:
-    def __init__(self, section: HostileSection, attacker: Attacker, payload_type: int) -> None:
+    def __init__(
+        self, section: HostileSection, attacker: Attacker, payload_type: int, keys: SwarmKeys | None, step_s: float
+    ) -> None:
+        """`keys`: of the swarm. A captured drone has the link key, and its own."""
         self.section = section
         self.attacker = attacker
         self.left = 0
         self._payload_type = payload_type
         self._writer = FrameWriter(attacker.id % 255 + 1, 191)
+        self._store = MemoryStore(attacker.id)
+        signed, tags = None, OPEN
+        if section.captured and keys is not None:
+            signed = Signed.begin(keys.signing, self._writer, self._store, attacker.rng, step_s)
+            tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
+        self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
+        attacker.prints = tags.prints
 
     def is_there(self, t: int) -> bool:
         section = self.section
@@ -32,25 +48,42 @@ class _Member:
 
     def frames(self, said: Iterable[Said], now: float) -> Iterator[bytes]:
         for message in said:
-            for payload in [message] if isinstance(message, bytes) else encode(message, now):
+            for payload in self._payloads(message, now):
                 if self.left <= 0:
                     return
                 self.left -= 1
-                yield self._writer.tunnel(payload, payload_type=self._payload_type)
+                for outgoing in frames_about_links([payload], self._writer, self._payload_type):
+                    yield self._peers.leaving(outgoing).frame
+
+    def _payloads(self, said: Said, now: float) -> list[bytes]:
+        return [said] if isinstance(said, bytes) else self._peers.tags.encoded(said, self._store, now)
+
+    def hear(self, frame: bytes, opened: Opened, now: float) -> None:
+        """If captured: note who asks whether this stream of frames, or this node, is there now."""
+        if self.section.captured:
+            self._peers.heard(frame, opened, now)
+
+    def answers(self, now: float) -> Iterator[bytes]:
+        """If captured: answer them."""
+        for outgoing in self._peers.challenges(now):
+            yield self._peers.leaving(outgoing).frame
 
 
 class Band:
     """All attackers. On the air, and in their own frames, they have the ids after those of the nodes."""
 
     def __init__(
-        self, sections: Sequence[HostileSection], *, nodes: int, seed: int, payload_type: int, costs: bool
-    ) -> None:
-        """`costs`: see `Attacker`."""
+        self, sections: Sequence[HostileSection], *, nodes: int, seed: int, payload_type: int, costs: bool,
+        keys: SwarmKeys | None, step_s: float,
+    ) -> None:  # fmt: skip
+        """`costs`: see `Attacker`. `keys`: of the swarm; None: it has none."""
         self._members = {
             nodes + index: _Member(
                 section,
                 KINDS[section.kind](nodes + index, random.Random(f"{seed}:hostile:{index}"), costs=costs),
                 payload_type,
+                keys,
+                step_s,
             )
             for index, section in enumerate(sections)
         }
@@ -73,11 +106,12 @@ class Band:
                 opened = open_datagram(frame)
                 if opened is None:
                     return
+            member.hear(frame, opened, now)
+            if message is None:
                 try:
                     message = decode(opened[3], now)
                 except MalformedError:
-                    return
-            assert message is not None
+                    continue
             for said in member.frames(member.attacker.overhear(message, opened[3], now), now):
                 yield id, said
 
@@ -86,5 +120,5 @@ class Band:
         for id, member in self._members.items():
             member.left = MOST_FRAMES
             if member.is_there(t):
-                for said in member.frames(member.attacker.turn(now), now):
+                for said in chain(member.answers(now), member.frames(member.attacker.turn(now), now)):
                     yield id, said

@@ -69,7 +69,10 @@ class CommittedForger(Attacker):
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
         super().overhear(message, payload, now)
         if isinstance(message, Data):
-            taken = tuple((number, datum.crc) for number, datum in message.handovers if number)
+            prints = self.prints
+            taken = tuple(
+                (number, prints.of(datum, spare=message.spare)) for number, datum in message.handovers if number
+            )
             return (Committed(message.target, message.sender, taken, ()),) if taken else ()
         if isinstance(message, Offer):
             return (Committed(message.target, message.sender, ((message.number, message.crc),), ()),)

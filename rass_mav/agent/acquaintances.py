@@ -1,0 +1,348 @@
+"""The other nodes that a node knows by their certificates, and how it comes to know them.
+
+docs/protocol.md ("Introductions") has the rules. What comes here was signed with the link key, which a captured drone
+has too. So everything is bounded: the table, what is verified in a step, and what is answered.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import Counter
+from struct import Struct
+from typing import Any
+
+from rass_mav.core.store import Store
+from rass_mav.errors import ForgedError
+from rass_mav.keys.certificate import Certificate
+from rass_mav.keys.identity import NodeKeys
+from rass_mav.keys.pairs import Pair
+from rass_mav.wire.introduction import (
+    ASKED_BESIDE,
+    INTRODUCTION,
+    MAX_ASKED,
+    MAX_PROOFS,
+    PROOFS_BESIDE,
+    Introduction,
+    encode_introduction,
+    proof_said,
+)
+
+#: Nodes remembered: more than the neighbours of most, and all nodes of most missions.
+MAX_KNOWN = 256
+#: Certificates that are verified in a step, and of one node id. Each takes 0.1 ms here, 3 ms on a Pi Zero.
+MAX_VERIFIED, MAX_OF_ONE = 8, 2
+#: Questions that wait for a proof, and of one node.
+MAX_QUESTIONS, QUESTIONS_OF_ONE = 64, 2
+#: Introductions sent in a step.
+MAX_SENT = 4
+#: How often a node sends its certificate: as often as this at once, and once in so many steps in the long run.
+CERTIFICATES_AT_ONCE, CERTIFICATE_STEPS = 3, 2
+#: Steps until a node that does not answer is asked again, and the longest such time, seconds.
+ASK_STEPS, MOST_ASK_S = 2, 8.0
+#: Words that may be overtaken by so many others of their sender.
+WINDOW = 128
+
+#: Own nonces that count.
+MAX_NONCES = 4
+#: The serial of a drone that has replaced no other one.
+FIRST_SERIAL = 1
+
+_ALL = (1 << WINDOW) - 1
+# Node id and serial, where a certificate has them.
+_NAMED = Struct("<HI")
+
+
+class Acquaintance:
+    """Another node."""
+
+    __slots__ = ("ask_at", "bits", "certificate", "doubted", "heard", "pair", "place", "proved_by", "wait_s")
+
+    def __init__(self) -> None:
+        self.heard = 0.0
+        """When a beacon in its name came, or its certificate, seconds."""
+        self.certificate: Certificate | None = None
+        self.pair: Pair | None = None
+        """None: its certificate is not known."""
+        self.place: int | None = None
+        """The highest place of its words, 64 bits; None: it has not proved where it is."""
+        self.bits = 0
+        """Bit i: the word at `place` - i was heard, or must not be any more."""
+        self.proved_by = -1
+        """Which nonce of this node was in its last proof: an earlier one proves nothing more."""
+        self.doubted = True
+        """Whether it should prove where it is: it has not yet, or it may have started again since."""
+        self.ask_at = 0.0
+        """From then on it can be asked again, seconds."""
+        self.wait_s = 0.0
+        """How long it was not asked after the last time."""
+
+    def is_new(self, place: int) -> bool:
+        """Whether a word was not heard before. From then on it was."""
+        assert self.place is not None
+        ahead = place - self.place
+        if ahead > 0:
+            self.bits = (self.bits << ahead | 1) & _ALL if ahead < WINDOW else 1
+            self.place = place
+            return True
+        if ahead <= -WINDOW or self.bits >> -ahead & 1:
+            return False
+        self.bits |= 1 << -ahead
+        return True
+
+    def proves(self, place: int, nonce: int) -> None:
+        """It is there now, and this is the place of its last word. `nonce`: which one of this node shows it."""
+        self.proved_by = nonce
+        self.doubted = False
+        self.wait_s = 0.0
+        if self.place is None or self.place >> 32 != place >> 32 or place - self.place >= WINDOW:
+            # All earlier words are old, whether they were heard or not.
+            self.place, self.bits = place, _ALL
+
+
+class Acquaintances:
+    """Those of one node. Time is an argument."""
+
+    __slots__ = (
+        "_asks", "_keys", "_known", "_nonces", "_questions", "_revoked", "_rng", "_sent", "_sent_at", "_step",
+        "_step_s",        "_store", "_tokens", "_verified", "_wanted", "forged", "place", "stale",
+    )  # fmt: skip
+
+    def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float) -> None:
+        """`rng`: draws nonces. `step_s`: seconds."""
+        self._keys = keys
+        self._store = store
+        self._rng = rng
+        self._step_s = step_s
+        self._known: dict[int, Acquaintance] = {}
+        """By node id."""
+        self._asks: dict[int, None] = {}
+        """Nodes to ask."""
+        self._nonces: list[tuple[int, int]] = []
+        """Own nonces, numbered from 0; the last one is the newest."""
+        self._questions: dict[int, list[int]] = {}
+        """Nonces of others that wait for this node's proof, by node id."""
+        self._wanted = False
+        """Whether somebody waits for this node's certificate."""
+        self._sent_at = -math.inf
+        """When that left last, seconds."""
+        self._tokens = float(CERTIFICATES_AT_ONCE)
+        """How often it may leave now."""
+        self._revoked: dict[int, int] = {}
+        """By node id, the highest serial that is refused."""
+        self._step = -1
+        self._sent = 0
+        """Introductions sent in this step."""
+        self._verified: Counter[int] = Counter()
+        """Certificates verified in this step, by the node id in them."""
+        # A random start: nothing that was said in an earlier life has a place in this one.
+        self.place = rng.getrandbits(32) << 32
+        """Of this node's last word, 64 bits: its life, and a count."""
+        self.forged = 0
+        """Certificates and proofs by somebody else than they say."""
+        self.stale = 0
+        """Certificates that another one has replaced, or that are revoked."""
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    @property
+    def with_certificate(self) -> int:
+        """How many of them have shown their certificate."""
+        return sum(one.pair is not None for one in self._known.values())
+
+    def get(self, node_id: int) -> Acquaintance | None:
+        """What is known of a node."""
+        return self._known.get(node_id)
+
+    def revoke(self, node_id: int, serial: int) -> None:
+        """From now on refuse the certificates of this node with this serial or a lower one."""
+        self._revoked[node_id] = max(serial, self._revoked.get(node_id, serial))
+        known = self._known.get(node_id)
+        if known is not None and known.certificate is not None and known.certificate.serial <= serial:
+            del self._known[node_id]
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def heard(self, node_id: int, now: float) -> None:
+        """A beacon in the name of a node."""
+        known = self._known.get(node_id)
+        if known is None:
+            known = self._known[node_id] = self._room_for_another()
+        known.heard = now
+        if known.doubted and now >= known.ask_at:
+            self._asks[node_id] = None
+
+    def _room_for_another(self) -> Acquaintance:
+        known = self._known
+        if len(known) >= MAX_KNOWN:
+            # Names are easy to invent, certificates are not.
+            gone = min(known, key=lambda node_id: (known[node_id].pair is not None, known[node_id].heard))
+            del known[gone]
+            self._asks.pop(gone, None)
+        return Acquaintance()
+
+    def ask(self, node_id: int, now: float) -> None:
+        """Ask a node for its certificate, and to prove that it is there; if it was asked a moment ago, later."""
+        known = self._known.get(node_id)
+        if known is not None:
+            known.doubted = True
+            if now >= known.ask_at:
+                self._asks[node_id] = None
+
+    def hear(self, introduction: Introduction, now: float) -> None:
+        """Somebody introduces himself. All of it may be forged or old."""
+        own, sender = self._keys.certificate.node_id, introduction.sender
+        if sender == own:
+            return
+        self._begin_step(now)
+        is_asked = own in introduction.asked
+        if introduction.certificate:
+            self._learn(introduction.certificate, sender, now, needed=is_asked)
+        if is_asked:
+            self._on_question(introduction, now)
+        for node_id, tag in introduction.proofs:
+            if node_id == own:
+                self._on_proof(sender, introduction.place, tag)
+
+    def _learn(self, packed: bytes, sender: int, now: float, *, needed: bool) -> None:
+        """`needed`: even if no beacon of the sender was heard."""
+        node_id, serial = _NAMED.unpack_from(packed)
+        known = self._known.get(node_id)
+        if node_id != sender:
+            self.forged += 1
+            return
+        if known is None and not needed:
+            return
+        if known is not None and known.certificate is not None:
+            if known.certificate.pack() == packed:
+                return
+            if serial <= known.certificate.serial:
+                self.stale += 1
+                return
+        if serial <= self._revoked.get(node_id, -1) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
+            self.stale += 1
+            return
+        if self._verified.total() >= MAX_VERIFIED or self._verified[node_id] >= MAX_OF_ONE:
+            return
+        self._verified[node_id] += 1
+        try:
+            certificate = Certificate.unpack(packed, self._keys.ground)
+            pair = Pair(self._keys, certificate)
+        except ForgedError:
+            self.forged += 1
+            return
+        if serial > FIRST_SERIAL:
+            # After a restart, the keys of the drone that it replaces are worth nothing either.
+            self._store.set_meta(_serial_key(node_id), serial)
+        # Whatever was known is about its predecessor.
+        known = self._room_for_another() if self._known.pop(node_id, None) is None else Acquaintance()
+        known.certificate, known.pair, known.heard = certificate, pair, now
+        self._known[node_id] = known
+        self.ask(node_id, now)
+
+    def _on_question(self, introduction: Introduction, now: float) -> None:
+        sender = introduction.sender
+        nonces = self._questions.setdefault(sender, [])
+        if introduction.nonce not in nonces and len(nonces) < QUESTIONS_OF_ONE:
+            nonces.append(introduction.nonce)
+        if len(self._questions) > MAX_QUESTIONS:
+            del self._questions[next(iter(self._questions))]
+        if introduction.wants:
+            # If both ask at the same time, this node has answered already.
+            self._wanted = self._wanted or now - self._sent_at >= 0.5 * self._step_s
+            # It may have started again.
+            self.ask(sender, now)
+
+    def _on_proof(self, sender: int, place: int, tag: bytes) -> None:
+        known = self._known.get(sender)
+        if known is None or known.pair is None:
+            return
+        for number, nonce in self._nonces:
+            if known.pair.made(INTRODUCTION, proof_said(nonce, place), tag):
+                # It may be repeated by somebody, when the node is not there any more.
+                if number > known.proved_by:
+                    known.proves(place, number)
+                    self._asks.pop(sender, None)
+                return
+        self.forged += 1
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def due(self, now: float) -> list[bytes]:
+        """The introductions that leave now, as TUNNEL payloads for everybody."""
+        if not (self._asks or self._questions or self._wanted):
+            return []
+        self._begin_step(now)
+        out: list[bytes] = []
+        while self._sent < MAX_SENT:
+            certificate = self._shows_certificate(now)
+            asked = self._to_ask(ASKED_BESIDE if certificate else MAX_ASKED)
+            room = 0 if certificate and asked else PROOFS_BESIDE if certificate else MAX_PROOFS
+            proofs = self._proofs(room)
+            if not (certificate or asked or proofs):
+                break
+            wants = any(self._known[node_id].pair is None for node_id in asked)
+            for node_id in asked:
+                self._has_asked(node_id, now)
+            own = self._keys.certificate
+            shown, nonce = own.pack() if certificate else b"", self._nonces[-1][1] if asked else 0
+            out.append(encode_introduction(Introduction(own.node_id, shown, asked, wants, nonce, self.place, proofs)))
+            self._sent += 1
+        return out
+
+    def _begin_step(self, now: float) -> None:
+        step = int(now / self._step_s)
+        if step != self._step:
+            passed = max(0, step - self._step)
+            self._tokens = min(CERTIFICATES_AT_ONCE, self._tokens + passed / CERTIFICATE_STEPS)
+            self._step, self._sent = step, 0
+            self._verified.clear()
+
+    def _shows_certificate(self, now: float) -> bool:
+        """Whether this node's certificate is in the next introduction: whose certificate is not known here does
+        probably not know this one either."""
+        fresh = now - self._sent_at < 0.5 * self._step_s
+        lacking = not fresh and any(self._known[node_id].pair is None for node_id in self._asks)
+        if self._tokens < 1.0 or not (self._wanted or lacking):
+            return False
+        self._tokens -= 1.0
+        self._wanted, self._sent_at = False, now
+        return True
+
+    def _to_ask(self, most: int) -> tuple[int, ...]:
+        # Who has shown a certificate is not asked for it because others have not.
+        lacking = [node_id for node_id in self._asks if self._known[node_id].pair is None]
+        asked = tuple(lacking or self._asks)[:most]
+        newest = self._nonces[-1][0] if self._nonces else -1
+        if asked and newest <= max(self._known[node_id].proved_by for node_id in asked):
+            self._nonces.append((newest + 1, self._rng.getrandbits(64)))
+            del self._nonces[:-MAX_NONCES]
+        return asked
+
+    def _has_asked(self, node_id: int, now: float) -> None:
+        del self._asks[node_id]
+        known = self._known[node_id]
+        known.wait_s = min(2 * known.wait_s, MOST_ASK_S) or ASK_STEPS * self._step_s
+        known.ask_at = now + known.wait_s
+
+    def _proofs(self, most: int) -> tuple[tuple[int, bytes], ...]:
+        proofs: list[tuple[int, bytes]] = []
+        for node_id in list(self._questions):
+            known = self._known.get(node_id)
+            if known is None or known.pair is None:
+                continue
+            while self._questions[node_id] and len(proofs) < most:
+                nonce = self._questions[node_id].pop(0)
+                proofs.append((node_id, known.pair.tag(INTRODUCTION, proof_said(nonce, self.place))))
+            if not self._questions[node_id]:
+                del self._questions[node_id]
+        return tuple(proofs)
+
+    def report(self) -> dict[str, Any]:
+        """For `status`."""
+        return {"certificates": self.with_certificate, "forged": self.forged, "stale": self.stale}
+
+
+def _serial_key(node_id: int) -> str:
+    return f"serial {node_id}"

@@ -1,0 +1,49 @@
+"""What a node does to prove its words to other nodes, and to doubt theirs: without keys, nothing."""
+
+from __future__ import annotations
+
+import random
+from typing import Any, ClassVar
+
+from rass_mav.core.fingerprints import Fingerprints
+from rass_mav.core.messages import Message
+from rass_mav.core.store import Store
+from rass_mav.wire import encode
+
+
+class NoTags:
+    """For a node without keys. `agent.pairs` has the other one."""
+
+    __slots__ = ()
+
+    prints: ClassVar[Fingerprints] = Fingerprints()
+    """What answers to hand-overs confirm."""
+
+    def again(self, store: Store, rng: random.Random, step_s: float) -> NoTags:
+        """The same for the next life of this node, when it has started again. `step_s`: length of a step, seconds."""
+        return self
+
+    def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
+        """The TUNNEL payloads of a message of this node."""
+        return encode(message, now)
+
+    def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
+        """A message that was heard, without what its sender has not said; None: nothing is left of it. `payload`: of
+        its TUNNEL."""
+        return message
+
+    def introduced(self, payload: bytes, now: float) -> bool:
+        """Take a TUNNEL payload that only introduces another node. False: it is something else."""
+        return False
+
+    def introductions(self, now: float) -> list[bytes]:
+        """What this node has to say of itself now, as TUNNEL payloads for everybody."""
+        return []
+
+    def report(self) -> dict[str, Any] | None:
+        """For `status`; None: there are no keys."""
+        return None
+
+
+#: It has no state.
+OPEN = NoTags()

@@ -1,0 +1,111 @@
+"""Introductions: how nodes with keys learn each other's certificates, and which words are new (docs/protocol.md).
+
+They are no messages of core: no participant sees them.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from rass_mav.core.messages import BROADCAST
+from rass_mav.errors import MalformedError
+
+from .codec import MORE, TAG_BYTES, VERSION
+
+#: The type, in the second byte.
+INTRODUCTION = 254
+#: Bytes of a certificate. What is in it is no matter of the wire.
+CERTIFICATE_BYTES = 102
+#: Nodes that are asked, and proofs, in one introduction without a certificate.
+MAX_ASKED, MAX_PROOFS = 8, 8
+#: The same beside a certificate.
+ASKED_BESIDE, PROOFS_BESIDE = 5, 1
+
+_HEAD = bytes((VERSION << 4 | MORE, INTRODUCTION))
+_FIELDS = struct.Struct("<HBBB")
+_NONCE = struct.Struct("<Q")
+_ID = struct.Struct("<H")
+_PROOF = struct.Struct(f"<H{TAG_BYTES}s")
+_CERTIFICATE, _WANTS = 1, 2
+
+
+class Introduction(NamedTuple):
+    """What a node says of itself, and asks of others."""
+
+    sender: int
+    """Node id."""
+    certificate: bytes = b""
+    """Its own, packed; empty: it is not in here."""
+    asked: tuple[int, ...] = ()
+    """Nodes that should prove that they are there."""
+    wants: bool = False
+    """Whether they should send their certificates too."""
+    nonce: int = 0
+    """What their proofs should contain, 64 bits. Without a meaning if nobody is asked."""
+    place: int = 0
+    """The sender's last place among its words, 64 bits. Without a meaning if there is no proof."""
+    proofs: tuple[tuple[int, bytes], ...] = ()
+    """For other nodes, by node id: the tag of the other's nonce and of `place`."""
+
+
+def is_introduction(payload: bytes) -> bool:
+    """Whether a TUNNEL payload begins like an introduction of this version."""
+    return payload[:2] == _HEAD
+
+
+def proof_said(nonce: int, place: int) -> bytes:
+    """What the tag of a proof covers."""
+    return _NONCE.pack(nonce) + _NONCE.pack(place)
+
+
+def encode_introduction(m: Introduction) -> bytes:
+    """The TUNNEL payload, at most 127 bytes. ValueError or struct.error: out of bounds, which is our bug."""
+    if len(m.certificate) not in (0, CERTIFICATE_BYTES) or not _fits(bool(m.certificate), len(m.asked), len(m.proofs)):
+        raise ValueError("too much for one introduction")
+    flags = (_CERTIFICATE if m.certificate else 0) | (_WANTS if m.wants else 0)
+    parts = [_HEAD, _FIELDS.pack(m.sender, flags, len(m.asked), len(m.proofs)), m.certificate]
+    if m.asked:
+        parts.append(_NONCE.pack(m.nonce))
+        parts += map(_ID.pack, m.asked)
+    if m.proofs:
+        parts.append(_NONCE.pack(m.place))
+        parts += (_PROOF.pack(*proof) for proof in m.proofs)
+    return b"".join(parts)
+
+
+def _fits(certificate: bool, asked: int, proofs: int) -> bool:
+    if not certificate:
+        return asked <= MAX_ASKED and proofs <= MAX_PROOFS
+    # One or the other.
+    return asked <= ASKED_BESIDE and proofs <= PROOFS_BESIDE and not (asked and proofs)
+
+
+def decode_introduction(payload: bytes) -> Introduction:
+    """The introduction in a TUNNEL payload for which `is_introduction`. Raises `MalformedError`, and nothing else."""
+    try:
+        sender, flags, asked, proofs = _FIELDS.unpack_from(payload, len(_HEAD))
+        if sender == BROADCAST or not _fits(bool(flags & _CERTIFICATE), asked, proofs):
+            raise MalformedError(f"an introduction with {asked} questions and {proofs} proofs")
+        at = len(_HEAD) + _FIELDS.size
+        certificate = b""
+        if flags & _CERTIFICATE:
+            certificate = payload[at : at + CERTIFICATE_BYTES]
+            if len(certificate) != CERTIFICATE_BYTES:
+                raise MalformedError("truncated certificate")
+            at += CERTIFICATE_BYTES
+        nonce = place = 0
+        ids: list[int] = []
+        told: list[tuple[int, bytes]] = []
+        if asked:
+            (nonce,) = _NONCE.unpack_from(payload, at)
+            at += _NONCE.size
+            ids += (_ID.unpack_from(payload, at + i * _ID.size)[0] for i in range(asked))
+            at += asked * _ID.size
+        if proofs:
+            (place,) = _NONCE.unpack_from(payload, at)
+            at += _NONCE.size
+            told += (_PROOF.unpack_from(payload, at + i * _PROOF.size) for i in range(proofs))
+    except struct.error as error:
+        raise MalformedError(f"truncated introduction: {error}") from None
+    return Introduction(sender, certificate, tuple(ids), bool(flags & _WANTS), nonce, place, tuple(told))

@@ -1,0 +1,558 @@
+"""Words between two nodes, seen by a captured drone: it has the link key and a certificate of its own, hears all that
+is on the air, and can send anything in anybody's name. No word that a node has not said to another one is believed."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import cast
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rass_mav.agent import acquaintances
+from rass_mav.agent.pairs import PairTags, StrongFingerprints
+from rass_mav.core.datum import Datum, DatumId, Fate, datum_crc, make_datum
+from rass_mav.core.messages import (
+    BROADCAST,
+    Beacon,
+    Committed,
+    Data,
+    Handover,
+    LossNote,
+    LossNoteEntry,
+    Message,
+    Offer,
+    PassedOn,
+    Word,
+    WordEntry,
+    Words,
+)
+from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.store import Store
+from rass_mav.errors import MalformedError
+from rass_mav.keys.certificate import Certificate, GroundPublic
+from rass_mav.keys.identity import Ground, NodeKeys
+from rass_mav.keys.secret import Secret
+from rass_mav.store.memory import MemoryStore
+from rass_mav.wire import MAX_TUNNEL, decode
+from rass_mav.wire.codec import TAG_BYTES, answer_said
+from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction
+from tests.wire.samples import HELLO, NOW, SAMPLES
+
+from .crew import Crew, agent_with_keys
+
+PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
+BASE, GIVER, TAKER, CAPTURED = 1, 2, 3, 9
+GROUND = Ground(Secret(bytes(range(32))))
+STRANGER = Ground(Secret(bytes(32)))
+PRINTS = StrongFingerprints()
+D = make_datum(DatumId(GIVER, 0xCAFE, 7), 0, 0.0, b"measured")
+E = make_datum(DatumId(GIVER, 0xCAFE, 8), 0, 0.0, b"another")
+BEACON = cast(Beacon, SAMPLES["beacon-drone"])
+
+
+def keys_of(node_id: int, serial: int = 1, ground: Ground = GROUND) -> NodeKeys:
+    return ground.node(node_id, 0 if node_id == BASE else serial)
+
+
+class Voice:
+    """One node, as far as words go."""
+
+    def __init__(self, node_id: int, *, serial: int = 1, store: Store | None = None, life: int = 0) -> None:
+        self.id = node_id
+        self.store = store or MemoryStore(node_id)
+        self.tags = PairTags(keys_of(node_id, serial), self.store, random.Random(f"{node_id}:{life}"), 1.0)
+
+    def says(self, message: Message, now: float = 0.0) -> bytes:
+        [payload] = self.tags.encoded(message, self.store, now)
+        assert len(payload) <= MAX_TUNNEL
+        return payload
+
+    def believes(self, payload: bytes, now: float = 0.0) -> Message | None:
+        return self.tags.believed(decode(payload, now), payload, now)
+
+    def knows(self, other: int) -> bool:
+        known = self.tags.acquaintances.get(other)
+        return known is not None and known.place is not None
+
+    def unbelieved(self) -> dict[str, int]:
+        counts: dict[str, int] = self.tags.report()["not_believed"]
+        return counts
+
+
+class Air:
+    """All hear each other, in steps of a second."""
+
+    def __init__(self, *voices: Voice) -> None:
+        self.voices = list(voices)
+        self.now = 0.0
+        self.introductions: list[bytes] = []
+
+    def step(self) -> None:
+        self.now += 1.0
+        for voice in self.voices:
+            payloads = voice.tags.introductions(self.now)
+            self.introductions += payloads
+            beacon = BEACON._replace(sender=voice.id)
+            for other in self.voices:
+                if other is not voice:
+                    for payload in payloads:
+                        assert other.tags.introduced(payload, self.now)
+                    other.believes(voice.says(beacon, self.now), self.now)
+
+    def steps(self, count: int) -> None:
+        for _ in range(count):
+            self.step()
+
+
+def acquainted(*node_ids: int) -> list[Voice]:
+    air = Air(*(Voice(node_id) for node_id in node_ids))
+    air.steps(5)
+    assert all(one.knows(other.id) for one in air.voices for other in air.voices if one is not other)
+    return air.voices
+
+
+def offered(datum: Datum = D, number: int = 77, *, spare: bool = False) -> Data:
+    return Data(GIVER, TAKER, (Handover(number, datum),), spare)
+
+
+def answer(datum: Datum = D, number: int = 77, *, spare: bool = False, sender: int = TAKER) -> Committed:
+    return Committed(sender, GIVER, ((number, PRINTS.of(datum, spare=spare)),), ())
+
+
+def twin(datum: Datum) -> Datum:
+    """Another content with the same id and checksum, as anybody can make one."""
+    rng = random.Random(1)
+    # The checksum is linear: some combination of 33 changes does not change it.
+    rows: dict[int, tuple[int, bytes]] = {}
+    base = bytes(len(datum.payload) + 8)
+    zero = datum_crc(datum.id, datum.kind, base)
+    for _ in range(40):
+        change = rng.randbytes(len(base))
+        value = datum_crc(datum.id, datum.kind, change) ^ zero
+        while value and (pivot := value.bit_length()) in rows:
+            value ^= rows[pivot][0]
+            change = bytes(a ^ b for a, b in zip(change, rows[pivot][1], strict=True))
+        if value:
+            rows[value.bit_length()] = value, change
+    value, content = datum.crc ^ zero, base
+    while value:
+        row = rows[value.bit_length()]
+        value ^= row[0]
+        content = bytes(a ^ b for a, b in zip(content, row[1], strict=True))
+    assert datum_crc(datum.id, datum.kind, content) == datum.crc
+    return datum._replace(payload=content)
+
+
+# -- what is said is believed ------------------------------------------------------------------------------------------
+
+
+def words() -> list[Message]:
+    entries = (WordEntry(D.id, Word.TAKEN), WordEntry(E.id, Word.NONE))
+    return [PassedOn(TAKER, GIVER, (D.id, E.id)), Words(TAKER, GIVER, entries)]
+
+
+def carriers(told: tuple[Committed, ...]) -> list[Message]:
+    """All messages in which answers come."""
+    sender = told[0].sender
+    return [
+        *told,
+        BEACON._replace(sender=sender, answers=told, moves=5),
+        Data(sender, BASE, (Handover(5, E),), answers=told),
+    ]
+
+
+def test_what_nodes_say_to_each_other_is_believed_once() -> None:
+    giver, taker = acquainted(GIVER, TAKER)
+    giver.says(offered())
+    for message in carriers((answer(),)):
+        heard = giver.believes(taker.says(message))
+        told = heard.answers if isinstance(heard, Beacon | Data) else (heard,)
+        assert [done.committed for done in told if isinstance(done, Committed)] == [((77, D.crc),)]
+    for message in words():
+        payload = taker.says(message)
+        assert giver.believes(payload) == message
+        assert giver.believes(payload) is None, "it is repeated"
+    assert giver.unbelieved() == {"unknown": 0, "forged": 0, "early": 0, "again": 2}
+
+
+def test_each_answer_in_a_frame_has_its_own_tag() -> None:
+    giver, taker, base = acquainted(GIVER, TAKER, BASE)
+    giver.says(offered())
+    base.says(Data(BASE, TAKER, (Handover(5, E),)))
+    told = (answer(), Committed(TAKER, BASE, ((5, PRINTS.of(E)),), (6,)))
+    for message in carriers(told)[-2:]:
+        payload = taker.says(message)
+        for hearer, index in ((giver, 0), (base, 1)):
+            heard = hearer.believes(payload)
+            assert isinstance(heard, Beacon | Data)
+            assert [done.target for done in heard.answers] == [told[index].target]
+            if isinstance(heard, Data) and isinstance(message, Data):
+                assert heard.handovers[0].datum.payload == E.payload, "the rest is heard"
+
+
+def test_what_was_passed_on_is_told_to_several_backers_in_one_frame() -> None:
+    voices = acquainted(TAKER, 1, 2, 4, 5, 6)
+    message = PassedOn(TAKER, BROADCAST, (D.id,), (1, 2, 4, 5, 6))
+    frames = voices[0].tags.encoded(message, voices[0].store, 0.0)
+    assert [len(frame) for frame in frames] == [6 + 10 + 4 + 4 * 10, 6 + 10 + 4 + 10]
+    for voice in voices[1:]:
+        heard = [voice.believes(frame) for frame in frames]
+        assert [one for one in heard if one is not None] == [message._replace(backers=())]
+        assert [voice.believes(frame) for frame in frames] == [None, None]
+
+
+def test_everybody_may_ask_and_no_more() -> None:
+    giver, taker = acquainted(GIVER, TAKER)
+    payload = taker.says(Words(TAKER, BROADCAST, (WordEntry(D.id, Word.WANTED), WordEntry(D.id, Word.TAKEN))))
+    heard = giver.believes(payload)
+    assert isinstance(heard, Words)
+    assert heard.entries == (WordEntry(D.id, Word.WANTED),)
+
+
+def test_large_data_and_notes_are_answered_too() -> None:
+    giver, taker = acquainted(GIVER, TAKER)
+    large = make_datum(DatumId(GIVER, 1, 2), 0, 0.0, bytes(5000))
+    giver.store.put(large)
+    giver.says(Offer(GIVER, TAKER, 6, large.id, 0, 0.0, 0, large.crc, 5000, 123))
+    giver.says(LossNote(GIVER, TAKER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)))
+    assert giver.believes(taker.says(Committed(TAKER, GIVER, ((6, PRINTS.of(large)),), ())))
+    assert giver.believes(taker.says(Committed(TAKER, GIVER, ((7, PRINTS.of_note(D.id, 1)),), (6,))))
+    # Of another note, and of a datum instead of the note.
+    assert not giver.believes(taker.says(Committed(TAKER, GIVER, ((7, PRINTS.of_note(E.id, 1)),), ())))
+    assert not giver.believes(taker.says(answer(number=7)))
+
+
+# -- what a captured drone can say ------------------------------------------------------------------------------------
+
+
+def test_a_captured_drone_cannot_speak_for_another() -> None:
+    giver, taker, captured = acquainted(GIVER, TAKER, CAPTURED)
+    giver.says(offered())
+    for message in [*carriers((answer(),)), *words()]:
+        heard = giver.believes(captured.says(message))
+        assert heard is None or not getattr(heard, "answers", ()), message
+    assert giver.unbelieved()["forged"] == len(carriers((answer(),))) + len(words())
+    # In its own name it may say that it has what it was given.
+    giver.says(Data(GIVER, CAPTURED, (Handover(78, D),)))
+    assert giver.believes(captured.says(answer(number=78, sender=CAPTURED)))
+    del taker
+
+
+def test_what_it_handed_over_in_the_name_of_another_ends_no_custody() -> None:
+    """It sends another content with the same checksum, or as a spare, under the giver's number. The taker answers the
+    giver truthfully that it has this. So the giver keeps what it has handed over."""
+    giver, taker = acquainted(GIVER, TAKER)
+    giver.says(offered())
+    other = twin(D)
+    assert other.crc == D.crc
+    assert giver.believes(taker.says(answer(other))) is None
+    assert giver.believes(taker.says(answer(spare=True))) is None
+    assert giver.believes(taker.says(answer())) is not None
+    # And the other way round: no spare is counted on that is not one.
+    giver.says(offered(spare=True, number=78))
+    assert giver.believes(taker.says(answer(number=78))) is None
+    assert giver.believes(taker.says(answer(number=78, spare=True))) is not None
+
+
+@pytest.mark.parametrize("base", [False, True])
+def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
+    """Somebody else was first to hand over a datum under the giver's number, with another content."""
+    node = agent_with_keys(TAKER, base=base, words=True).node
+    first, second = (node.receive(offered(datum), 1.0) for datum in (twin(D), D))
+    assert first == [answer(twin(D))]
+    assert second == [Committed(TAKER, GIVER, (), (77,))], "it keeps its own"
+    if not base:
+        # When it has passed the other one on, it takes this one, and does not just remember the number.
+        node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
+        assert node.receive(offered(), 2.0) == [answer()]
+        stored = node.store.get(D.id)
+        assert stored is not None
+        assert stored.payload == D.payload
+        node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
+        assert node.receive(offered(), 3.0) == [answer()], "this very one was accepted"
+        assert D.id not in node.holdings
+
+
+Change = Callable[[bytes, st.DataObject], bytes]
+
+
+def flip(payload: bytes, data: st.DataObject) -> bytes:
+    bit = data.draw(st.integers(0, 8 * len(payload) - 1))
+    return (int.from_bytes(payload, "little") ^ 1 << bit).to_bytes(len(payload), "little")
+
+
+def cut(payload: bytes, data: st.DataObject) -> bytes:
+    return payload[: data.draw(st.integers(1, len(payload) - 1))]
+
+
+def guess(payload: bytes, data: st.DataObject) -> bytes:
+    return payload[:-TAG_BYTES] + data.draw(st.binary(min_size=TAG_BYTES, max_size=TAG_BYTES))
+
+
+def rename(payload: bytes, data: st.DataObject) -> bytes:
+    return payload[:1] + data.draw(st.integers(0, 65534)).to_bytes(2, "little") + payload[3:]
+
+
+def redirect(payload: bytes, data: st.DataObject) -> bytes:
+    return payload[:3] + data.draw(st.sampled_from([GIVER, BASE, TAKER])).to_bytes(2, "little") + payload[5:]
+
+
+VOICES = acquainted(GIVER, TAKER, BASE, CAPTURED)
+SAID = [VOICES[1].says(message) for message in (answer(), *words())]
+VOICES[0].says(offered())
+for _payload in SAID:
+    assert VOICES[0].believes(_payload)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=300)
+def test_nothing_that_is_altered_or_repeated_is_believed(data: st.DataObject) -> None:
+    payload = data.draw(st.sampled_from(SAID))
+    for change in data.draw(st.lists(st.sampled_from([flip, cut, guess, rename, redirect]), min_size=1, max_size=3)):
+        if len(payload) > 5 + TAG_BYTES:
+            payload = change(payload, data)
+    hearer = data.draw(st.sampled_from([voice for voice in VOICES if voice.id != TAKER]))
+    try:
+        message = decode(payload, 0.0)
+    except MalformedError:
+        return
+    heard = hearer.tags.believed(message, payload, 0.0)
+    if type(message) in (PassedOn, Words, Committed) and payload != SAID[0]:
+        assert not ends_something(heard)
+
+
+def ends_something(heard: Message | None) -> bool:
+    if isinstance(heard, Words) and heard.target == BROADCAST:
+        return any(word != Word.WANTED for _, word in heard.entries)
+    return heard is not None
+
+
+def test_an_answer_whose_number_is_not_known_any_more_is_not_believed() -> None:
+    giver, taker = acquainted(GIVER, TAKER)
+    assert giver.believes(taker.says(answer())) is None
+    giver.says(offered())
+    assert giver.believes(taker.says(answer())) is not None
+
+
+# -- old words --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("restarted", [(GIVER,), (TAKER,), (GIVER, TAKER)])
+def test_what_was_said_before_a_restart_is_not_believed_after_it(restarted: Sequence[int]) -> None:
+    giver, taker = acquainted(GIVER, TAKER)
+    heard = [taker.says(message) for message in words()]
+    for payload in heard:
+        giver.believes(payload)
+    missed = [taker.says(message) for message in words()]
+    again = Air(*(Voice(v.id, store=v.store, life=1) if v.id in restarted else v for v in (giver, taker)))
+    again.steps(20)
+    giver, taker = again.voices
+    assert giver.knows(TAKER)
+    assert [giver.believes(payload) for payload in heard] == [None, None]
+    if restarted:
+        assert [giver.believes(payload) for payload in missed] == [None, None]
+    for message in words():
+        assert giver.believes(taker.says(message), again.now) == message
+
+
+def test_a_word_may_be_overtaken_by_as_many_as_the_window_holds() -> None:
+    giver, taker = acquainted(GIVER, TAKER)
+    said = [taker.says(words()[0]) for _ in range(acquaintances.WINDOW + 1)]
+    assert giver.believes(said[-1])
+    assert giver.believes(said[0]) is None
+    assert all(giver.believes(payload) for payload in said[1:-1])
+    assert not any(giver.believes(payload) for payload in said)
+
+
+def test_old_introductions_bring_back_no_old_place() -> None:
+    """A captured drone repeats all introductions of an earlier life, in any order."""
+    air = Air(Voice(GIVER), Voice(TAKER))
+    air.steps(5)
+    old = list(air.introductions)
+    said = [air.voices[1].says(message) for message in words()]
+    air.voices[1] = Voice(TAKER, store=air.voices[1].store, life=1)
+    air.steps(12)
+    giver, taker = air.voices
+    assert giver.believes(taker.says(words()[0]), air.now), "they know each other again"
+    for payload in old * 2:
+        giver.tags.introduced(payload, air.now)
+        assert not any(giver.believes(word, air.now) for word in said)
+    assert giver.believes(taker.says(words()[0]), air.now)
+
+
+def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
+    crew = Crew(agent_with_keys(BASE, base=True, words=True), agent_with_keys(GIVER, words=True))
+    for restarted in (None, 0, 1, 1, 0):
+        if restarted is not None:
+            crew.restart(restarted)
+        crew.steps(12)
+        base, giver = crew.agents
+        ids = [giver.node.put(bytes(size), crew.now) for size in (20, 97, 98, 5000)]
+        crew.steps(12)
+        assert not giver.node.holdings.custody
+        assert all(base.store.get(id) is not None for id in ids)
+
+
+# -- certificates -----------------------------------------------------------------------------------------------------
+
+
+def test_two_nodes_believe_each_other_in_the_step_after_they_have_met() -> None:
+    air = Air(Voice(GIVER), Voice(TAKER))
+    air.steps(2)
+    giver, taker = air.voices
+    giver.says(offered())
+    assert giver.believes(taker.says(answer()))
+    air.steps(1)
+    assert giver.knows(TAKER)
+    # A question with a certificate, an answer with one and a proof, a question, and a proof.
+    assert len(air.introductions) <= 5
+    before = len(air.introductions)
+    air.steps(50)
+    assert len(air.introductions) == before, "and then they are silent"
+
+
+def test_swapped_certificates_are_refused() -> None:
+    giver = Voice(GIVER)
+    for voice, other in ((GIVER, TAKER), (TAKER, CAPTURED), (BASE, GIVER)):
+        introduction = Introduction(voice, keys_of(other).certificate.pack(), asked=(GIVER,), wants=True, nonce=1)
+        giver.tags.introduced(encode_introduction(introduction), 1.0)
+    assert giver.tags.acquaintances.with_certificate == 0
+    assert giver.tags.report()["forged"] == 2, "its own id is not even looked at"
+
+
+def test_a_certificate_of_another_mission_or_with_a_wrong_signature_is_counted_and_dropped() -> None:
+    giver = Voice(GIVER)
+    altered = bytearray(keys_of(TAKER).certificate.pack())
+    altered[50] ^= 1
+    for packed in (keys_of(TAKER, ground=STRANGER).certificate.pack(), bytes(altered)):
+        giver.tags.introduced(encode_introduction(Introduction(TAKER, packed, asked=(GIVER,), nonce=1)), 1.0)
+    assert giver.tags.report() | {"not_believed": 0} == {
+        "certificates": 0, "forged": 2, "stale": 0, "not_believed": 0,
+    }  # fmt: skip
+
+
+def test_a_higher_serial_replaces_a_lower_one_for_good() -> None:
+    air = Air(Voice(GIVER), Voice(TAKER))
+    air.steps(4)
+    lost = air.voices[1]
+    air.voices[1] = Voice(TAKER, serial=2, life=1)
+    air.steps(12)
+    giver, new = air.voices
+    giver.says(offered())
+    assert giver.believes(lost.says(answer())) is None
+    assert giver.believes(new.says(answer()))
+    # The old one shows its certificate again, also when the giver has started again.
+    old = Introduction(TAKER, keys_of(TAKER).certificate.pack(), asked=(GIVER,), wants=True, nonce=1)
+    for hearer in (giver, Voice(GIVER, store=giver.store, life=2)):
+        hearer.tags.introduced(encode_introduction(old), 50.0)
+        assert hearer.tags.report()["stale"] > 0
+        hearer.says(offered())
+        assert hearer.believes(lost.says(answer())) is None
+
+
+def test_a_revoked_certificate_is_forgotten_and_refused() -> None:
+    air = Air(Voice(GIVER), Voice(TAKER))
+    air.steps(4)
+    giver, taker = air.voices
+    giver.says(offered())
+    assert giver.believes(taker.says(answer()))
+    giver.tags.acquaintances.revoke(TAKER, 1)
+    assert giver.believes(taker.says(answer())) is None
+    air.steps(20)
+    assert giver.believes(taker.says(answer())) is None
+    air.voices[1] = Voice(TAKER, serial=2, life=1)
+    air.steps(12)
+    assert giver.believes(air.voices[1].says(answer()))
+
+
+# -- bounds -----------------------------------------------------------------------------------------------------------
+
+
+def test_nobody_can_make_a_node_verify_answer_or_remember_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(acquaintances, "MAX_KNOWN", 8)
+    verified: list[bytes] = []
+    unpack = Certificate.unpack
+
+    def counted(packed: bytes, ground: GroundPublic) -> Certificate:
+        verified.append(packed)
+        return unpack(packed, ground)
+
+    monkeypatch.setattr(Certificate, "unpack", counted)
+    giver, taker = acquainted(GIVER, TAKER)
+    rng = random.Random(3)
+    sent = bytes_sent = 0
+    verified.clear()
+    for step in range(10, 20):
+        giver.believes(taker.says(BEACON._replace(sender=TAKER)), float(step))
+        for number in range(100):
+            node_id = 1000 + rng.randrange(500)
+            giver.believes(taker.says(BEACON._replace(sender=node_id)), float(step))
+            packed = node_id.to_bytes(2, "little") + rng.randbytes(100)
+            introduction = Introduction(node_id, packed, asked=(GIVER,), wants=True, nonce=number)
+            giver.tags.introduced(encode_introduction(introduction), float(step))
+        payloads = giver.tags.introductions(float(step)) + giver.tags.introductions(float(step))
+        sent += len(payloads)
+        bytes_sent += sum(map(len, payloads))
+        assert len(giver.tags.acquaintances) <= 8
+    assert len(verified) <= 10 * acquaintances.MAX_VERIFIED
+    assert sent <= 10 * acquaintances.MAX_SENT
+    certificates = sum(bool(decode_introduction(payload).certificate) for payload in giver.tags.introductions(20.0))
+    assert certificates <= acquaintances.CERTIFICATES_AT_ONCE
+    # Who has shown a certificate is not pushed out by those who have invented a name.
+    assert giver.knows(TAKER)
+    giver.says(offered())
+    assert giver.believes(taker.says(answer()))
+
+
+def test_more_neighbours_than_the_table_holds_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(acquaintances, "MAX_KNOWN", 3)
+    air = Air(*(Voice(node_id) for node_id in (2, 3, 4, 5, 6)))
+    air.steps(40)
+    assert all(len(voice.tags.acquaintances) == 3 for voice in air.voices)
+    # Whoever it knows, it believes.
+    giver = air.voices[0]
+    known = [voice for voice in air.voices[1:] if giver.knows(voice.id) and voice.knows(giver.id)]
+    for voice in known:
+        giver.says(Data(GIVER, voice.id, (Handover(5, D),)))
+        assert giver.believes(voice.says(answer(number=5, sender=voice.id)))
+
+
+def test_what_is_covered_tells_a_spare_from_custody_and_one_content_from_another() -> None:
+    covered = [answer_said(answer(datum, spare=spare)) for datum in (D, twin(D)) for spare in (False, True)]
+    assert len(set(covered)) == 4
+    assert len({said[:12] for said in covered}) == 1, "on the wire they are the same"
+
+
+# -- golden vectors ---------------------------------------------------------------------------------------------------
+
+HELLO_ANSWER = Committed(2, 3, ((0x01020304, PRINTS.of(HELLO)),), (0x01020305,))
+GOLDEN: dict[str, Message] = {
+    "committed-tagged": HELLO_ANSWER,
+    "data-answers-tagged": Data(2, 9, (Handover(0x01020306, HELLO),), answers=(HELLO_ANSWER,)),
+    "words-tagged": Words(2, 3, (WordEntry(HELLO.id, Word.TAKEN),)),
+    "passed-on-tagged": PassedOn(2, BROADCAST, (HELLO.id,), (3, 9)),
+}
+
+
+def golden(name: str) -> bytes:
+    """What node 2 says to nodes 3 and 9 of the mission whose secret is 00 01 .. 1f."""
+    speaker, _, _ = acquainted(2, 3, 9)
+    speaker.tags.acquaintances.place = 0x0A0B0C0D00000004
+    return speaker.says(GOLDEN[name], NOW)
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_page_shows_these_bytes(name: str) -> None:
+    assert f"| `{name}` | `{golden(name).hex()}` |" in PROTOCOL.read_text(encoding="utf-8")
+
+
+def test_the_page_shows_a_fingerprint() -> None:
+    text = PROTOCOL.read_text(encoding="utf-8")
+    for spare in (False, True):
+        fingerprint = PRINTS.of(HELLO, spare=spare)
+        assert fingerprint & 0xFFFFFFFF == HELLO.crc
+        assert f"`{(fingerprint >> 32).to_bytes(16, 'little').hex()}`" in text

@@ -1,0 +1,65 @@
+"""Whole swarms with a captured drone inside, which has the link key and a certificate of its own: it cannot speak for
+others, so nobody deletes a copy because of what it says in their name."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.invariants import check
+from rass_mav.swarm.world import World
+
+#: What these do is in other nodes' names, or repeated, or altered.
+SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
+
+
+def swarm(kind: str, *keys: str) -> World:
+    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: 120, captured: true}}]"
+    return World(load_scenario("hostile", {}, ["keys=true", attacker, *keys]))
+
+
+def not_believed(world: World) -> Counter[str]:
+    """Of all nodes."""
+    counts: Counter[str] = Counter()
+    for agent in world.agents:
+        report = agent.peers.tags.report()
+        assert report is not None
+        counts.update(report["not_believed"])
+    return counts
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("mirror", ["true", "false"])
+@pytest.mark.parametrize("kind", SPEAKERS)
+def test_a_captured_drone_cannot_speak_for_others(kind: str, mirror: str) -> None:
+    world = swarm(kind, f"custody.mirror={mirror}", "data.until_step=130")
+    world.run(200)
+    summary = world.statistics.summary()
+    assert summary["created"] == 24 * 13
+    assert summary["delivered"] == summary["created"]
+    assert summary["lost"]["unfounded"] == 0
+    assert summary["altered"] == 0
+    signed = world.agents[12].peers.signed
+    assert signed is not None
+    assert signed.streams.report(0.0)["known"] == len(world.neighbours[12]) + 1, "it was heard"
+
+
+@pytest.mark.no_cover
+def test_nor_while_nodes_start_again() -> None:
+    """Their certificates are exchanged again. No datum is lost but those that die with a drone."""
+    world = swarm("committed-forger", "failures.reboot_rate=0.01", "failures.reboot_steps=3", "data.until_step=150")
+    world.run(250)
+    summary = world.statistics.summary()
+    assert summary["lost"]["unfounded"] == 0
+    assert summary["delivered"] == summary["created"]
+
+
+def test_honest_nodes_believe_each_other() -> None:
+    world = World(load_scenario("demo", {}, ["keys=true", "nodes=25", "radio.loss=0.1", "radio.reorder=0.1"]))
+    world.run(30, after=check)
+    before = not_believed(world)
+    assert before.total() < 60, "only while they do not know each other"
+    world.run(50, after=check)
+    assert not_believed(world) == before
