@@ -226,6 +226,13 @@ class Streams:
             if len(self.twins) > MAX_TWINS:
                 del self.twins[next(iter(self.twins))]
 
+    def forget(self) -> None:
+        """The link key has changed: whatever was heard under the old one, others who have it may have forged."""
+        self._table.clear()
+        self._asks.clear()
+        self._answers.clear()
+        self._nonces.clear()
+
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def due(self, now: float) -> list[bytes]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import random
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rass_mav.keys.settings import KeysSection, check_package
-from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.swarm.scenario import Scenario
 
 if TYPE_CHECKING:
+    from rass_mav.agent.letters import Letters
     from rass_mav.keys.identity import Ground
+    from rass_mav.keys.keyring import Keyring
 
 
 def ground_of(scenario: Scenario) -> Ground:
@@ -25,11 +27,25 @@ def ground_of(scenario: Scenario) -> Ground:
     return Ground(secret, serials=dict.fromkeys(range(scenario.bases, scenario.nodes), 1))
 
 
-def signing_keys(scenario: Scenario) -> SigningKeys | None:
-    """Those of the links; None: the scenario has no keys. Raises `KeysError` if PyNaCl is missing."""
+def letters_of(scenario: Scenario) -> list[Letters] | None:
+    """What each node has for its links; None: the scenario has no keys. Raises `KeysError` if PyNaCl is missing."""
     if not scenario.keys:
         return None
-    return SigningKeys([link.key.reveal() for link in ground_of(scenario).node(0).links])
+    ground = ground_of(scenario)
+    from rass_mav.agent.letters import Letters
+
+    return [
+        Letters(keyring_of(ground, node_id), random.Random(f"{scenario.seed}:letters:{node_id}"), scenario.node.step_s)
+        for node_id in range(scenario.nodes)
+    ]
+
+
+def keyring_of(ground: Ground, node_id: int) -> Keyring:
+    """A drone's keys, or those of a base, which has no serial."""
+    from rass_mav.keys.keyring import Keyring
+
+    serial = ground.serials.get(node_id)
+    return Keyring(ground.node(node_id), ground) if serial is None else Keyring(ground.node(node_id, serial), None)
 
 
 def write_files(scenario: Scenario, directory: Path) -> list[KeysSection | None]:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from math import inf
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
@@ -21,7 +21,6 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.store.memory import MemoryStore, flipped
 from rass_mav.swarm.crash_store import CrashStore
 from rass_mav.swarm.disk.power import Power
@@ -39,6 +38,9 @@ from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
+
+if TYPE_CHECKING:
+    from rass_mav.agent.letters import Letters
 
 S = TypeVar("S", bound="VirtualSwarm")
 
@@ -77,7 +79,7 @@ class VirtualSwarm(ABC):
         strikes: int = 1,
         record: Record | None = None,
         participant: type[Participant] | None = None,
-        keys: SigningKeys | None = None,
+        letters: Sequence[Letters] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -91,7 +93,7 @@ class VirtualSwarm(ABC):
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
-        :param keys: of the links; None: they are open.
+        :param letters: what each node has for its links, by node id; None: they are open.
         """
         agents = list(agents)
         self.seed = seed
@@ -137,7 +139,14 @@ class VirtualSwarm(ABC):
             self.gates.append(self.make_gate(store))
             self.agents.append(
                 Agent(
-                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant, keys=keys
+                    settings,
+                    store,
+                    rng,
+                    now=0.0,
+                    observer=observer,
+                    newborn=True,
+                    participant=participant,
+                    letters=None if letters is None else letters[settings.node_id],
                 )
             )
             self.air.start(settings.node_id, self.agents[-1], 0.0)
@@ -372,7 +381,7 @@ class VirtualSwarm(ABC):
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
-            keys=None if old.peers.signed is None else old.peers.signed.keys,
+            letters=None if old.peers.signed is None else old.peers.signed.letters,
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start
