@@ -50,7 +50,13 @@ def nodes(directory: Path, tidy: Tidy, ids: list[int], pairs: list[tuple[int, in
             held = Path(shutil.copy2(directory / "mission" / drone_file(node_id), directory / f"disk-{node_id}"))
         sections: dict[str, Any] = {"node": {"role": "base"}} if node_id == 1 else {}
         link = {"listen": f"127.0.0.1:{ports[node_id]}", "peers": peers}
-        made.append(tidy(RunningNode(directory, node_id, links=[link], keys={"file": str(held)}, **sections)))
+        made.append(
+            tidy(
+                RunningNode(
+                    directory, node_id, links=[link], keys={"file": str(held)}, data={"status_s": 1.0}, **sections
+                )
+            )
+        )
     return made
 
 
@@ -101,6 +107,14 @@ def test_the_key_changes_and_a_drone_is_revoked_in_a_running_swarm(tmp_path: Pat
         node.until(lambda node=node: number(node) == 3)  # type: ignore[misc]
     sent += [create(node, f"{node.name} after") for node in (two, three, four)]
     base.until(lambda: set(sent) <= set(base.listing()))
+
+    # How the crew sees that it has reached a drone three hops away.
+    def told() -> dict[int, int]:
+        """The link key in the last status of each drone."""
+        report = json.loads(command(tmp_path, "report", "n1.yaml", "--json").stdout)
+        return {each["drone"]: each["status"]["link_key"] for each in report["drones"] if each["status"] is not None}
+
+    base.until(lambda: told() == {1: 3, 2: 3, 3: 3, 4: 3, 5: 2})
 
     # Drone 5 knows it, and nothing that it says reaches anybody.
     five.until(lambda: bool(five.status()["letters"]["revoked"]))

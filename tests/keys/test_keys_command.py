@@ -166,7 +166,7 @@ def test_a_drone_is_revoked(tmp_path: Path) -> None:
     assert [drone(tmp_path / f"m/drone-{id}.keys").link.number for id in (7, 8, 9)] == [2, 1, 2]
     assert (tmp_path / "m/drone-8.keys").read_bytes() == before
     ground = read_ground(tmp_path / "m/ground.keys")
-    assert (ground.number, ground.serials, ground.revoked) == (2, {7: 1, 8: 1, 9: 1}, {8})
+    assert (ground.number, ground.serials, ground.revoked) == (2, {7: 1, 8: 1, 9: 1}, frozenset({8}))
     remedy = "--replace gives another drone in its place new keys"
     assert keys(tmp_path, "revoke", "7", "8", "-d", "m", code=2) == f"drone 8: is revoked already (serial 1); {remedy}"
     assert keys(tmp_path, "drone", "8", "--again", "-d", "m", code=2) == f"drone 8: is revoked (serial 1); {remedy}"
