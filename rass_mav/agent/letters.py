@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 #: Signatures of the ground that are verified in one step, and letters that wait for it: of all streams, and of one.
 MAX_VERIFIED, MAX_STREAMS, MAX_OF_ONE = 8, 64, MAX_SENT
-#: Letters and rolls from senders without the link key that are looked at in one step.
+#: Letters from senders without the link key that are verified in one step.
 MAX_FOREIGN = 4
 #: Turns between two rolls at first, and the longest such time, seconds: to nodes with the same key, and with another.
 ROLL_TURNS, MOST_ROLL_S, MOST_ASK_S = 2, 64.0, 16.0
@@ -162,15 +162,15 @@ class _Rolls:
 class _Inbox:
     """What has come in since the last step."""
 
-    __slots__ = ("ahead", "asked", "candidates", "other_key", "unproven")
+    __slots__ = ("ahead", "base", "candidates", "other_key", "unproven")
 
     def __init__(self) -> None:
         self.other_key = False
         """Frames with another link key were heard."""
         self.ahead = False
         """One of them claims that it is a later one."""
-        self.asked: dict[int, bool] = {}
-        """The drones that claim to have an earlier one, by node id, and whether they are bases."""
+        self.base = False
+        """A base claims to have an earlier one."""
         self.unproven: deque[Letter] = deque(maxlen=MAX_FOREIGN)
         """Letters from senders without the link key."""
         self.candidates: dict[Stream, list[Letter]] = {}
@@ -355,8 +355,11 @@ class Letters:
         elif is_about_keys(payload) and (roll := self._roll_in(payload)) is not None:
             if roll.number > self.link.number:
                 inbox.ahead = True
-            elif roll.number < self.link.number and len(inbox.asked) < MAX_FOREIGN:
-                inbox.asked[roll.node_id] = roll.serial == BASE_SERIAL
+            elif roll.number < self.link.number:
+                inbox.base |= roll.serial == BASE_SERIAL
+                letter = self._table.get(roll.node_id)
+                if letter is not None and letter.number == self.link.number:
+                    self._queue.ask(roll.node_id)
 
     def _letter_in(self, payload: bytes) -> Letter | None:
         try:
@@ -458,13 +461,9 @@ class Letters:
 
     def _answer(self, inbox: _Inbox, now: float) -> None:
         """Frames with another link key were heard."""
-        current = self._table.current()
-        for node_id, base in inbox.asked.items():
+        if inbox.base and (current := self._table.current()):
             # Any letter tells a base the number, and so the key.
-            if base and current:
-                self._queue.ask(next(iter(current)))
-            elif node_id in current:
-                self._queue.ask(node_id)
+            self._queue.ask(next(iter(current)))
         if not self.revoked:
             self._rolls.hear_other_key(now, ahead=inbox.ahead)
 

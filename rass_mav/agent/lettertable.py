@@ -105,8 +105,11 @@ class LetterQueue:
 
     def ask(self, node_id: int) -> None:
         """Somebody without the link key has asked for the letter about this drone."""
-        if len(self._asked) < MAX_ASKED:
-            self._asked[node_id] = None
+        asked = self._asked
+        if len(asked) >= MAX_ASKED and node_id not in asked:
+            # Nobody can take all places for long by asking for the others.
+            del asked[self._rng.choice(list(asked))]
+        asked[node_id] = None
 
     def miss(self, node_id: int) -> None:
         """A node with the link key does not have this letter."""

@@ -58,9 +58,9 @@ class NodeStatus(NamedTuple):
 
 
 def encode_status(s: NodeStatus, most: int = _MOST_BYTES) -> bytes:
-    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop, 8 link key), held, alone, spares, free, risk, hops,
-    battery, latitude, longitude; then a byte and so many neighbours (`<HB`), a byte and so many origins (`<HH`), and with flag 8
-    the link key (`<I`).
+    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop, 8 link key), held, alone, spares, free, risk,
+    hops, battery, latitude, longitude; a byte and so many neighbours (`<HB`); a byte and so many origins (`<HH`); with
+    flag 8 the link key (`<I`).
 
     With flag 4 the first neighbour is the next hop. One that is not among the neighbours is not told. `most`: bytes, at
     least 44; if need be, fewer neighbours and origins are told.

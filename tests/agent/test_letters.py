@@ -493,6 +493,26 @@ def test_an_asker_without_the_key_gets_a_bounded_number_of_letters() -> None:
     assert told[1] <= told[0] + 2 * (MAX_ASKED + 100 / 8)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_who_asks_for_the_letters_of_others_delays_one_that_comes_back_and_no_more(seed: int) -> None:
+    """A revoked drone asks in the names of all others, in each step, for as long as it can."""
+    rng = random.Random(seed)
+    crew = Changing(1, 7, 8, ground=replace(GROUND, serials={**dict.fromkeys(range(100, 120), 1), **GROUND.serials}))
+    crew.deaf = {2}
+    crew.steps(5)
+    crew.ground_changes(replace(GROUND, number=2, serials={**dict.fromkeys(range(100, 120), 1), **GROUND.serials}))
+    crew.steps(100)
+    assert crew.numbers == [2, 2, 1]
+    crew.deaf = set()
+    for _ in range(300):
+        for _ in range(40):
+            roll = encode_roll(Roll(rng.randrange(100, 120), 1, 1, 0))
+            for agent in crew.agents[:2]:
+                agent.peer_bytes(frame_of(roll, crew.letters[2].signing), crew.now)
+        crew.steps(1)
+    assert crew.numbers == [2, 2, 2]
+
+
 def test_a_node_keeps_a_bounded_number_of_letters_and_always_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rass_mav.agent.lettertable.MAX_LETTERS", 2)
     crew = Changing(1, 9, 10)

@@ -48,7 +48,9 @@ def nodes(directory: Path, tidy: Tidy, ids: list[int], pairs: list[tuple[int, in
         if node_id != 1:
             (directory / f"disk-{node_id}").mkdir()
             held = Path(shutil.copy2(directory / "mission" / drone_file(node_id), directory / f"disk-{node_id}"))
-        sections: dict[str, Any] = {"node": {"role": "base"}} if node_id == 1 else {}
+        sections: dict[str, Any] = {"keys": {"file": str(held)}, "data": {"status_s": 1.0}}
+        if node_id == 1:
+            sections["node"] = {"role": "base"}
         link = {"listen": f"127.0.0.1:{ports[node_id]}", "peers": peers}
         made.append(
             tidy(
