@@ -11,6 +11,7 @@ import logging
 import random
 from collections import deque
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from math import inf
 from typing import Any
 
@@ -49,6 +50,8 @@ ASK_S = 8.0
 #: When no frame with another key was heard for this long, seconds, the next one counts as the first.
 QUIET_S = 120.0
 _WARNING = 4
+# In a mock swarm all nodes have the same one, and open a frame together.
+_signing_key = lru_cache(maxsize=8)(SigningKey)
 
 
 class _Repeated:
@@ -236,7 +239,7 @@ class Letters:
     @property
     def signing(self) -> SigningKey:
         """The link key, as links use it."""
-        return SigningKey(self.link.key.reveal())
+        return _signing_key(self.link.key.reveal())
 
     @property
     def news(self) -> int:

@@ -68,7 +68,7 @@ class Signer:
 
 
 class SigningKey:
-    """The key of a mission's links. Immutable, and equal to the same key; it appears in no representation."""
+    """The key of a mission's links. Immutable; it appears in no representation."""
 
     __slots__ = ("_hash", "_key")
 
@@ -76,12 +76,6 @@ class SigningKey:
         """:param key: 32 bytes. :raises ValueError: another length."""
         self._key = key
         self._hash = _keyed_hash(key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, SigningKey) and hmac.compare_digest(self._key, other._key)
-
-    def __hash__(self) -> int:
-        return hash(self._key)
 
     def signer(self, link_id: int, timestamp: int) -> Signer:
         """As for a `Signer`."""
