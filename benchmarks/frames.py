@@ -66,7 +66,7 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
 
     from rass_mav.mavlink.frames import FrameWriter
     from rass_mav.mavlink.reader import FrameReader
-    from rass_mav.mavlink.signing import SignatureCheck, Signer, SigningKeys
+    from rass_mav.mavlink.signing import SignatureCheck, Signer, SigningKey
     from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 
     def written(signer: Signer | None = None) -> list[bytes]:
@@ -75,7 +75,7 @@ def _decoding(data: Sequence[bytes]) -> dict[str, tuple[int, Work, Work | None]]
 
     def ours(pieces: Sequence[bytes], key: bytes | None = None, *, stream: bool = False) -> Work:
         def work() -> None:
-            reader = FrameReader(SignatureCheck(SigningKeys([key]), lambda _: True) if key else None)
+            reader = FrameReader(SignatureCheck(SigningKey(key), lambda _: True) if key else None)
             take = reader.feed if stream else reader.datagram
             for piece in pieces:
                 for one in take(piece):

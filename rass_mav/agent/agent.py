@@ -6,7 +6,7 @@ import logging
 import math
 import random
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rass_mav.agent.answers import Answers
 from rass_mav.agent.ground import Ground
@@ -35,9 +35,12 @@ from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.signing import SigningKeys
+from rass_mav.mavlink.signing import SigningKey
 from rass_mav.mavlink.telemetry import Accuracy, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
+
+if TYPE_CHECKING:
+    from rass_mav.agent.letters import Letters
 
 log = logging.getLogger(__name__)
 
@@ -118,7 +121,8 @@ class Agent:
         newborn: bool = False,
         forgiving: bool = False,
         participant: type[Participant] | None = None,
-        keys: SigningKeys | None = None,
+        keys: SigningKey | None = None,
+        letters: Letters | None = None,
         seals: Callable[[Store], NoSeals] | None = None,
         tags: Callable[[Store, random.Random, float], NoTags] | None = None,
     ) -> None:
@@ -127,9 +131,10 @@ class Agent:
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
-        others with it. `keys`: of the links; None: they are open. `seals`: what the node's keys do to data, for each of
-        its lives (`agent.seals`); None: nothing. `tags`: prove its words to other nodes (`agent.pairs`); made with the
-        store, the generator and the length of a step. None: there are none.
+        others with it. `keys`: of the links; None: they are open. `letters`: bring the keys of the links, instead of
+        `keys`. `seals`: what the node's keys do to data, for each of its lives (`agent.seals`); None: nothing. `tags`:
+        prove its words to other nodes (`agent.pairs`); made with the store, the generator and the length of a step.
+        None: there are none.
         """
         configured = settings
         unfit: list[str] = []
@@ -152,7 +157,11 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         writer = FrameWriter(system_id, mavlink.component_id)
-        signed = None if keys is None else Signed.begin(settings.node_id, keys, writer, store, rng, settings.step_s)
+        if letters is not None:
+            keys = letters.signing
+        signed = None
+        if keys is not None:
+            signed = Signed(settings.node_id, keys, writer, store, rng, settings.step_s, mavlink.payload_type, letters)
         self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, words)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
@@ -173,6 +182,8 @@ class Agent:
             self.services.append(Statuses(self, settings.data.status_s, now))
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
         """None: there is no ground station."""
+        if signed is not None and letters is not None:
+            letters.begin(signed.use, self.tell_ground)
         for error in unfit:
             self.tell_ground(_WARNING, f"RASS: not restored: {error}")
 
@@ -350,7 +361,7 @@ class Agent:
         for service in self.services:
             service.step(now)
         # Before the beacon, which counts where the answer has been heard.
-        out = self.peers.challenges(now)
+        out = self.peers.about_links(now, self.node.pace)
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames(node.step(now), self.store, now)

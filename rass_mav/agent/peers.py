@@ -10,14 +10,15 @@ from typing import NamedTuple, TypeAlias
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.tags import OPEN, NoTags
-from rass_mav.core.messages import BROADCAST, Message
+from rass_mav.core.messages import BROADCAST, Message, Urgency
+from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKeys
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
@@ -42,9 +43,9 @@ def open_datagram(data: bytes) -> Opened | None:
 
 
 @lru_cache(maxsize=16)
-def stamp_of(data: bytes, keys: SigningKeys) -> tuple[Stream, int] | None:
-    """Stream and timestamp of a datagram that is exactly one frame. None: none of the keys has signed it."""
-    if not data[2] & FLAG_SIGNED or not keys.made(data):
+def stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
+    """Stream and timestamp of a datagram that is exactly one frame. None: the key has not signed it."""
+    if not data[2] & FLAG_SIGNED or not key.made(data):
         return None
     return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
 
@@ -109,7 +110,7 @@ class Peers:
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
         """The same for the datagram that `open_datagram` has opened."""
         if self.signed is not None:
-            stamp = stamp_of(datagram, self.signed.keys)
+            stamp = stamp_of(datagram, self.signed.key)
             if stamp is None:
                 # It refuses the frame too, and counts it.
                 self.reader.datagram(datagram)
@@ -123,7 +124,7 @@ class Peers:
         if self.signed is None:
             return True
         _, _, payload_type, payload, _ = opened
-        return self.signed.streams.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
+        return self.signed.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
 
     def message(self, opened: Opened, now: float) -> Message | None:
         """The message in a frame that is open, and new."""
@@ -175,12 +176,16 @@ class Peers:
         frames = frames_about_links(self.tags.introductions(now), self.writer, self._payload_type)
         return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self.tags))
 
-    def challenges(self, now: float) -> list[Outgoing]:
-        """The frames in which this node asks strange streams and nodes, and answers them. Call it in each step."""
-        if self.signed is None:
+    def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
+        """The frames in which this node asks strange streams and nodes, and answers them, and those about a change of
+        the link key. Call it in each step."""
+        signed = self.signed
+        if signed is None:
             return []
-        payloads = self.signed.streams.due(now) + self.tags.introductions(now)
-        return self._claimed(frames_about_links(payloads, self.writer, self._payload_type))
+        rolls, letters = ([], []) if signed.letters is None else signed.letters.due(now, pace.turn_s, pace.items)
+        payloads = signed.streams.due(now) + rolls + self.tags.introductions(now)
+        out = frames_about_links(payloads, self.writer, self._payload_type)
+        return self._claimed(out + frames_about_links(letters, self.writer, self._payload_type, Urgency.DATA))
 
     def _claimed(self, frames: list[Outgoing]) -> list[Outgoing]:
         """These frames, held back if their timestamps are not claimed on disk yet."""

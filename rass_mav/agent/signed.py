@@ -1,38 +1,74 @@
-"""What a node with keys has for its links: the keys, its own timestamps, and the streams that it hears."""
+"""What a node with keys has for its links: the key, its own timestamps, and the streams that it hears."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 from rass_mav.agent.streams import Streams
 from rass_mav.agent.timestamps import Timestamps
 from rass_mav.core.store import Store
-from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter, Stream
 from rass_mav.mavlink.messages import RADIO_STATUS
-from rass_mav.mavlink.signing import SignatureCheck, SigningKeys
+from rass_mav.mavlink.signing import SignatureCheck, SigningKey
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.wire.letters import is_about_keys
+
+if TYPE_CHECKING:
+    from rass_mav.agent.letters import Letters
 
 
-class Signed(NamedTuple):
+class Signed:
     """The links of one life of a node, all together: a frame that leaves on several has the same timestamp on all."""
 
-    keys: SigningKeys
-    timestamps: Timestamps
-    streams: Streams
+    __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
 
-    @classmethod
-    def begin(
-        cls, node_id: int, keys: SigningKeys, writer: FrameWriter, store: Store, rng: random.Random, step_s: float
-    ) -> Signed:
-        """`writer`: its TUNNEL messages are signed from now on. `rng`: draws nonces. `step_s`: length of a step,
-        seconds."""
+    def __init__(
+        self, node_id: int, key: SigningKey, writer: FrameWriter, store: Store, rng: random.Random, step_s: float,
+        payload_type: int, letters: Letters | None = None,
+    ) -> None:  # fmt: skip
+        """:param writer: its TUNNEL messages are signed from now on.
+        :param rng: draws nonces.
+        :param step_s: length of a step, seconds.
+        :param payload_type: of the swarm's TUNNEL messages.
+        :param letters: bring other keys; None: the key stays.
+        """
         writer.tunnel_flags = FLAG_SIGNED
+        self.key = key
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
-        timestamps = Timestamps(store, keys.signer(store.epoch & 0xFF, 0))
-        return cls(keys, timestamps, Streams(node_id, writer, timestamps, rng, step_s))
+        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0))
+        self.streams = Streams(node_id, writer, self.timestamps, rng, step_s)
+        self.letters = letters
+        self._payload_type = payload_type
+        self._checks: list[SignatureCheck] = []
 
     def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:
         """For a reader. `needed`: returns whether messages with this id must be signed; by default all but
         RADIO_STATUS, which the node's own radio sends."""
-        return SignatureCheck(self.keys, needed)
+        check = SignatureCheck(self.key, needed, None if self.letters is None else self._hear_other_key)
+        self._checks.append(check)
+        return check
+
+    def use(self, key: SigningKey) -> None:
+        """Sign with another link key from now on, and take no frames of the old one any more."""
+        self.key = key
+        self.timestamps.use(key)
+        self.streams.forget()
+        for check in self._checks:
+            check.key = key
+
+    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> bool:
+        """As `Streams.admit`. What is about keys is taken here."""
+        if not self.streams.admit(stream, timestamp, payload, now):
+            return False
+        if not is_about_keys(payload):
+            return True
+        if self.letters is not None:
+            self.letters.hear(stream, payload, now)
+        return False
+
+    def _hear_other_key(self, frame: bytes) -> None:
+        opened = tunnel_from_datagram(frame)
+        if self.letters is not None and opened is not None and opened[4] == self._payload_type:
+            self.letters.hear_other_key(opened[5])

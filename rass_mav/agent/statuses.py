@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Protocol
 
+from rass_mav.agent.peers import Peers
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.core.datum import Kind
 from rass_mav.core.participant import Participant
@@ -35,6 +36,7 @@ class Host(Protocol):
     settings: AgentSettings
     node: Participant
     telemetry: Telemetry
+    peers: Peers
     steps: int
 
 
@@ -80,6 +82,7 @@ class Statuses:
     def _status(self, now: float) -> NodeStatus:
         node, position = self._agent.node, self._agent.telemetry.position
         holdings, route, free = node.holdings, node.routing.route, node.holdings.free()
+        signed = self._agent.peers.signed
         # At a base data are at their goal, and no risk matters.
         alone = {} if node.base else holdings.alone()
         return NodeStatus(
@@ -95,4 +98,5 @@ class Statuses:
             alone_by_origin=alone,
             base=node.base,
             next_hop=node.routing.next_hop,
+            link_key=None if signed is None or signed.letters is None else signed.letters.link.number,
         )

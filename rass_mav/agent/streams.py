@@ -230,6 +230,13 @@ class Streams:
         # A beacon of its own node id changes nothing but what the node knows of copies of its store.
         return node_id == self._node_id
 
+    def forget(self) -> None:
+        """The link key has changed: whatever was heard under the old one, others who have it may have forged."""
+        self._table.clear()
+        self._asks.clear()
+        self._answers.clear()
+        self._nonces.clear()
+
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def due(self, now: float) -> list[bytes]:

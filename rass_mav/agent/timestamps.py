@@ -6,7 +6,7 @@ They are claimed on disk before a frame with them leaves, so the next life start
 from __future__ import annotations
 
 from rass_mav.core.store import Store
-from rass_mav.mavlink.signing import Signer
+from rass_mav.mavlink.signing import Signer, SigningKey
 
 #: Timestamps claimed at a time, one for each frame. Half a claim is left when the next one is made: at 100 frames a
 #: second a disk may fail for 23 hours before the node falls silent.
@@ -60,6 +60,10 @@ class Timestamps:
         self.cover()
         assert self._signer.timestamp < self._durable, "a frame leaves before its timestamp is claimed"
         return self._signer.sign(frame)
+
+    def use(self, key: SigningKey) -> None:
+        """Sign with another key from now on. No timestamp is used under two keys."""
+        key.give_to(self._signer)
 
     def skip_to(self, timestamp: int) -> None:
         """Somebody has seen all timestamps below this one: use none of them."""

@@ -9,7 +9,7 @@ import random
 import secrets
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AsyncExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -22,12 +22,11 @@ from rass_mav.agent.tags import NoTags
 from rass_mav.agent.version import VersionQuestion
 from rass_mav.core.store import Store
 from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
-from rass_mav.keys.settings import in_words
+from rass_mav.keys.settings import AboutKeys, in_words
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
-from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.sensor.base import Sensor
 from rass_mav.store.sqlite import SqliteStore
 
@@ -40,7 +39,9 @@ from .narration import Narration
 from .notify import Notifier
 
 if TYPE_CHECKING:
+    from rass_mav.agent.letters import Letters
     from rass_mav.agent.seals import DataKeys
+    from rass_mav.keys.keyring import Keyring
 
     from .companion import Companion
 
@@ -70,14 +71,20 @@ class Runtime:
         self._narrate = narrate
         keys = config.open_keys()
         self._keys = None if keys is None else keys.own.about
-        self._signing = None if keys is None else SigningKeys([link.key.reveal() for link in keys.own.links])
+        self._letters: Letters | None = None
         self._seals: DataKeys | None = None
         self._tags: Callable[[Store, random.Random, float], NoTags] | None = None
         if keys is not None and config.keys is not None:
             # With PyNaCl, which a node without keys does not need.
+            from rass_mav.agent.letters import Letters
             from rass_mav.agent.pairs import PairTags
             from rass_mav.agent.seals import DataKeys
 
+            from .keyfiles import kept_letters
+
+            kept = kept_letters(config.store_path, keys)
+            step_s = config.agent_settings().step_s
+            self._letters = Letters(keys, random.Random(secrets.randbits(128)), step_s, kept)
             self._tags = partial(PairTags, keys.own)
             self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
         self._notifier = Notifier.of(os.environ, os.getpid())
@@ -157,9 +164,10 @@ class Runtime:
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
             agent = Agent(
-                settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing, seals=self._seals,
+                settings, store, rng, now=clock.now(), forgiving=True, letters=self._letters, seals=self._seals,
                 tags=self._tags,
             )  # fmt: skip
+            self._watch_keys(agent, executor)
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
@@ -203,6 +211,28 @@ class Runtime:
                 raise
             store.close()
 
+    def _watch_keys(self, agent: Agent, executor: Executor) -> None:
+        """Take the file of keys again when it changes, and keep letters."""
+        config = self._config
+        if self._letters is None or config.keys is None:
+            return
+        from .keyfiles import KeyFiles
+
+        agent.services.append(
+            KeyFiles(self._letters, config.keys.file, config.store_path, self._reopen, executor, agent.tell_ground)
+        )
+
+    def _reopen(self) -> Keyring:
+        keyring = self._config.open_keys()
+        assert keyring is not None
+        return keyring
+
+    def _about_keys(self) -> AboutKeys | None:
+        """What everybody may know of the keys, with the link key in use."""
+        if self._keys is None or self._letters is None:
+            return None
+        return {**self._keys, "link_key": self._letters.link.number}
+
     def _watch_numbers(self, driver: Driver) -> None:
         if self._seals is not None and not self._anew:
             driver.agent.services.append(Copies(driver.agent, partial(self._begin_anew, driver)))
@@ -216,7 +246,9 @@ class Runtime:
 
     def _around(self) -> dict[str, Any]:
         """For `status`, what the driver does not know."""
-        return {"keys": self._keys, "beside": None if self._companion is None else self._companion.report()}
+        letters = None if self._letters is None or self._driver is None else self._letters.report(self._driver.now())
+        beside = None if self._companion is None else self._companion.report()
+        return {"keys": self._about_keys(), "letters": letters, "beside": beside}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:
@@ -224,11 +256,11 @@ class Runtime:
         config = self._config
         node_id, role = config.agent_settings().node_id, config.node.role
         log.info("node %d (%s) runs, store %s", node_id, role, config.store_path)
-        log.info("%s", in_words(self._keys))
+        log.info("%s", in_words(self._about_keys()))
         self._notifier.ready(f"node {node_id} ({role})")
         if self._narrate is not None:
             self._narrate(_introduction(config, vehicle, links))
-            self._narrate(in_words(self._keys))
+            self._narrate(in_words(self._about_keys()))
         if self._ready is not None:
             about = {"node_id": node_id, "role": role, "life": f"{store.life:08x}", "epoch": f"{store.epoch:08x}"}
             self._ready({**about, "socket": str(config.socket_path)})

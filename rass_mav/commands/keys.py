@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
-        subparsers, "keys", "action", help="a mission's keys: new, drone, rotate, show",
-        description="Keys by which the nodes of a mission know each other. Frames are not signed with them yet.",
+        subparsers, "keys", "action", help="a mission's keys: new, drone, rotate, revoke, show",
+        description="Keys by which the nodes of a mission know each other, and which only the ground reads data with.",
         example="rass-mav keys new mission",
     )  # fmt: skip
     new = add_command(
@@ -31,8 +31,12 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav keys drone 7 8 9 -d mission",
     )  # fmt: skip
     rotate = add_command(
-        actions, "rotate", _rotate, help="change the key that all nodes have, in three steps",
-        example="rass-mav keys rotate add -d mission",
+        actions, "rotate", _rotate, help="change the link key, which all nodes have, while they run",
+        example="rass-mav keys rotate -d mission",
+    )  # fmt: skip
+    revoke = add_command(
+        actions, "revoke", _rotate, help="lock a drone out: change the link key for all others, while they run",
+        example="rass-mav keys revoke 7 -d mission",
     )  # fmt: skip
     show = add_command(
         actions, "show", _show, help="show what is not secret in a file of keys",
@@ -49,12 +53,9 @@ def register(subparsers: Subparsers) -> None:
         "--again", dest="how", action="store_const", const="again", help="the same keys again, for the same drone"
     )  # fmt: skip
     drone.set_defaults(how="new")
-    rotate.add_argument(
-        "step", choices=("add", "use", "drop"),
-        help="add: nodes accept a new key too; use: they sign with it; drop: they refuse the old one. After each "
-        "step all nodes get their files",
-    )  # fmt: skip
-    for parser in (drone, rotate):
+    revoke.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help="node ids of the drones")
+    rotate.set_defaults(ids=[])
+    for parser in (drone, rotate, revoke):
         parser.add_argument(
             "-d", "--dir", metavar="DIR", type=Path, default=Path(), dest="folder",
             help="the mission's folder (the current one)",
@@ -100,16 +101,21 @@ def _drone(options: argparse.Namespace) -> int:
 def _rotate(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     check_package()
-    from rass_mav.keys.folder import rotate
+    from rass_mav.keys.files import GROUND_FILE
+    from rass_mav.keys.folder import change
 
-    ground, issued = rotate(options.folder, options.step)
-    accepted = " and ".join(map(str, sorted(ground.links)))
-    lines = [
-        f"link keys: nodes sign with {ground.links[0]}, and accept {accepted}",
-        *map(_line, issued),
-        "copy ground.keys to all bases and each file to its drone, and restart them, before the next step",
+    ground, issued = change(options.folder, options.ids)
+    out = [{"id": id, "serial": ground.serials[id]} for id in dict.fromkeys(options.ids)]
+    path = options.folder / GROUND_FILE
+    lines = [f"drone {each['id']}, serial {each['serial']}: revoked" for each in out]
+    lines += [
+        f"link key {ground.number} from now on, for {len(issued)} drones; their files here are written again",
+        f"a base that runs on {path} takes it within seconds, and gives it to the drones over the air;",
+        "copy it to the other bases and to the backup (a copy is taken without a restart, too)",
+        "rass-mav report shows the link key that each drone had in its last status",
     ]
-    plain = {"mission": ground.public.mission, "link_keys": ground.links, "drones": [_plain(each) for each in issued]}
+    drones = [_plain(each) for each in issued]
+    plain = {"mission": ground.public.mission, "link_key": ground.number, "revoked": out, "drones": drones}
     answer(options, plain, lines)
     return 0
 
@@ -133,17 +139,18 @@ def _show(options: argparse.Namespace) -> int:
     keys = read_keys(options.file)
     plain: dict[str, Any]
     if isinstance(keys, Ground):
-        drones = [{"id": id, "serial": serial} for id, serial in sorted(keys.serials.items())]
-        plain = {
-            "holds": "ground", "mission": keys.public.mission, "link_keys": list(keys.links), "drones": drones
-        }  # fmt: skip
-        said = ", ".join(f"{drone['id']} (serial {drone['serial']})" for drone in drones) or "none"
-        lines = [f"the ground's keys of mission {keys.public.mission}: never on a drone", f"drones: {said}"]
+        drones = [
+            {"id": id, "serial": serial, "revoked": id in keys.revoked} for id, serial in sorted(keys.serials.items())
+        ]
+        plain = {"holds": "ground", "mission": keys.public.mission, "link_key": keys.number, "drones": drones}
+        said = ", ".join(
+            f"{drone['id']} (serial {drone['serial']}{', revoked' if drone['revoked'] else ''})" for drone in drones
+        )
+        lines = [f"the ground's keys of mission {keys.public.mission}: never on a drone", f"drones: {said or 'none'}"]
     else:
         about = keys.about
         plain = {"holds": "drone", **about}
         lines = [f"the keys of drone {about['node_id']}, serial {about['serial']}, of mission {about['mission']}"]
-    first, *others = plain["link_keys"]
-    lines.append(f"link keys: signs with {first}" + "".join(f", accepts {other} too" for other in others))
+    lines.append(f"link key {plain['link_key']}")
     answer(options, plain, lines)
     return 0

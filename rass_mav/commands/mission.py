@@ -102,10 +102,11 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
         yield f"missing: {', '.join(ranges)}" + (f", and {more} ranges before" if more else "")
     if (status := drone["status"]) is not None:
         battery = "" if status["battery"] is None else f", battery {status['battery']} %"
+        key = "" if status["link_key"] is None else f", link key {status['link_key']}"
         route = "no route" if status["hops"] is None else f"{status['hops']} hops"
         yield (
             f"{_span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them nowhere else, "
-            f"{route}, risk {status['risk']:.2f}{battery}; newer: unknown"
+            f"{route}, risk {status['risk']:.2f}{battery}{key}; newer: unknown"
         )
 
 

@@ -13,7 +13,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
     s = status
     yield f"node {s['node_id']} ({s['role']}), epoch {s['epoch']}, up {s['uptime_s']:.0f} s, {s['steps']} steps"
-    yield in_words(s["keys"])
+    yield from _keys(s)
     if s["role"] == "drone":
         way = f"{s['hop_count']} hops, next {s['next_hop']}" if s["hop_count"] is not None else "none"
         yield f"route to a base: {way}"
@@ -72,6 +72,18 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield from _signatures(s, streams)
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _keys(s: dict[str, Any]) -> Iterator[str]:
+    """About keys, and changes of the link key."""
+    yield in_words(s["keys"])
+    if (letters := s.get("letters")) is None:
+        return
+    if letters["revoked"]:
+        yield "WARNING: the ground has revoked the keys of this drone: no other node takes anything from it"
+    if letters["kept"]:
+        out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in letters["out"])
+        yield f"letters about link keys: of {letters['kept']} drones; revoked or replaced: {out or 'none'}"
 
 
 def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:

@@ -32,10 +32,11 @@ GROUND_FILE = "ground.keys"
 #: A file of keys belongs to its owner alone.
 MODE = 0o600
 
-_MAX_NUMBER = (1 << 32) - 1
+#: The highest serial, and number of a link key.
+MAX_NUMBER = (1 << 32) - 1
 
 F = TypeVar("F", bound="_File")
-Number = Annotated[int, Meta(ge=1, le=_MAX_NUMBER)]
+Number = Annotated[int, Meta(ge=1, le=MAX_NUMBER)]
 Hex32 = Annotated[str, Meta(min_length=2 * SECRET_SIZE, max_length=2 * SECRET_SIZE)]
 
 
@@ -56,7 +57,10 @@ class _GroundFile(_File):
     holds: Literal["ground"]
     secret: Hex32 = field(repr=False)
     links: Annotated[tuple[Number, ...], Meta(min_length=1, max_length=2)]
+    """One. Earlier versions wrote two while the key changed, first the one to sign with."""
     drones: tuple[_DroneSection, ...]
+    revoked: tuple[NodeId, ...] = ()
+    """Drones whose serial is revoked."""
 
 
 class _LinkSection(Section):
@@ -75,6 +79,7 @@ class _DroneFile(_File):
     certificate: Annotated[str, Meta(min_length=2 * CERTIFICATE_SIZE, max_length=2 * CERTIFICATE_SIZE)]
     ground: _PublicSection
     links: Annotated[tuple[_LinkSection, ...], Meta(min_length=1, max_length=2)]
+    """As in the ground's file."""
 
 
 def drone_file(node_id: int) -> str:
@@ -144,7 +149,8 @@ def _intact(raw: dict[str, Any], kind: type[F]) -> F:
 
 
 def _ground(file: _GroundFile) -> Ground:
-    return Ground(Secret(_bytes(file.secret)), file.links, {drone.id: drone.serial for drone in file.drones})
+    serials = {drone.id: drone.serial for drone in file.drones}
+    return Ground(Secret(_bytes(file.secret)), file.links[0], serials, frozenset(file.revoked) & serials.keys())
 
 
 def _drone(file: _DroneFile) -> NodeKeys:
@@ -153,8 +159,8 @@ def _drone(file: _DroneFile) -> NodeKeys:
     secret = Secret(_bytes(file.secret))
     if crypto_scalarmult_base(secret.reveal()) != certificate.public:
         raise ForgedError("a certificate of another key")
-    links = (LinkKey(link.number, Secret(_bytes(link.key))) for link in file.links)
-    return NodeKeys(certificate, secret, ground, tuple(links))
+    link = file.links[0]
+    return NodeKeys(certificate, secret, ground, LinkKey(link.number, Secret(_bytes(link.key))))
 
 
 def _bytes(text: str) -> bytes:
@@ -169,6 +175,9 @@ def _bytes(text: str) -> bytes:
 def _checksum(file: _File) -> str:
     """Against damage, of everything else in the file."""
     rest = plain(replace(file, checksum=""))
+    if not rest.get("revoked"):
+        # Versions that did not know it have not counted it.
+        rest.pop("revoked", None)
     return blake2b(json.dumps(rest, sort_keys=True).encode(), digest_size=8, person=Purpose.FILE).hexdigest()
 
 
@@ -181,8 +190,9 @@ def ground_text(ground: Ground) -> str:
         rass_keys=VERSION,
         holds="ground",
         secret=ground.secret.reveal().hex(),
-        links=ground.links,
+        links=(ground.number,),
         drones=tuple(_DroneSection(id=id, serial=serial) for id, serial in sorted(ground.serials.items())),
+        revoked=tuple(sorted(ground.revoked)),
     )
     return _text(
         file,
@@ -200,7 +210,7 @@ def drone_text(keys: NodeKeys) -> str:
         secret=keys.secret.reveal().hex(),
         certificate=own.pack().hex(),
         ground=_PublicSection(signing=keys.ground.signing.hex(), sealing=keys.ground.sealing.hex()),
-        links=tuple(_LinkSection(number=link.number, key=link.key.reveal().hex()) for link in keys.links),
+        links=(_LinkSection(number=keys.link.number, key=keys.link.key.reveal().hex()),),
     )
     return _text(
         file,
@@ -211,7 +221,8 @@ def drone_text(keys: NodeKeys) -> str:
 
 def _text(file: _File, *about: str) -> str:
     lines = "".join(f"# {line}\n" for line in about)
-    return lines + dump_yaml(replace(file, checksum=_checksum(file)))
+    # Without revocations, earlier versions of the program can read it.
+    return lines + dump_yaml(replace(file, checksum=_checksum(file))).replace("\nrevoked: []\n", "\n")
 
 
 def write_new(path: Path, text: str) -> None:

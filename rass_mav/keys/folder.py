@@ -14,14 +14,22 @@ from typing import Literal, NamedTuple
 from rass_mav.errors import KeysError, why
 
 from .certificate import BASE_SERIAL
-from .files import GROUND_FILE, drone_file, drone_text, ground_text, read_ground, read_keys, write_new, write_over
+from .files import (
+    GROUND_FILE,
+    MAX_NUMBER,
+    drone_file,
+    drone_text,
+    ground_text,
+    read_ground,
+    read_keys,
+    write_new,
+    write_over,
+)
 from .identity import Ground, NodeKeys
 from .secret import SECRET_SIZE, Secret
 
 #: What `issue` does: a new drone, another one in the place of a drone, or the same drone once more.
 Issue = Literal["new", "replace", "again"]
-#: The three steps to a new link key.
-Step = Literal["add", "use", "drop"]
 
 
 class Issued(NamedTuple):
@@ -52,33 +60,37 @@ def issue(folder: Path, node_ids: Iterable[int], how: Issue = "new") -> list[Iss
             _check(folder, ground, node_id, how)
         if how != "again":
             raised = {node_id: ground.serials.get(node_id, BASE_SERIAL) + 1 for node_id in node_ids}
-            ground = replace(ground, serials={**ground.serials, **raised})
+            ground = replace(ground, serials={**ground.serials, **raised}, revoked=ground.revoked.difference(node_ids))
             # Before the drones' files, so that no serial is assigned twice.
             write_over(folder / GROUND_FILE, ground_text(ground))
         return _write(folder, ground, node_ids)
 
 
-def rotate(folder: Path, step: Step) -> tuple[Ground, list[Issued]]:
-    """Go a step towards a new link key, and write the files of all drones again. Raises `KeysError`."""
+def change(folder: Path, revoke: Iterable[int] = ()) -> tuple[Ground, list[Issued]]:
+    """Change the link key, and write the files of all drones again but of those that are revoked. Raises `KeysError`.
+
+    :param revoke: node ids of drones that get nothing any more; those that were revoked before stay so.
+    """
+    out = frozenset(revoke)
     with _held(folder) as ground:
-        links = _rotated(ground.links, step)
-        for node_id in ground.serials:
+        for node_id in sorted(out):
+            if node_id not in ground.serials:
+                raise KeysError(
+                    f"drone {node_id}: has no keys that could be revoked", f"rass-mav keys show {folder / GROUND_FILE}"
+                )
+            if node_id in ground.revoked:
+                raise KeysError(
+                    f"drone {node_id}: is revoked already (serial {ground.serials[node_id]})",
+                    "--replace gives another drone in its place new keys",
+                )
+        if ground.number == MAX_NUMBER:
+            raise KeysError(f"{folder}: all numbers of link keys are used", "create a new mission")
+        ground = replace(ground, number=ground.number + 1, revoked=ground.revoked | out)
+        remaining = [node_id for node_id in sorted(ground.serials) if node_id not in ground.revoked]
+        for node_id in remaining:
             _check_own(folder, ground, node_id)
-        ground = replace(ground, links=links)
         write_over(folder / GROUND_FILE, ground_text(ground))
-        return ground, _write(folder, ground, sorted(ground.serials))
-
-
-def _rotated(links: tuple[int, ...], step: Step) -> tuple[int, ...]:
-    """The numbers of the link keys after a step; the first one is to sign with."""
-    first, *others = links
-    due: Step = "add" if not others else "use" if others[0] > first else "drop"
-    if step != due:
-        raise KeysError(
-            f"rotate {step}: the link keys are {' and '.join(map(str, links))}, signing with {first}",
-            f"the next step is: rass-mav keys rotate {due}",
-        )
-    return {"add": (first, first + 1), "use": links[::-1], "drop": (first,)}[step]
+        return ground, _write(folder, ground, remaining)
 
 
 def _check(folder: Path, ground: Ground, node_id: int, how: Issue) -> None:
@@ -91,6 +103,10 @@ def _check(folder: Path, ground: Ground, node_id: int, how: Issue) -> None:
         )
     if how != "new" and serial is None:
         raise KeysError(f"drone {node_id}: has no keys yet", f"rass-mav keys drone {node_id} -d {folder}")
+    if how == "again" and node_id in ground.revoked:
+        raise KeysError(
+            f"drone {node_id}: is revoked (serial {serial})", "--replace gives another drone in its place new keys"
+        )
     _check_own(folder, ground, node_id)
 
 

@@ -34,15 +34,16 @@ class NodeKeys:
     secret: Secret
     """Of the public key in the certificate."""
     ground: GroundPublic
-    links: tuple[LinkKey, ...]
-    """One, or two during a change. The node signs with the first one and accepts both."""
+    link: LinkKey
+    """The one in the node's file. A letter may have brought a later one (`keys.letters`)."""
 
     @property
     def about(self) -> AboutKeys:
         """What everybody may know."""
         own = self.certificate
-        numbers = [link.number for link in self.links]
-        return {"mission": self.ground.mission, "node_id": own.node_id, "serial": own.serial, "link_keys": numbers}
+        return {
+            "mission": self.ground.mission, "node_id": own.node_id, "serial": own.serial, "link_key": self.link.number
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,12 @@ class Ground:
 
     secret: Secret
     """All other keys are derived from it."""
-    links: tuple[int, ...] = (1,)
-    """Numbers of the link keys in use, as in `NodeKeys.links`."""
+    number: int = 1
+    """Of the link key in use."""
     serials: Mapping[int, int] = field(default_factory=dict)
     """By node id, the last serial that a drone was given."""
+    revoked: frozenset[int] = frozenset()
+    """Node ids whose last serial is revoked."""
 
     @cached_property
     def public(self) -> GroundPublic:
@@ -78,6 +81,15 @@ class Ground:
         key = self._signing.reveal() + self.public.signing
         return crypto_sign(signed_bytes(purpose, data), key)[:SIGNATURE_SIZE]
 
+    @property
+    def link(self) -> LinkKey:
+        """The link key in use."""
+        return self.link_key(self.number)
+
+    def link_key(self, number: int) -> LinkKey:
+        """The link key with this number, from 1."""
+        return LinkKey(number, self.secret.derive(Purpose.LINK, _NUMBER.pack(number)))
+
     def node_secret(self, node_id: int, serial: int) -> Secret:
         """The X25519 secret of a node. `node_id`: 16 bits. `serial`: 32 bits, 0 for the base with this id."""
         return self.secret.derive(Purpose.NODE, _NODE.pack(node_id, serial))
@@ -87,5 +99,4 @@ class Ground:
         secret = self.node_secret(node_id, serial)
         public = crypto_scalarmult_base(secret.reveal())
         signature = self.sign(Purpose.CERTIFICATE, certificate_body(node_id, serial, public))
-        links = (LinkKey(number, self.secret.derive(Purpose.LINK, _NUMBER.pack(number))) for number in self.links)
-        return NodeKeys(Certificate(node_id, serial, public, signature), secret, self.public, tuple(links))
+        return NodeKeys(Certificate(node_id, serial, public, signature), secret, self.public, self.link)

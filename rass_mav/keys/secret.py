@@ -27,6 +27,8 @@ class Purpose(bytes, Enum):
     MISSION = b"rass mission"
     CERTIFICATE = b"rass certificate"
     FILE = b"rass key file"
+    LETTER = b"rass letter"
+    LETTER_KEY = b"rass letter key"
 
 
 class Secret:

@@ -26,8 +26,8 @@ class AboutKeys(TypedDict):
     node_id: int
     serial: int
     """0: a base."""
-    link_keys: list[int]
-    """Their numbers. The first one is to sign with."""
+    link_key: int
+    """Its number."""
 
 
 def in_words(keys: AboutKeys | None) -> str:
@@ -35,9 +35,9 @@ def in_words(keys: AboutKeys | None) -> str:
     if keys is None:
         return "open: no keys, anybody can send on the link"
     who = f"drone {keys['node_id']}, serial {keys['serial']}" if keys["serial"] else f"base {keys['node_id']}"
-    numbers = keys["link_keys"]
-    links = f"link key{'s' if len(numbers) > 1 else ''} {' and '.join(map(str, numbers))}"
-    return f"keys: mission {keys['mission']}, {who}, {links}; frames are signed, and data are sealed"
+    return (
+        f"keys: mission {keys['mission']}, {who}, link key {keys['link_key']}; frames are signed, and data are sealed"
+    )
 
 
 def check_package() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 SIGNATURE_SIZE = 13
 KEY_SIZE = 32
@@ -43,6 +43,10 @@ class Signer:
         """Of the next frame. It rises by one with each."""
         self.raise_to(timestamp)
 
+    def use(self, key: bytes) -> None:
+        """Sign with another key from now on. The timestamps continue."""
+        self._hash = _keyed_hash(key)
+
     def raise_to(self, timestamp: int) -> None:
         """Raise the timestamp of the next frame; never lowers it. :raises ValueError: it has more than 48 bits."""
         if not 0 <= timestamp <= MAX_TIMESTAMP:
@@ -63,49 +67,53 @@ class Signer:
         return frame + digest.digest()[:6]
 
 
-class SigningKeys:
-    """The keys of a mission's links. Immutable; it appears in no representation."""
+class SigningKey:
+    """The key of a mission's links. Immutable; it appears in no representation."""
 
-    __slots__ = ("_first", "_hashes")
+    __slots__ = ("_hash", "_key")
 
-    def __init__(self, keys: Sequence[bytes]) -> None:
-        """:param keys: at least one, of 32 bytes each. All are accepted; the first one is to sign with.
-        :raises ValueError: a key that does not have 32 bytes.
-        """
-        self._first = keys[0]
-        self._hashes = tuple(map(_keyed_hash, keys))
+    def __init__(self, key: bytes) -> None:
+        """:param key: 32 bytes. :raises ValueError: another length."""
+        self._key = key
+        self._hash = _keyed_hash(key)
 
     def signer(self, link_id: int, timestamp: int) -> Signer:
-        """Signs with the first key. The rest as for a `Signer`."""
-        return Signer(self._first, link_id, timestamp)
+        """As for a `Signer`."""
+        return Signer(self._key, link_id, timestamp)
+
+    def give_to(self, signer: Signer) -> None:
+        """Let it sign with this key from now on."""
+        signer.use(self._key)
 
     def made(self, frame: bytes) -> bool:
-        """Whether a signed frame was signed with one of the keys.
+        """Whether a signed frame was signed with this key.
 
         :param frame: the whole frame, from the magic byte to the last byte of the signature.
         """
-        signed, signature = frame[:-6], frame[-6:]
-        for prepared in self._hashes:
-            digest = prepared.copy()
-            digest.update(signed)
-            if hmac.compare_digest(digest.digest()[:6], signature):
-                return True
-        return False
+        digest = self._hash.copy()
+        digest.update(frame[:-6])
+        return hmac.compare_digest(digest.digest()[:6], frame[-6:])
 
 
 class SignatureCheck:
-    """Refuses frames that are not signed with one of the keys, and counts them."""
+    """Refuses frames that are not signed with the key, and counts them."""
 
-    __slots__ = ("_keys", "_needed", "forged", "unsigned")
+    __slots__ = ("_needed", "_tell", "forged", "key", "unsigned")
 
-    def __init__(self, keys: SigningKeys, needed: Callable[[int], bool]) -> None:
-        """:param needed: returns whether messages with this id need a signature; others are not checked."""
-        self._keys = keys
+    def __init__(
+        self, key: SigningKey, needed: Callable[[int], bool], tell: Callable[[bytes], None] | None = None
+    ) -> None:
+        """:param needed: returns whether messages with this id need a signature; others are not checked.
+        :param tell: called with each frame that is signed with another key. It is refused nevertheless.
+        """
+        self.key = key
+        """May be changed between frames."""
         self._needed = needed
+        self._tell = tell
         self.unsigned = 0
         """Frames without a signature."""
         self.forged = 0
-        """Frames with a signature by none of the keys."""
+        """Frames with a signature by another key."""
 
     def passes(self, frame: bytes, message_id: int, *, signed: bool) -> bool:
         """:param frame: a whole frame with a good checksum."""
@@ -114,6 +122,9 @@ class SignatureCheck:
         if not signed:
             self.unsigned += 1
             return False
-        made = self._keys.made(frame)
-        self.forged += not made
+        made = self.key.made(frame)
+        if not made:
+            self.forged += 1
+            if self._tell is not None:
+                self._tell(frame)
         return made

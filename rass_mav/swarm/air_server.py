@@ -42,6 +42,7 @@ from rass_mav.swarm.wires import Wires
 from rass_mav.wire import decode
 from rass_mav.wire.challenge import is_challenge
 from rass_mav.wire.introduction import is_introduction
+from rass_mav.wire.letters import is_about_keys
 
 # Longest line of orders, bytes.
 _MAX_ORDER = 4096
@@ -199,7 +200,7 @@ class Air(ABC, Generic[F]):
         if fields is None or fields[4] != self._payload_type:
             counted.malformed += 1
             return
-        if is_challenge(fields[5]) or is_introduction(fields[5]):
+        if is_challenge(fields[5]) or is_introduction(fields[5]) or is_about_keys(fields[5]):
             return
         try:
             message = decode(fields[5], 0.0)

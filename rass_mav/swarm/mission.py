@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from rass_mav.agent.tags import NoTags
 from rass_mav.core.store import Store
 from rass_mav.keys.settings import KeysSection, check_package
-from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.swarm.scenario import Scenario
 
 if TYPE_CHECKING:
+    from rass_mav.agent.letters import Letters
     from rass_mav.keys.identity import Ground
+    from rass_mav.keys.keyring import Keyring
 
 
 def ground_of(scenario: Scenario) -> Ground:
@@ -33,8 +34,8 @@ def ground_of(scenario: Scenario) -> Ground:
 class SwarmKeys(NamedTuple):
     """The keys of all nodes."""
 
-    signing: SigningKeys
-    """Of the links."""
+    letters: Sequence[Letters]
+    """For each node id, what it has for its links."""
     tags: Callable[[int], Callable[[Store, random.Random, float], NoTags]]
     """For each node id, what proves its words (`Agent`)."""
 
@@ -44,13 +45,26 @@ def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
     if not scenario.keys:
         return None
     ground = ground_of(scenario)
+    from rass_mav.agent.letters import Letters
     from rass_mav.agent.pairs import PairTags
 
     def tags(node_id: int) -> Callable[[Store, random.Random, float], NoTags]:
         serial = 0 if node_id < scenario.bases else ground.serials.get(node_id, 1)
         return partial(PairTags, ground.node(node_id, serial))
 
-    return SwarmKeys(SigningKeys([link.key.reveal() for link in ground.node(0).links]), tags)
+    letters = [
+        Letters(keyring_of(ground, node_id), random.Random(f"{scenario.seed}:letters:{node_id}"), scenario.node.step_s)
+        for node_id in range(scenario.nodes)
+    ]
+    return SwarmKeys(letters, tags)
+
+
+def keyring_of(ground: Ground, node_id: int) -> Keyring:
+    """A drone's keys, or those of a base, which has no serial."""
+    from rass_mav.keys.keyring import Keyring
+
+    serial = ground.serials.get(node_id)
+    return Keyring(ground.node(node_id), ground) if serial is None else Keyring(ground.node(node_id, serial), None)
 
 
 def write_files(scenario: Scenario, directory: Path) -> list[KeysSection | None]:

@@ -144,7 +144,7 @@ class VirtualSwarm(ABC):
                     observer=observer,
                     newborn=True,
                     participant=participant,
-                    keys=None if keys is None else keys.signing,
+                    letters=None if keys is None else keys.letters[settings.node_id],
                     tags=None if keys is None else keys.tags(settings.node_id),
                 )
             )
@@ -380,7 +380,7 @@ class VirtualSwarm(ABC):
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
-            keys=None if old.peers.signed is None else old.peers.signed.keys, tags=old.peers.tags.again,
+            letters=None if old.peers.signed is None else old.peers.signed.letters, tags=old.peers.tags.again,
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

@@ -11,15 +11,17 @@ from rass_mav.errors import MalformedError
 _HEAD = struct.Struct("<BBHHHHHBBii")
 _NEIGHBOUR = struct.Struct("<HB")
 _ORIGIN = struct.Struct("<HH")
+_NUMBER = struct.Struct("<I")
 _VERSION = 1
 _HAS_POSITION = 1
 _BASE = 2
 _NEXT_HOP = 4
+_LINK_KEY = 8
 #: So many neighbours and origins fit one frame; of more, the next hop and the best heard, and those with
 #: most data.
 MOST_NEIGHBOURS = 10
 MOST_ORIGINS = 10
-_MOST_BYTES = _HEAD.size + 2 + MOST_NEIGHBOURS * _NEIGHBOUR.size + MOST_ORIGINS * _ORIGIN.size
+_MOST_BYTES = _HEAD.size + 2 + MOST_NEIGHBOURS * _NEIGHBOUR.size + MOST_ORIGINS * _ORIGIN.size + _NUMBER.size
 _MOST_LAT, _MOST_LON = 900_000_000, 1_800_000_000
 _UNKNOWN_16, _UNKNOWN_8 = 0xFFFF, 0xFF
 
@@ -51,20 +53,27 @@ class NodeStatus(NamedTuple):
     """Whether it is a base, where data are at their goal."""
     next_hop: int | None = None
     """Where its route leads, one of `neighbours`; None: nowhere, or the status does not say."""
+    link_key: int | None = None
+    """Number of its link key, 32 bits; None: its links are open, or the status does not say."""
 
 
 def encode_status(s: NodeStatus, most: int = _MOST_BYTES) -> bytes:
-    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop), held, alone, spares, free, risk, hops, battery,
-    latitude, longitude; then a byte and so many neighbours (`<HB`), and a byte and so many origins (`<HH`).
+    """`<BBHHHHHBBii` version, flags (1 position, 2 base, 4 next hop, 8 link key), held, alone, spares, free, risk,
+    hops, battery, latitude, longitude; a byte and so many neighbours (`<HB`); a byte and so many origins (`<HH`); with
+    flag 8 the link key (`<I`).
 
     With flag 4 the first neighbour is the next hop. One that is not among the neighbours is not told. `most`: bytes, at
-    least 40; if need be, fewer neighbours and origins are told.
+    least 44; if need be, fewer neighbours and origins are told.
     """
     lat, lon = (0.0, 0.0) if s.place is None else s.place
     neighbours = sorted(s.neighbours.items(), key=lambda item: (item[0] != s.next_hop, -item[1]))[:MOST_NEIGHBOURS]
     flags = (s.place is not None) * _HAS_POSITION + s.base * _BASE + (s.next_hop in s.neighbours) * _NEXT_HOP
+    key = b""
+    if s.link_key is not None:
+        flags += _LINK_KEY
+        key = _NUMBER.pack(s.link_key)
     origins = sorted(s.alone_by_origin.items(), key=lambda item: -item[1])[:MOST_ORIGINS]
-    while _HEAD.size + 2 + len(neighbours) * _NEIGHBOUR.size + len(origins) * _ORIGIN.size > most:
+    while _HEAD.size + 2 + len(neighbours) * _NEIGHBOUR.size + len(origins) * _ORIGIN.size + len(key) > most:
         (neighbours if len(neighbours) >= len(origins) else origins).pop()
     return b"".join(
         (
@@ -78,6 +87,7 @@ def encode_status(s: NodeStatus, most: int = _MOST_BYTES) -> bytes:
             *(_NEIGHBOUR.pack(id, round(quality * 255)) for id, quality in neighbours),
             bytes([len(origins)]),
             *(_ORIGIN.pack(id, _count(count)) for id, count in origins),
+            key,
         )
     )  # fmt: skip
 
@@ -93,7 +103,8 @@ def decode_status(payload: bytes) -> NodeStatus:
         if version != _VERSION:
             raise MalformedError(f"status version {version}, ours is {_VERSION}")
         neighbours, at = _table(payload, _HEAD.size, _NEIGHBOUR)
-        origins, _ = _table(payload, at, _ORIGIN)
+        origins, at = _table(payload, at, _ORIGIN)
+        link_key = _NUMBER.unpack_from(payload, at)[0] if flags & _LINK_KEY else None
     except (struct.error, IndexError) as error:
         raise MalformedError(f"truncated status: {error}") from None
     return NodeStatus(
@@ -109,6 +120,7 @@ def decode_status(payload: bytes) -> NodeStatus:
         dict(origins),
         bool(flags & _BASE),
         neighbours[0][0] if flags & _NEXT_HOP and neighbours else None,
+        link_key,
     )
 
 

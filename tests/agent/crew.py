@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.settings import AgentSettings
@@ -15,29 +16,30 @@ from rass_mav.config.loading import convert
 from rass_mav.core.store import Store
 from rass_mav.keys.identity import Ground
 from rass_mav.keys.secret import Secret
-from rass_mav.mavlink.signing import SigningKeys
+from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
 
 from .conversation import SECTIONS
 
 KEY = bytes(range(7, 39))
 STRANGERS_KEY = bytes(32)
-KEYS = SigningKeys([KEY])
+KEYS = SigningKey(KEY)
 GROUND = Ground(Secret(bytes(range(32))))
 
 
 def agent_with_keys(
     node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
-    keys: SigningKeys = KEYS, words: bool = False, **sections: Any,
+    keys: SigningKey = KEYS, letters: Letters | None = None, words: bool = False, **sections: Any,
 ) -> Agent:  # fmt: skip
-    """`life`: another one has other random numbers. `words`: it proves its own to others, and doubts theirs."""
+    """`life`: another one has other random numbers. `letters`: instead of `keys`. `words`: it proves its own to others,
+    and doubts theirs."""
     raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
     tags = partial(PairTags, GROUND.node(node_id, 0 if base else 1)) if words else None
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys, tags=tags)
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys, letters=letters, tags=tags)
 
 
 class Crew:
@@ -48,6 +50,10 @@ class Crew:
         self.agents = list(agents)
         self.deaf: set[int] = set()
         """Positions in `agents`."""
+        self.apart: set[frozenset[int]] = set()
+        """Pairs of positions that do not hear each other."""
+        self.lost: Callable[[], bool] = lambda: False
+        """Whether somebody misses a frame."""
         self.recorded: list[bytes] = []
         """All frames that were on the air, in order."""
 
@@ -67,7 +73,9 @@ class Crew:
             frame = self.agents[position].peers.leaving(outgoing).frame
             self.recorded.append(frame)
             for other, agent in enumerate(self.agents):
-                if other != position and not {other, position} & self.deaf:
+                if other == position or {other, position} & self.deaf or {other, position} in self.apart:
+                    continue
+                if not self.lost():
                     waiting += [(other, answer) for answer in agent.peer_bytes(frame, self.now)]
 
     def restart(self, position: int, **changed: Any) -> None:

@@ -110,7 +110,7 @@ def test_what_another_drone_makes_in_ones_name_does_not_arrive(tmp_path: Path, t
     keys, inside = read_keys(forger), read_keys(tmp_path / "mission" / drone_file(3))
     assert isinstance(keys, NodeKeys)
     assert isinstance(inside, NodeKeys)
-    write_over(forger, drone_text(replace(keys, links=inside.links)))
+    write_over(forger, drone_text(replace(keys, link=inside.link)))
     nodes = line_of(tmp_path, [1, 2, 3])
     for node, file in zip(nodes, ("mission/ground.keys", "mission/drone-2.keys", "other/drone-3.keys"), strict=True):
         with (tmp_path / node.config).open("a") as config:

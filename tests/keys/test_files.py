@@ -25,16 +25,13 @@ from rass_mav.keys.pairs import Pair
 from rass_mav.keys.sealing import Opener, Sealer
 from rass_mav.keys.secret import Secret
 
-GROUND = Ground(Secret(bytes(range(32))), links=(1, 2), serials={7: 2, 8: 1})
+GROUND = Ground(Secret(bytes(range(32))), number=2, serials={7: 2, 8: 1, 9: 1}, revoked=frozenset({9}))
 SEVEN = GROUND.node(7, 2)
 TEXTS = {"ground": ground_text(GROUND), "drone": drone_text(SEVEN)}
 DAMAGED = "damaged, or not a file of keys; copy it again from the mission's folder or from the backup"
 
 #: Everything that must never be seen, as bytes.
-SECRETS = [
-    secret.reveal()
-    for secret in (GROUND.secret, GROUND.opening, GROUND._signing, SEVEN.secret, *(link.key for link in SEVEN.links))
-]
+SECRETS = [secret.reveal() for secret in (GROUND.secret, GROUND.opening, GROUND._signing, SEVEN.secret, SEVEN.link.key)]
 
 
 def shows_a_secret(text: str) -> bool:
@@ -106,6 +103,27 @@ def test_a_changed_character_is_noticed_unless_it_means_the_same(holds: str, at:
             assert keys == (GROUND if holds == "ground" else SEVEN)
             return
     assert not shows_a_secret(str(error))
+
+
+# What earlier versions wrote: nobody was ever revoked, and two link keys while the key changed.
+EARLIER = """\
+rass_keys: 1
+checksum: f62d7a66262a61cf
+holds: ground
+secret: 000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f
+links:
+- 2
+- 1
+drones:
+- id: 7
+  serial: 2
+"""
+
+
+def test_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    assert "revoked" not in ground_text(replace(GROUND, revoked=frozenset()))
+    ground = read_keys(written(tmp_path / "keys", EARLIER))
+    assert ground == replace(GROUND, serials={7: 2}, revoked=frozenset())
 
 
 # -- what is refused ---------------------------------------------------------------------------------------------------
@@ -219,7 +237,7 @@ def test_a_drone_has_its_own_and_a_base_the_grounds(tmp_path: Path) -> None:
     drone, ground = (str(written(tmp_path / holds, TEXTS[holds])) for holds in ("drone", "ground"))
     assert load_keyring(drone, 7, base=False) == (SEVEN, None)
     assert load_keyring(ground, 1, base=True) == (GROUND.node(1), GROUND)
-    about = {"mission": GROUND.public.mission, "link_keys": [1, 2]}
+    about = {"mission": GROUND.public.mission, "link_key": 2}
     assert load_keyring(drone, 7, base=False).own.about == {**about, "node_id": 7, "serial": 2}
     assert load_keyring(ground, 1, base=True).own.about == {**about, "node_id": 1, "serial": 0}
     for path, node_id, base, said in [
@@ -283,7 +301,7 @@ def test_no_object_shows_a_secret(tmp_path: Path) -> None:
     path = written(tmp_path / "keys", TEXTS["drone"])
     ground = written(tmp_path / "ground", TEXTS["ground"])
     objects = [
-        GROUND.secret, GROUND, SEVEN, SEVEN.secret, SEVEN.links, SEVEN.about, GROUND.public, SEVEN.certificate,
+        GROUND.secret, GROUND, SEVEN, SEVEN.secret, SEVEN.link, SEVEN.about, GROUND.public, SEVEN.certificate,
         load_keyring(str(path), 7, base=False), load_keyring(str(ground), 1, base=True), Sealer(SEVEN, 5, 0),
         Opener(GROUND), Pair(SEVEN, GROUND.node(8, 1).certificate),
         files._intact(files._parsed(path, path.read_bytes()), files._DroneFile),

@@ -46,10 +46,6 @@ def drone(path: Path) -> NodeKeys:
     return held
 
 
-def numbers(path: Path) -> list[int]:
-    return [link.number for link in drone(path).links]
-
-
 def mission(directory: Path, *drones: int) -> str:
     """A mission in `m`. Returns its name."""
     assert keys(directory, "new", "m")
@@ -80,7 +76,7 @@ def test_a_new_mission(tmp_path: Path) -> None:
 
 def test_each_drone_is_issued_once(tmp_path: Path) -> None:
     name = mission(tmp_path, 7, 8)
-    assert drone(tmp_path / "m/drone-7.keys").about == {"mission": name, "node_id": 7, "serial": 1, "link_keys": [1]}
+    assert drone(tmp_path / "m/drone-7.keys").about == {"mission": name, "node_id": 7, "serial": 1, "link_key": 1}
     before = (tmp_path / "m/drone-7.keys").read_bytes()
     said = (
         "drone 7: has keys already (serial 1); --replace: for another drone in its place; --again: for the same drone"
@@ -130,49 +126,73 @@ def test_a_file_of_another_drone_or_mission_is_not_written_over(tmp_path: Path) 
     said = "other/drone-7.keys: does not hold the keys of drone 7 of this mission; move the file away"
     assert keys(tmp_path, "drone", "7", "-d", "other", code=2) == said
     shutil.copy2(tmp_path / "m/drone-8.keys", tmp_path / "m/drone-7.keys")
-    for arguments in (["drone", "7", "--again"], ["drone", "7", "--replace"], ["rotate", "add"]):
+    for arguments in (["drone", "7", "--again"], ["drone", "7", "--replace"], ["rotate"]):
         assert keys(tmp_path, *arguments, "-d", "m", code=2) == said.replace("other", "m")
     (tmp_path / "m/drone-7.keys").write_text("precious")
     assert keys(tmp_path, "drone", "7", "--again", "-d", "m", code=2).endswith(" or move the file away")
     assert (tmp_path / "m/drone-7.keys").read_text() == "precious"
     ground = read_ground(tmp_path / "m/ground.keys")
-    assert (ground.serials, ground.links) == ({7: 1, 8: 1}, (1,))
+    assert (ground.serials, ground.number) == ({7: 1, 8: 1}, 1)
 
 
-def test_a_link_key_changes_in_three_steps(tmp_path: Path) -> None:
-    mission(tmp_path, 7, 8)
+def test_the_link_key_changes(tmp_path: Path) -> None:
+    name = mission(tmp_path, 7, 8)
     files = [tmp_path / f"m/drone-{id}.keys" for id in (7, 8)]
-    held = {link.number: link.key for link in drone(files[0]).links}
+    before = drone(files[0]).link
     files[1].unlink()  # was moved to its drone
-    steps = {"add": [1, 2], "use": [2, 1], "drop": [2]}
-    earlier = [1]
-    for step, expected in steps.items():
-        for other in steps.keys() - {step}:
-            assert keys(tmp_path, "rotate", other, "-d", "m", code=2).endswith(
-                f"next step is: rass-mav keys rotate {step}"
-            )
-        said = json.loads(keys(tmp_path, "rotate", step, "-d", "m", "--json"))
-        assert (said["link_keys"], [each["id"] for each in said["drones"]]) == (expected, [7, 8])
-        assert [numbers(path) for path in files] == [expected, expected]
-        assert read_ground(tmp_path / "m/ground.keys").links == tuple(expected)
-        # Nodes that are a step apart understand each other.
-        assert earlier[0] in expected
-        assert expected[0] in earlier
-        earlier = expected
-        for link in drone(files[0]).links:
-            assert held.setdefault(link.number, link.key) == link.key
-    assert held[1] != held[2]
-    assert keys(tmp_path, "rotate", "add", "-d", "m").startswith("link keys: nodes sign with 2, and accept 2 and 3\n")
-    # Whoever gets keys meanwhile gets those of the others.
+    said = json.loads(keys(tmp_path, "rotate", "-d", "m", "--json"))
+    drones = [{"id": id, "serial": 1, "file": f"m/drone-{id}.keys"} for id in (7, 8)]
+    assert said == {"mission": name, "link_key": 2, "revoked": [], "drones": drones}
+    one, other = (drone(path).link for path in files)
+    assert (before.number, one.number) == (1, 2)
+    assert one == other
+    assert one.key != before.key
+    assert keys(tmp_path, "rotate", "-d", "m").startswith("link key 3 from now on, for 2 drones; ")
+    assert read_ground(tmp_path / "m/ground.keys").number == 3
+    # Whoever gets keys later gets that of the others.
     keys(tmp_path, "drone", "9", "-d", "m")
-    assert numbers(tmp_path / "m/drone-9.keys") == [2, 3]
+    assert drone(tmp_path / "m/drone-9.keys").link == drone(files[0]).link
+
+
+def test_a_drone_is_revoked(tmp_path: Path) -> None:
+    name = mission(tmp_path, 7, 8, 9)
+    before = (tmp_path / "m/drone-8.keys").read_bytes()
+    assert keys(tmp_path, "revoke", "8", "-d", "m").splitlines() == [
+        "drone 8, serial 1: revoked",
+        "link key 2 from now on, for 2 drones; their files here are written again",
+        "a base that runs on m/ground.keys takes it within seconds, and gives it to the drones over the air;",
+        "copy it to the other bases and to the backup (a copy is taken without a restart, too)",
+        "rass-mav report shows the link key that each drone had in its last status",
+    ]
+    assert [drone(tmp_path / f"m/drone-{id}.keys").link.number for id in (7, 8, 9)] == [2, 1, 2]
+    assert (tmp_path / "m/drone-8.keys").read_bytes() == before
+    ground = read_ground(tmp_path / "m/ground.keys")
+    assert (ground.number, ground.serials, ground.revoked) == (2, {7: 1, 8: 1, 9: 1}, frozenset({8}))
+    remedy = "--replace gives another drone in its place new keys"
+    assert keys(tmp_path, "revoke", "7", "8", "-d", "m", code=2) == f"drone 8: is revoked already (serial 1); {remedy}"
+    assert keys(tmp_path, "drone", "8", "--again", "-d", "m", code=2) == f"drone 8: is revoked (serial 1); {remedy}"
+    said = "drone 5: has no keys that could be revoked; rass-mav keys show m/ground.keys"
+    assert keys(tmp_path, "revoke", "5", "-d", "m", code=2) == said
+    assert read_ground(tmp_path / "m/ground.keys") == ground
+    assert "drones: 7 (serial 1), 8 (serial 1, revoked), 9 (serial 1)" in keys(tmp_path, "show", "m/ground.keys")
+    # It stays so with the next change, until its place is given to another one.
+    assert json.loads(keys(tmp_path, "revoke", "9", "9", "-d", "m", "--json")) == {
+        "mission": name,
+        "link_key": 3,
+        "revoked": [{"id": 9, "serial": 1}],
+        "drones": [{"id": 7, "serial": 1, "file": "m/drone-7.keys"}],
+    }
+    assert read_ground(tmp_path / "m/ground.keys").revoked == {8, 9}
+    keys(tmp_path, "drone", "8", "--replace", "-d", "m")
+    assert read_ground(tmp_path / "m/ground.keys").revoked == {9}
+    assert drone(tmp_path / "m/drone-8.keys").link.number == 3
 
 
 def test_a_damaged_mission_is_left_alone(tmp_path: Path) -> None:
     mission(tmp_path, 7)
     path = tmp_path / "m/ground.keys"
     path.write_bytes(path.read_bytes()[:-5])
-    for arguments in (["drone", "8"], ["drone", "7", "--replace"], ["rotate", "add"]):
+    for arguments in (["drone", "8"], ["drone", "7", "--replace"], ["rotate"]):
         assert keys(tmp_path, *arguments, "-d", "m", code=2).startswith("m/ground.keys: damaged, ")
     assert sorted(os.listdir(tmp_path / "m")) == ["drone-7.keys", "ground.keys"]
     shutil.copy2(tmp_path / "m/drone-7.keys", path)
@@ -193,18 +213,18 @@ def test_what_is_no_node_id(id: str, tmp_path: Path) -> None:
 def test_what_is_not_secret_is_shown(tmp_path: Path) -> None:
     name = mission(tmp_path, 7, 8)
     keys(tmp_path, "drone", "7", "--replace", "-d", "m")
-    keys(tmp_path, "rotate", "add", "-d", "m")
+    keys(tmp_path, "rotate", "-d", "m")
     assert keys(tmp_path, "show", "m/ground.keys").splitlines() == [
         f"the ground's keys of mission {name}: never on a drone",
         "drones: 7 (serial 2), 8 (serial 1)",
-        "link keys: signs with 1, accepts 2 too",
+        "link key 2",
     ]
     assert keys(tmp_path, "show", "m/drone-7.keys").splitlines() == [
         f"the keys of drone 7, serial 2, of mission {name}",
-        "link keys: signs with 1, accepts 2 too",
+        "link key 2",
     ]
-    drones = [{"id": 7, "serial": 2}, {"id": 8, "serial": 1}]
-    plain = {"mission": name, "link_keys": [1, 2]}
+    drones = [{"id": 7, "serial": 2, "revoked": False}, {"id": 8, "serial": 1, "revoked": False}]
+    plain = {"mission": name, "link_key": 2}
     assert json.loads(keys(tmp_path, "show", "m/ground.keys", "--json")) == {
         **plain,
         "holds": "ground",
@@ -246,7 +266,7 @@ def test_five_commands_from_an_empty_folder_to_a_base_and_three_drones(tmp_path:
         node.start(measured=False)
     for node, node_id in zip((first, *others), (1, 7, 8, 9), strict=True):
         serial = 0 if node is first else 1
-        about = {"mission": name, "node_id": node_id, "serial": serial, "link_keys": [1]}
+        about = {"mission": name, "node_id": node_id, "serial": serial, "link_key": 1}
         assert node.status()["keys"] == about
     said = command(tmp_path, "status", others[0].config).stdout.decode().splitlines()
     line = f"keys: mission {name}, drone 7, serial 1, link key 1; frames are signed, and data are sealed"
@@ -363,6 +383,6 @@ def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
 
 def test_in_words() -> None:
     assert in_words(None) == OPEN
-    said = in_words({"mission": "4f2a91c3", "node_id": 1, "serial": 0, "link_keys": [2, 1]})
-    assert said == "keys: mission 4f2a91c3, base 1, link keys 2 and 1; frames are signed, and data are sealed"
+    said = in_words({"mission": "4f2a91c3", "node_id": 1, "serial": 0, "link_key": 2})
+    assert said == "keys: mission 4f2a91c3, base 1, link key 2; frames are signed, and data are sealed"
     assert RunConfig().keys is None

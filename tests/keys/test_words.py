@@ -16,7 +16,7 @@ from rass_mav.keys.sealing import LATER_SERIALS, SEAL_SIZE, Opener, Sealer
 from rass_mav.keys.secret import Purpose, Secret
 from rass_mav.wire import MAX_TUNNEL
 
-GROUND = Ground(Secret(bytes(range(32))), links=(2, 1), serials={7: 2})
+GROUND = Ground(Secret(bytes(range(32))), number=2, serials={7: 2})
 STRANGER = Ground(Secret(bytes(32)), serials={7: 2})
 SEVEN, EIGHT, BASE = GROUND.node(7, 2), GROUND.node(8, 1), GROUND.node(1)
 OPENER = Opener(GROUND)
@@ -40,7 +40,7 @@ def test_the_keys_of_a_mission() -> None:
         bytes.fromhex("cad6263bfefc67c60596121261dd97b6ed12cb8724b5cb750b2b05453c8b5d42"),
     )
     assert GROUND.public.mission == "b4598a8b"
-    assert [(link.number, link.key.reveal().hex()) for link in SEVEN.links] == [
+    assert [(link.number, link.key.reveal().hex()) for link in (SEVEN.link, GROUND.link_key(1))] == [
         (2, "3b88f523a5cccee2f4a0368986d30cfac44ee2946e9c9917b8aaf3427a7c160a"),
         (1, "6c7db5facb62d684913dcef1cc4b3cfe6838fe93ab4d35148ec6c8d8eee4ad44"),
     ]
@@ -114,7 +114,7 @@ def test_drones_of_one_id_and_missions_have_nothing_in_common() -> None:
     ids = [(7, 0), (7, 1), (7, 2), (8, 1), (263, 1)]
     held = [ground.node(*id).secret.reveal() for ground in (GROUND, STRANGER) for id in ids]
     held += [ground.secret.derive(purpose).reveal() for ground in (GROUND, STRANGER) for purpose in Purpose]
-    held += [link.key.reveal() for ground in (GROUND, STRANGER) for link in ground.node(7, 1).links]
+    held += [ground.node(7, 1).link.key.reveal() for ground in (GROUND, STRANGER)]
     assert len(set(held)) == len(held)
 
 

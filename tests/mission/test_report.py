@@ -254,14 +254,14 @@ def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:
 def test_the_command_tells_people_and_scripts(base: Base, capsys: pytest.CaptureFixture[str]) -> None:
     base.arrive(
         base.measurement(7, 0, HERE, age_s=5.0),
-        status(base, 7, 4, QUIET._replace(held=3, alone=2, battery=61, place=(47.0, 8.0)), age_s=1.0),
+        status(base, 7, 4, QUIET._replace(held=3, alone=2, battery=61, place=(47.0, 8.0), link_key=2), age_s=1.0),
     )
     out = told(base, capsys)
     assert out.startswith("5 created, 2 arrived, 3 missing, 0 lost; half arrived within ")
     assert "47.0000000 8.0000000, 0.142 uSv/h at 47.3769000 8.5417000" in out
     assert f"missing: {EPOCH:08x}-1..3" in out
-    assert "3 in custody, 2 of them nowhere else, 1 hops, risk 0.00, battery 61 %; newer: unknown" in out
+    assert "3 in custody, 2 of them nowhere else, 1 hops, risk 0.00, battery 61 %, link key 2; newer: unknown" in out
     plain = json.loads(told(base, capsys, "--json"))
     [seven] = plain["drones"]
-    assert (seven["at_risk"], seven["status"]["battery"]) == (2, 61)
+    assert (seven["at_risk"], seven["status"]["battery"], seven["status"]["link_key"]) == (2, 61, 2)
     assert seven["heard"]["utc"] == "2026-11-22T09:59:59.000Z"

@@ -55,14 +55,14 @@ def test_a_flag_without_neighbours_tells_no_next_hop() -> None:
     place=st.none() | st.tuples(st.floats(-90, 90), st.floats(-180, 180)),
     neighbours=st.dictionaries(ids, st.floats(0, 1), max_size=MOST_NEIGHBOURS + 5),
     alone_by_origin=st.dictionaries(ids, st.integers(1, 65535), max_size=MOST_ORIGINS + 5), base=st.booleans(),
-    next_hop=st.none() | ids,
+    next_hop=st.none() | ids, link_key=st.none() | st.integers(0, 2**32 - 1),
 )  # fmt: skip
 def test_what_is_said_is_read_and_fits_one_frame(**fields: object) -> None:
     said = NodeStatus(**fields)  # type: ignore[arg-type]
     payload = encode_status(said)
     assert len(payload) <= make_node(1).settings.inline_bytes
     read = decode_status(payload + b"later")
-    for name in ("held", "alone", "spares", "free", "hops", "battery", "base"):
+    for name in ("held", "alone", "spares", "free", "hops", "battery", "base", "link_key"):
         assert getattr(read, name) == getattr(said, name)
     assert read.next_hop == (said.next_hop if said.next_hop in said.neighbours else None)
     assert len(read.neighbours) == min(len(said.neighbours), MOST_NEIGHBOURS)

@@ -10,6 +10,7 @@ from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.peers import Opened, Peers, open_datagram
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.tags import OPEN
+from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.store.memory import MemoryStore
@@ -37,8 +38,10 @@ class _Member:
         self._store = MemoryStore(attacker.id)
         signed, tags = None, OPEN
         if section.captured and keys is not None:
-            signed = Signed.begin(keys.signing, self._writer, self._store, attacker.rng, step_s)
+            key = keys.letters[section.near].signing
+            signed = Signed(attacker.id, key, self._writer, self._store, attacker.rng, step_s, payload_type)
             tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
+        self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
         attacker.prints = tags.prints
 
@@ -65,7 +68,7 @@ class _Member:
 
     def answers(self, now: float) -> Iterator[bytes]:
         """If captured: answer them."""
-        for outgoing in self._peers.challenges(now):
+        for outgoing in self._peers.about_links(now, self._pace):
             yield self._peers.leaving(outgoing).frame
 
 

@@ -1,0 +1,192 @@
+"""Letters and rolls on the wire: golden vectors, round trips, and no other error than `MalformedError`."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rass_mav.errors import ForgedError, MalformedError
+from rass_mav.keys.identity import Ground
+from rass_mav.keys.letters import (
+    LETTER_SIZE,
+    REVOCATION_SIZE,
+    Letter,
+    LetterOpener,
+    letters_in,
+    letters_text,
+    write_letter,
+)
+from rass_mav.keys.secret import Purpose, Secret
+from rass_mav.wire import MAX_TUNNEL, decode
+from rass_mav.wire.challenge import is_challenge
+from rass_mav.wire.codec import ForeignError
+from rass_mav.wire.letters import (
+    MAX_NAMED,
+    Roll,
+    decode_roll,
+    enclose,
+    enclosed,
+    encode_roll,
+    is_about_keys,
+    is_letter,
+)
+
+PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
+GROUND = Ground(Secret(bytes(range(32))), number=2, serials={7: 2, 8: 1}, revoked=frozenset({8}))
+STRANGER = Ground(Secret(bytes(32)), number=2, serials={7: 2, 8: 1}, revoked=frozenset({8}))
+SEVEN, EIGHT = write_letter(GROUND, 7), write_letter(GROUND, 8)
+SAMPLES = {
+    "letter": enclose(SEVEN.pack()),
+    "letter-revoked": enclose(EIGHT.pack()),
+    "roll": encode_roll(Roll(9, 1, 2, 0xB4BF064E)),
+    "roll-named": encode_roll(Roll(9, 1, 2, 0xB4BF064E, 0, 65534, {7: 4, 8: 3})),
+}
+
+words = st.integers(0, 2**32 - 1)
+ids = st.integers(0, 65535)
+rolls = st.builds(
+    Roll, ids, words, words, words, ids, ids, st.dictionaries(ids, st.integers(0, 255), max_size=MAX_NAMED)
+)
+letters = st.builds(
+    Letter, words, ids, words, st.just(b"") | st.binary(min_size=48, max_size=48), st.binary(min_size=64, max_size=64)
+)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_golden_vectors_are_those_of_the_protocol(name: str) -> None:
+    assert f"| `{name}` | `{SAMPLES[name].hex()}` |" in PROTOCOL.read_text(encoding="utf-8")
+
+
+@given(roll=rolls)
+def test_a_roll_that_is_encoded_is_decoded(roll: Roll) -> None:
+    payload = encode_roll(roll)
+    assert is_about_keys(payload)
+    assert not is_letter(payload)
+    assert len(payload) <= MAX_TUNNEL
+    assert decode_roll(payload) == roll
+    # Fields may be appended.
+    assert decode_roll((payload + b"more")[:MAX_TUNNEL]) == roll
+
+
+@given(letter=letters)
+def test_a_letter_that_is_packed_is_unpacked(letter: Letter) -> None:
+    payload = enclose(letter.pack())
+    assert is_about_keys(payload)
+    assert is_letter(payload)
+    assert len(payload) in (2 + LETTER_SIZE, 2 + REVOCATION_SIZE)
+    assert len(payload) + 3 <= MAX_TUNNEL
+    assert Letter.unpack(enclosed(payload)) == letter
+    assert Letter.unpack(enclosed(payload) + b"more") == letter
+
+
+@given(data=st.binary(max_size=126))
+def test_any_bytes_are_a_letter_and_a_roll_or_malformed(data: bytes) -> None:
+    with suppress(MalformedError):
+        Letter.unpack(data)
+    with suppress(MalformedError):
+        decode_roll(SAMPLES["roll"][:2] + data)
+
+
+@given(payload=st.sampled_from(sorted(SAMPLES)), length=st.integers(2, 127))
+def test_what_is_cut_off_is_malformed(payload: str, length: int) -> None:
+    whole = SAMPLES[payload]
+    if length < len(whole):
+        with pytest.raises(MalformedError):
+            Letter.unpack(enclosed(whole[:length])) if is_letter(whole) else decode_roll(whole[:length])
+
+
+def test_a_node_without_keys_does_not_know_them_and_they_are_no_challenges() -> None:
+    for payload in SAMPLES.values():
+        with pytest.raises(ForeignError):
+            decode(payload, 0.0)
+        assert not is_challenge(payload)
+    for payload in (b"\x2f\x10", b"\x2f", b"", b"\x3f\xf9", b"\x1f\xf8"):
+        assert not is_about_keys(payload)
+
+
+# -- what is in a letter -----------------------------------------------------------------------------------------------
+
+
+def test_a_letter_opens_for_its_drone_alone_and_everybody_sees_who_has_written_it() -> None:
+    assert LetterOpener(GROUND.node(7, 2)).open(SEVEN) == GROUND.link_key(2)
+    for other in (GROUND.node(7, 1), GROUND.node(8, 1), GROUND.node(1), STRANGER.node(7, 2)):
+        with pytest.raises(ForgedError, match="not written to this drone"):
+            LetterOpener(other).open(SEVEN)
+    for letter in (SEVEN, EIGHT):
+        letter.verify(GROUND.public)
+        with pytest.raises(ForgedError):
+            letter.verify(STRANGER.public)
+    assert GROUND.link_key(2).key.reveal() not in SEVEN.pack()
+    assert (EIGHT.sealed, EIGHT.last_out, SEVEN.last_out) == (b"", 1, 1)
+
+
+def test_whoever_writes_a_letter_again_writes_the_same() -> None:
+    """So the same key and nonce never seal two contents, whatever becomes of the other drones."""
+    changed = replace(GROUND, serials={**GROUND.serials, 9: 1}, revoked=frozenset())
+    assert write_letter(changed, 7) == SEVEN
+    assert write_letter(replace(GROUND, number=3), 7).sealed != SEVEN.sealed
+
+
+@given(bit=st.integers(0, 8 * LETTER_SIZE - 1))
+def test_an_altered_letter_is_noticed(bit: int) -> None:
+    packed = SEVEN.pack()
+    altered = bytearray(packed)
+    altered[bit // 8] ^= 1 << bit % 8
+    try:
+        letter = Letter.unpack(bytes(altered))
+    except MalformedError:
+        return
+    with pytest.raises(ForgedError):
+        letter.verify(GROUND.public)
+    if bit < 8 * (LETTER_SIZE - 64) and letter.sealed and letter[1:3] == SEVEN[1:3]:
+        with pytest.raises(ForgedError):
+            LetterOpener(GROUND.node(7, 2)).open(letter)
+
+
+def test_another_word_of_the_ground_is_no_letter() -> None:
+    with pytest.raises(ForgedError):
+        SEVEN._replace(signature=GROUND.sign(Purpose.CERTIFICATE, SEVEN.body)).verify(GROUND.public)
+
+
+def test_the_later_the_higher_and_a_revocation_above_a_key() -> None:
+    ranks = [
+        write_letter(ground, 7).rank
+        for ground in (
+            GROUND,
+            replace(GROUND, revoked=frozenset({7})),
+            replace(GROUND, serials={7: 3}),
+            replace(GROUND, number=3, serials={7: 1}),
+        )
+    ]
+    assert ranks == sorted(set(ranks))
+
+
+# -- on disk -----------------------------------------------------------------------------------------------------------
+
+PACKED = [SEVEN.pack(), EIGHT.pack()]
+FILE = letters_text(PACKED).encode()
+
+
+def test_what_was_kept_is_read() -> None:
+    assert letters_in(FILE, GROUND.public) == PACKED
+    assert letters_in(letters_text([]).encode(), GROUND.public) == []
+    assert letters_in(FILE, STRANGER.public) == []
+
+
+@given(at=st.integers(0, len(FILE) - 2), other=st.integers(0, 255))
+def test_damage_to_the_file_is_noticed(at: int, other: int) -> None:
+    if FILE[at] == other:
+        return
+    with pytest.raises(MalformedError):
+        letters_in(FILE[:at] + bytes([other]) + FILE[at + 1 :], GROUND.public)
+
+
+@pytest.mark.parametrize("data", [b"", b"\n", FILE[:-30], b"rass letters 2" + FILE[14:], FILE * 2, b"\xff" * 40])
+def test_what_is_no_file_of_letters(data: bytes) -> None:
+    with pytest.raises(MalformedError):
+        letters_in(data, GROUND.public)
