@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 import random
 from collections import Counter
+from collections.abc import Callable
 from struct import Struct
-from typing import Any
+from typing import Any, TypeAlias
 
 from rass_mav.core.store import Store
 from rass_mav.errors import ForgedError
@@ -47,6 +48,9 @@ WINDOW = 128
 MAX_NONCES = 4
 #: The serial of a drone that has replaced no other one.
 FIRST_SERIAL = 1
+
+#: Whether the ground has revoked the certificate of a node (id, serial).
+IsOut: TypeAlias = Callable[[int, int], bool]
 
 _ALL = (1 << WINDOW) - 1
 # Node id and serial, where a certificate has them.
@@ -104,13 +108,14 @@ class Acquaintances:
     """Those of one node. Time is an argument."""
 
     __slots__ = (
-        "_asks", "_keys", "_known", "_nonces", "_questions", "_revoked", "_rng", "_sent", "_sent_at", "_step",
-        "_step_s",        "_store", "_tokens", "_verified", "_wanted", "forged", "place", "stale",
+        "_asks", "_is_out", "_keys", "_known", "_nonces", "_questions", "_rng", "_sent", "_sent_at", "_step", "_step_s",
+        "_store", "_tokens", "_verified", "_wanted", "forged", "place", "stale",
     )  # fmt: skip
 
-    def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float) -> None:
+    def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float, is_out: IsOut) -> None:
         """`rng`: draws nonces. `step_s`: seconds."""
         self._keys = keys
+        self._is_out = is_out
         self._store = store
         self._rng = rng
         self._step_s = step_s
@@ -128,8 +133,6 @@ class Acquaintances:
         """When that left last, seconds."""
         self._tokens = float(CERTIFICATES_AT_ONCE)
         """How often it may leave now."""
-        self._revoked: dict[int, int] = {}
-        """By node id, the highest serial that is refused."""
         self._step = -1
         self._sent = 0
         """Introductions sent in this step."""
@@ -153,14 +156,12 @@ class Acquaintances:
 
     def get(self, node_id: int) -> Acquaintance | None:
         """What is known of a node."""
-        return self._known.get(node_id)
-
-    def revoke(self, node_id: int, serial: int) -> None:
-        """From now on refuse the certificates of this node with this serial or a lower one."""
-        self._revoked[node_id] = max(serial, self._revoked.get(node_id, serial))
         known = self._known.get(node_id)
-        if known is not None and known.certificate is not None and known.certificate.serial <= serial:
+        if known is not None and known.certificate is not None and self._is_out(node_id, known.certificate.serial):
+            # Since its certificate came.
             del self._known[node_id]
+            return None
+        return known
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -220,7 +221,7 @@ class Acquaintances:
             if serial <= known.certificate.serial:
                 self.stale += 1
                 return
-        if serial <= self._revoked.get(node_id, -1) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
+        if self._is_out(node_id, serial) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
             self.stale += 1
             return
         if self._verified.total() >= MAX_VERIFIED or self._verified[node_id] >= MAX_OF_ONE:

@@ -12,7 +12,7 @@ from hashlib import blake2b
 from struct import Struct
 from typing import Any
 
-from rass_mav.agent.acquaintances import Acquaintances
+from rass_mav.agent.acquaintances import Acquaintances, IsOut
 from rass_mav.agent.tags import NoTags
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.fingerprints import CRC_MASK, Fingerprints, of_offers
@@ -63,15 +63,27 @@ def _print(person: bytes, data: bytes) -> int:
 class PairTags(NoTags):
     """Proves one node's words, and doubts others'."""
 
-    __slots__ = ("_again", "_early", "_forged", "_keys", "_now", "_offered", "_own", "_unknown", "acquaintances")
+    __slots__ = (
+        "_again",
+        "_early",
+        "_forged",
+        "_is_out",
+        "_keys",
+        "_now",
+        "_offered",
+        "_own",
+        "_unknown",
+        "acquaintances",
+    )
 
     prints = StrongFingerprints()
 
-    def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float) -> None:
-        """`rng`: draws nonces. `step_s`: seconds."""
+    def __init__(self, keys: NodeKeys, is_out: IsOut, store: Store, rng: random.Random, step_s: float) -> None:
+        """`is_out`: see `Letters`. `rng`: draws nonces. `step_s`: seconds."""
         self._keys = keys
+        self._is_out = is_out
         self._own = keys.certificate.node_id
-        self.acquaintances = Acquaintances(keys, store, rng, step_s)
+        self.acquaintances = Acquaintances(keys, store, rng, step_s, is_out)
         """The nodes whose certificates are known."""
         self._offered: dict[int, int] = {}
         """Fingerprints of what was handed over, by number, the latest last."""
@@ -79,7 +91,7 @@ class PairTags(NoTags):
         self._unknown = self._forged = self._early = self._again = 0
 
     def again(self, store: Store, rng: random.Random, step_s: float) -> PairTags:
-        return PairTags(self._keys, store, rng, step_s)
+        return PairTags(self._keys, self._is_out, store, rng, step_s)
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 

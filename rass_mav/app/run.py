@@ -85,7 +85,7 @@ class Runtime:
             kept = kept_letters(config.store_path, keys)
             step_s = config.agent_settings().step_s
             self._letters = Letters(keys, random.Random(secrets.randbits(128)), step_s, kept)
-            self._tags = partial(PairTags, keys.own)
+            self._tags = partial(PairTags, keys.own, self._letters.is_out)
             self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False

@@ -50,7 +50,8 @@ def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
 
     def tags(node_id: int) -> Callable[[Store, random.Random, float], NoTags]:
         serial = 0 if node_id < scenario.bases else ground.serials.get(node_id, 1)
-        return partial(PairTags, ground.node(node_id, serial))
+        own = letters[node_id if node_id < scenario.nodes else 0]
+        return partial(PairTags, ground.node(node_id, serial), own.is_out)
 
     letters = [
         Letters(keyring_of(ground, node_id), random.Random(f"{scenario.seed}:letters:{node_id}"), scenario.node.step_s)

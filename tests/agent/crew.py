@@ -27,6 +27,10 @@ KEYS = SigningKey(KEY)
 GROUND = Ground(Secret(bytes(range(32))))
 
 
+def nobody_is_out(node_id: int, serial: int) -> bool:
+    return False
+
+
 def agent_with_keys(
     node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
     keys: SigningKey = KEYS, letters: Letters | None = None, words: bool = False, **sections: Any,
@@ -38,7 +42,7 @@ def agent_with_keys(
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    tags = partial(PairTags, GROUND.node(node_id, 0 if base else 1)) if words else None
+    tags = partial(PairTags, GROUND.node(node_id, 0 if base else 1), nobody_is_out) if words else None
     return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys, letters=letters, tags=tags)
 
 
