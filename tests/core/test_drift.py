@@ -61,6 +61,7 @@ class Drifting(Swarm):
                 self.nodes[hearer].receive(beacon, at * self.rates[hearer])
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("policy", ["rass", "survival"])
 @settings(max_examples=examples(40), deadline=None, phases=ONLY)
 @given(seed=st.integers(0, 1 << 32))

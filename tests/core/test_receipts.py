@@ -394,6 +394,7 @@ def test_a_flipped_bit_in_what_bases_say_together_is_found_before_it_decides() -
 # -- denials -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("links", [line(9), grid(5)], ids=["line", "grid"])
 def test_a_denial_reaches_who_believes_it_not_and_dies_out(links: set[tuple[int, int]]) -> None:
     net = Net(links, period=2)
@@ -429,6 +430,7 @@ def test_a_denial_that_concerns_nobody_is_not_told_on() -> None:
     assert ids(1, 1)[0] in receipts
 
 
+@pytest.mark.no_cover
 def test_a_forged_denial_is_answered_by_the_base_and_dies_out() -> None:
     net = Net(grid(3), period=2)
     net.arrive(*ids(1, *range(10)), *ids(2, *range(10)))

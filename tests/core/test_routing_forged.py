@@ -36,6 +36,7 @@ MOMENTS = st.lists(
 )
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("kind", ["hops", "costs"])
 @pytest.mark.parametrize("base", [False, True])
 @given(moments=MOMENTS)

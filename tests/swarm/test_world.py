@@ -58,6 +58,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_process() -> None:
     assert other["air_sha256"] != first["air_sha256"]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("topology", CONNECTED)
 @pytest.mark.parametrize(("size", "made"), [(25, 40), pytest.param(100, 80, marks=pytest.mark.soak)])
 def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(size: int, made: int, topology: str) -> None:
