@@ -153,9 +153,7 @@ class Agent:
         writer = FrameWriter(system_id, mavlink.component_id)
         if letters is not None:
             keys = letters.signing
-        signed = None
-        if keys is not None:
-            signed = Signed(keys, writer, store, rng, settings.step_s, mavlink.payload_type, letters)
+        signed = None if keys is None else Signed(settings, keys, writer, store, rng, letters)
         self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)

@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.streams import Streams
 from rass_mav.agent.timestamps import Timestamps
 from rass_mav.core.store import Store
@@ -25,22 +26,21 @@ class Signed:
     __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
 
     def __init__(
-        self, key: SigningKey, writer: FrameWriter, store: Store, rng: random.Random, step_s: float, payload_type: int,
+        self, settings: AgentSettings, key: SigningKey, writer: FrameWriter, store: Store, rng: random.Random,
         letters: Letters | None = None,
     ) -> None:  # fmt: skip
-        """:param writer: its TUNNEL messages are signed from now on.
+        """:param settings: of the node.
+        :param writer: its TUNNEL messages are signed from now on.
         :param rng: draws nonces.
-        :param step_s: length of a step, seconds.
-        :param payload_type: of the swarm's TUNNEL messages.
         :param letters: bring other keys; None: the key stays.
         """
         writer.tunnel_flags = FLAG_SIGNED
         self.key = key
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
         self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0))
-        self.streams = Streams(writer, self.timestamps, rng, step_s)
+        self.streams = Streams(settings.node_id, writer, self.timestamps, rng, settings.step_s)
         self.letters = letters
-        self._payload_type = payload_type
+        self._payload_type = settings.mavlink.payload_type
         self._checks: list[SignatureCheck] = []
 
     def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:
