@@ -117,6 +117,7 @@ class _Rolls:
     def change(self, now: float) -> None:
         """The node has another link key."""
         self._to_others.rest()
+        self._noticed_at = -inf
         self._differs = True
         self._cursor = 0
         self._to_own.begin_again(now)
@@ -132,6 +133,10 @@ class _Rolls:
         if now - self._noticed_at > NOTICE_TURNS / ROLL_TURNS * self._to_own.first_s:
             self._noticed_at = now
             self._to_own.begin_again(now)
+
+    def hear_same(self) -> None:
+        """A node with the same link key has the same letters."""
+        self._differs = False
 
     def hear_other_key(self, now: float, *, ahead: bool) -> None:
         """`ahead`: somebody claims to have a later link key."""
@@ -150,7 +155,7 @@ class _Rolls:
         return self._to_own.due(now) | self._to_others.due(now)
 
     def filled_in(self, bare: Roll, marks: dict[int, int]) -> Roll:
-        """The roll that leaves: it names letters after there was a difference, until all have been named."""
+        """The roll that leaves: it names letters from a difference on until somebody has the same."""
         if not self._differs:
             return bare
         first = self._cursor
@@ -158,7 +163,6 @@ class _Rolls:
         named = ids[:MAX_NAMED]
         last = LAST_NODE if named == ids else named[-1]
         self._cursor = 0 if last == LAST_NODE else last + 1
-        self._differs = last != LAST_NODE
         return bare._replace(first=first, last=last, named={id: marks[id] for id in named})
 
 
@@ -339,12 +343,13 @@ class Letters:
         roll = self._roll_in(payload)
         if roll is None or roll.number != self.link.number:
             return
-        # Others with this link key should have the same letters.
-        if roll.digest != self._table.digest():
-            self._rolls.hear_difference(now)
-            for node_id, mark in self._table.marks().items():
-                if roll.first <= node_id <= roll.last and roll.named.get(node_id) != mark:
-                    self._queue.miss(node_id)
+        if roll.digest == self._table.digest():
+            self._rolls.hear_same()
+            return
+        self._rolls.hear_difference(now)
+        for node_id, mark in self._table.marks().items():
+            if roll.first <= node_id <= roll.last and roll.named.get(node_id) != mark:
+                self._queue.miss(node_id)
 
     def hear_other_key(self, payload: bytes) -> None:
         """Any payload in a frame that is signed with another key: by one who has missed a change, or is ahead, or by a
@@ -361,8 +366,7 @@ class Letters:
             elif roll.number < self.link.number:
                 inbox.base |= roll.serial == BASE_SERIAL
                 letter = self._table.get(roll.node_id)
-                if letter is not None and letter.number == self.link.number:
-                    self._queue.ask(roll.node_id)
+                self._queue.ask(roll.node_id, letter is not None and letter.number == self.link.number)
 
     def _letter_in(self, payload: bytes) -> Letter | None:
         try:
@@ -436,6 +440,7 @@ class Letters:
                 continue
             if self._table.keep(letter):
                 gained = True
+                self._queue.gain(letter.node_id)
                 self._heed(letter)
         if gained:
             self._rolls.learn(now)
@@ -466,7 +471,7 @@ class Letters:
         """Frames with another link key were heard."""
         if inbox.base and (current := self._table.current()):
             # Any letter tells a base the number, and so the key.
-            self._queue.ask(next(iter(current)))
+            self._queue.ask(next(iter(current)), True)
         if not self.revoked:
             self._rolls.hear_other_key(now, ahead=inbox.ahead)
 

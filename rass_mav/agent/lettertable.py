@@ -85,7 +85,7 @@ class LetterTable:
 class LetterQueue:
     """Which letters leave next, and when."""
 
-    __slots__ = ("_asked", "_credit", "_credit_at", "_missing", "_rng", "_send_at")
+    __slots__ = ("_asked", "_awaited", "_credit", "_credit_at", "_missing", "_rng", "_send_at")
 
     def __init__(self, rng: random.Random) -> None:
         self._rng = rng
@@ -94,6 +94,7 @@ class LetterQueue:
     def begin(self) -> None:
         """Nothing is to leave, and time begins."""
         self._asked: dict[int, None] = {}
+        self._awaited: dict[int, None] = {}
         self._missing: dict[int, None] = {}
         self._credit, self._credit_at = float(MAX_ASKED), inf
         self._send_at = -inf
@@ -101,15 +102,23 @@ class LetterQueue:
     def clear(self) -> None:
         """Nothing is to leave."""
         self._asked.clear()
+        self._awaited.clear()
         self._missing.clear()
 
-    def ask(self, node_id: int) -> None:
-        """Somebody without the link key has asked for the letter about this drone."""
-        asked = self._asked
-        if len(asked) >= MAX_ASKED and node_id not in asked:
+    def ask(self, node_id: int, there: bool) -> None:
+        """Somebody without the link key has asked for the letter about this drone. `there`: the node has it; otherwise
+        it leaves when it comes."""
+        some = self._asked if there else self._awaited
+        if len(some) >= MAX_ASKED and node_id not in some:
             # Nobody can take all places for long by asking for the others.
-            del asked[self._rng.choice(list(asked))]
-        asked[node_id] = None
+            del some[self._rng.choice(list(some))]
+        some[node_id] = None
+
+    def gain(self, node_id: int) -> None:
+        """The node has got this letter."""
+        if node_id in self._awaited:
+            del self._awaited[node_id]
+            self.ask(node_id, True)
 
     def miss(self, node_id: int) -> None:
         """A node with the link key does not have this letter."""
