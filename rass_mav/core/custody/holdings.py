@@ -103,7 +103,7 @@ class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "id", "matched", "offer_at",
+        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "giver", "id", "matched", "offer_at",
         "offers", "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
@@ -134,6 +134,8 @@ class Holding:
         """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
         """How long to wait for it, seconds."""
+        self.giver: int | None = None
+        """In custody: the node that handed it over; None: it was created here, or found at the start."""
         self.backer: Partner | None = None
         """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
         self.custodian: int | None = None

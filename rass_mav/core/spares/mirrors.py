@@ -124,6 +124,7 @@ class Mirrors(NoSpares):
         """If this is a spare, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
             backer, custodian = holding.backer, holding.partner
+            self._keeper.takers.came_back(holding.id)
             self._keeper.holdings.change(holding, State.CUSTODY)
             if custodian is not None and self._rests:
                 # This copy moves on, so another custodian cannot count on it.
