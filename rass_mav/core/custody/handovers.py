@@ -16,21 +16,25 @@ forgotten, so that it can be sent again.
 from __future__ import annotations
 
 from rass_mav.core.datum import DatumId
+from rass_mav.core.shares import greediest
 
-#: How many accepted hand-over numbers a node remembers.
+#: How many accepted hand-over numbers a node remembers. When there is one too many, the neighbour that has most of them
+#: loses its oldest.
 MAX_ACCEPTED = 1024
 
 
 class HandoverNumbers:
     """The hand-over numbers of one node."""
 
-    __slots__ = ("_accepted", "_next", "_of")
+    __slots__ = ("_accepted", "_count", "_next", "_of")
 
     def __init__(self, first: int) -> None:
         """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life."""
         self._next = first
-        self._accepted: dict[tuple[int, int], tuple[DatumId, int]] = {}
-        """What was accepted, and its checksum, by giver and number, the oldest first."""
+        self._accepted: dict[int, dict[int, tuple[DatumId, int]]] = {}
+        """What was accepted, and its checksum, by giver, then by number, the oldest first."""
+        self._count = 0
+        """How many there are in all."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
         """The same by datum."""
 
@@ -44,24 +48,36 @@ class HandoverNumbers:
         key = (giver, number)
         # A restarted giver may draw a number again.
         self._drop(key)
-        self._accepted[key] = id, crc
+        self._accepted.setdefault(giver, {})[number] = id, crc
+        self._count += 1
         self._of.setdefault(id, set()).add(key)
-        if len(self._accepted) > MAX_ACCEPTED:
-            self._drop(next(iter(self._accepted)))
+        if self._count > MAX_ACCEPTED:
+            most = greediest({giver: len(numbers) for giver, numbers in self._accepted.items()})
+            self._drop((most, next(iter(self._accepted[most]))))
 
     def _drop(self, key: tuple[int, int]) -> None:
-        accepted = self._accepted.pop(key, None)
-        if accepted is not None:
-            id, _ = accepted
+        id = self._remove(key)
+        if id is not None:
             self._of[id].remove(key)
             if not self._of[id]:
                 del self._of[id]
 
+    def _remove(self, key: tuple[int, int]) -> DatumId | None:
+        giver, number = key
+        numbers = self._accepted.get(giver, {})
+        accepted = numbers.pop(number, None)
+        if accepted is None:
+            return None
+        self._count -= 1
+        if not numbers:
+            del self._accepted[giver]
+        return accepted[0]
+
     def has_accepted(self, giver: int, number: int, id: DatumId, crc: int) -> bool:
         """Whether this same hand-over was accepted before."""
-        return self._accepted.get((giver, number)) == (id, crc)
+        return self._accepted.get(giver, {}).get(number) == (id, crc)
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it no longer counts as accepted."""
         for key in self._of.pop(id, ()):
-            del self._accepted[key]
+            self._remove(key)

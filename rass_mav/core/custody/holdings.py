@@ -15,11 +15,15 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import chain, islice
 from math import inf
+from typing import TypeVar
 
 from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.settings import NodeSettings
+from rass_mav.core.shares import greediest, is_fair, is_last_part
 from rass_mav.core.store import Store, StoredInfo
+
+K = TypeVar("K")
 
 
 class State(enum.Enum):
@@ -107,7 +111,7 @@ class Holding:
         "offers", "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
-    def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
+    def __init__(self, datum: Datum | StoredInfo, size: int, state: State, giver: int | None = None) -> None:
         self.id = datum.id
         self.created = datum.created
         """Seconds."""
@@ -134,8 +138,8 @@ class Holding:
         """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
         """How long to wait for it, seconds."""
-        self.giver: int | None = None
-        """In custody: the node that handed it over; None: it was created here, or found at the start."""
+        self.giver = giver
+        """The node that it is from; None: it was created here, or found at the start."""
         self.backer: Partner | None = None
         """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
         self.custodian: int | None = None
@@ -151,7 +155,8 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_capacity_bytes", "_looked_at", "_own_bytes", "_own_items", "_small_bytes", "_store", "asked",
+        "_all", "_capacity_bytes", "_givers", "_looked_at", "_origins", "_own_bytes", "_own_items", "_passed_on_from",
+        "_small_bytes", "_store", "asked",
         "bare", "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
         "reserved", "spare", "spare_bytes",
     )  # fmt: skip
@@ -176,6 +181,12 @@ class Holdings:
         """Bytes of payload in custody."""
         self.spare_bytes = 0
         """Bytes of payload of the spares of both kinds."""
+        self._givers: dict[int | None, list[int]] = {}
+        """By node that data in custody are from: how many, and their bytes of payload."""
+        self._origins: dict[int, list[int]] = {}
+        """The same by origin."""
+        self._passed_on_from: dict[int | None, dict[DatumId, Holding]] = {}
+        """`passed_on` by node that the data are from."""
         self._looked_at = 0
         self.reserved = 0
         """Places reserved for items that should come back."""
@@ -235,6 +246,22 @@ class Holdings:
         limit = self.capacity_items if own else self.capacity_items - self._own_items
         return len(self.custody) + self.reserved < limit
 
+    def is_fair(self, giver: int, origin: int, size: int) -> bool:
+        """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
+        space for others' data is nearly used up, what is left is for those that have less than their share."""
+        used = (len(self.custody) + self.reserved, self.custody_bytes + size)
+        places = (self.capacity_items, self._capacity_bytes)
+        for i, (all_have, capacity, own) in enumerate(
+            zip(used, places, (self._own_items, self._own_bytes), strict=True)
+        ):
+            if capacity is None or not is_last_part(all_have, capacity - own):
+                continue
+            for shares, key in ((self._givers, giver), (self._origins, origin)):
+                has = shares.get(key)
+                if has is not None and not is_fair(has[i], all_have, len(shares)):
+                    return False
+        return True
+
     def room_to_grow(self, growth: int) -> bool:
         """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
         return self._capacity_bytes is None or self.custody_bytes + growth <= self._capacity_bytes
@@ -261,10 +288,13 @@ class Holdings:
         return max(0.0, 1.0 - used)
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
-        """The spare to drop first: the oldest that no node counts on; then, if these may go, the oldest `distant` one,
+        """The spare to drop first: the oldest that no node counts on, of a node that most of these are from, if there is
+        one; then, if these may go, the oldest `distant` one,
         which is a third copy at least; then the oldest that is `near` its custodian, the only one it counts on."""
-        for holding in self.passed_on.values():
-            return holding
+        if self.passed_on:
+            most = greediest({giver: len(spares) for giver, spares in self._passed_on_from.items()})
+            spares = self._passed_on_from[most]
+            return next(iter((spares if 2 * len(spares) > len(self.passed_on) else self.passed_on).values()))
         if distant:
             for holding in self.spare.values():
                 if holding.partner is not None and holding.custodian not in (None, holding.partner.id):
@@ -291,13 +321,16 @@ class Holdings:
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
-    def add(self, datum: Datum, state: State = State.CUSTODY) -> Holding:
-        """Add a copy as the most recently used one. Raises `StoreFullError` over the store's quota."""
+    def add(self, datum: Datum, state: State = State.CUSTODY, giver: int | None = None) -> Holding:
+        """Add a copy as the most recently used one. `giver`: the node that it is from; None: it was created here.
+
+        Raises `StoreFullError` over the store's quota.
+        """
         self._store.put(datum)
         old = self._all.get(datum.id)
         if old is not None:
             self._leave(old)
-        return self._enter(Holding(datum, len(datum.payload), state))
+        return self._enter(Holding(datum, len(datum.payload), state, giver))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
         """Drop a copy."""
@@ -416,10 +449,18 @@ class Holdings:
         self._of(holding.state)[holding.id] = holding
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
+            self._share(holding, 1)
             self._lay_bare(holding)
         else:
             self.spare_bytes += holding.size
+            if holding.state is State.PASSED_ON:
+                self._passed_on_from.setdefault(holding.giver, {})[holding.id] = holding
         return holding
+
+    def _share(self, holding: Holding, sign: int) -> None:
+        """Count a datum in custody, or not any more."""
+        _count(self._givers, holding.giver, sign, sign * holding.size)
+        _count(self._origins, holding.id.origin, sign, sign * holding.size)
 
     def _leave(self, holding: Holding) -> None:
         self.back(holding, None)
@@ -428,6 +469,7 @@ class Holdings:
         del self._of(holding.state)[holding.id]
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
+            self._share(holding, -1)
             self.cancel(holding)
             self.withdraw(holding)
             if holding.offer_at is not None:
@@ -435,6 +477,11 @@ class Holdings:
                 del self.bare[holding.id]
         else:
             self.spare_bytes -= holding.size
+            if holding.state is State.PASSED_ON:
+                spares = self._passed_on_from[holding.giver]
+                del spares[holding.id]
+                if not spares:
+                    del self._passed_on_from[holding.giver]
 
     def _part(self, holding: Holding) -> Partner | None:
         partner, holding.partner = holding.partner, None
@@ -456,3 +503,11 @@ class Holdings:
         if holding.size <= self._small_bytes:
             holding.offer_at = -inf
             self.bare[holding.id] = holding
+
+
+def _count(shares: dict[K, list[int]], key: K, items: int, size: int) -> None:
+    has = shares.setdefault(key, [0, 0])
+    has[0] += items
+    has[1] += size
+    if not has[0]:
+        del shares[key]

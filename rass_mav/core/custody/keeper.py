@@ -77,7 +77,8 @@ class Keeper:
             self.rejuvenate(id, datum.created, at_least=datum.at_least)
             return True
         size = len(datum.payload)
-        if self.is_occupied(id, datum.kind) or not (self.may_accept(size) or self.make_room(size, own=False)):
+        fits = self.is_fair(giver, id.origin, size) and (self.may_accept(size) or self.make_room(size, own=False))
+        if not fits or self.is_occupied(id, datum.kind):
             self.refused += 1
             if number == 0:
                 self.observer.declined(id)
@@ -174,6 +175,11 @@ class Keeper:
         """Whether this node can take custody of a datum of `size` bytes of payload."""
         return self.store.accepting and self.room_for(size, own=False)
 
+    def is_fair(self, giver: int, origin: int, size: int) -> bool:
+        """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. Where receipts
+        are off, as in the paper, whoever comes first is served."""
+        return not self.notes.told or self.holdings.is_fair(giver, origin, size)
+
     def make_room(self, size: int, *, own: bool) -> bool:
         """With `drop_oldest`: drop the least recently used data until `size` bytes of payload fit."""
         if not self.settings.drop_oldest or not self.store.accepting:
@@ -189,8 +195,7 @@ class Keeper:
         """Store a datum in custody here. `giver`: the node that handed it over; None: it was created here."""
         self.spares.make_way(len(datum.payload))
         self.takers.came_back(datum.id)
-        holding = self.holdings.add(datum)
-        holding.giver = giver
+        holding = self.holdings.add(datum, giver=giver)
         self.notes.forget(datum.id)
         self.stirred = True
         self.spares.took(holding, giver)

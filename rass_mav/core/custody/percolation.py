@@ -90,7 +90,9 @@ class Percolation:
     def _probe(self, target: int, now: float, out: list[Message]) -> None:
         """Hand one datum over to a neighbour that is doubted, if none is on its way there."""
         holdings = self._keeper.holdings
-        if self._pace.left <= self._pace.kept or any(h.pending.neighbour == target for h in holdings.pending.values() if h.pending):
+        if self._pace.left <= self._pace.kept or any(
+            h.pending.neighbour == target for h in holdings.pending.values() if h.pending
+        ):
             return
         inline = self._keeper.settings.inline_bytes
         for holding in holdings.custody.values():
@@ -148,8 +150,12 @@ class Percolation:
         holdings = self._keeper.holdings
         allowance = self._keeper.takers.allowance(neighbour)
         if allowance is not None:
-            under_way = sum(h.pending is not None and h.pending.neighbour == neighbour for h in holdings.pending.values())
-            return islice((id for id, h in holdings.custody.items() if h.pending is None), max(0, allowance - under_way))
+            under_way = sum(
+                h.pending is not None and h.pending.neighbour == neighbour for h in holdings.pending.values()
+            )
+            return islice(
+                (id for id, h in holdings.custody.items() if h.pending is None), max(0, allowance - under_way)
+            )
         if not self._transfers.free(neighbour):
             inline = self._keeper.settings.inline_bytes
             return (id for id, h in holdings.custody.items() if h.pending is None and h.size <= inline)

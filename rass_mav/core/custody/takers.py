@@ -53,7 +53,7 @@ PRIOR = 0.5
 #: A neighbour that delivers less than this share is doubted.
 DOUBTED = 0.5
 #: A neighbour that delivers more than this share costs no more than others: some receipts are always late.
-FINE = 0.9
+FINE = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
 #: A doubted neighbour that failed again is left alone for this many times the time that it had, doubled each time,

@@ -230,7 +230,7 @@ class Mirrors(NoSpares):
         full = id in keeper.arrived or len(holdings) - len(holdings.custody) >= MAX_SPARES
         if full or not keeper.store.accepting or not self._make_way(size, distant=distance is None, near=False):
             return False
-        holding = holdings.add(datum.arrived(), State.SPARE)
+        holding = holdings.add(datum.arrived(), State.SPARE, giver)
         self._unconfirmed.handed_on(holding, giver, self._now)
         self._repairs.end(id)
         self._overheard.forget(id)
