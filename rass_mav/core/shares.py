@@ -20,9 +20,9 @@ def greediest(counts: Mapping[K, int]) -> K:
     return max(counts, key=lambda key: counts[key])
 
 
-def is_fair(has: int, all_have: int, sharing: int) -> bool:
-    """Whether one of `sharing` that has so many has less than all have on average."""
-    return has * sharing < all_have
+def is_fair(has: int, places: int, sharing: int) -> bool:
+    """Whether one of `sharing` that has so many has less than an equal share of the places."""
+    return has * sharing < places
 
 
 def is_last_part(used: int, places: int) -> bool:

@@ -64,6 +64,9 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     (State.PASSED_ON, None): "arrived, corrupt, expired, or no space",
 }
 
+#: Items and bytes of whoever has nothing.
+_NONE = (0, 0)
+
 
 class Pending:
     """A hand-over that has not been answered."""
@@ -107,8 +110,8 @@ class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "giver", "id", "matched", "offer_at",
-        "offers", "partner", "patience_s", "pending", "resent", "size", "state",
+        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "giver", "id", "matched",
+        "offer_at", "offers", "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, giver: int | None = None) -> None:
@@ -155,16 +158,17 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_capacity_bytes", "_givers", "_looked_at", "_origins", "_own_bytes", "_own_items", "_passed_on_from",
-        "_small_bytes", "_store", "asked",
-        "bare", "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
-        "reserved", "spare", "spare_bytes",
+        "_all", "_capacity_bytes", "_givers", "_id", "_looked_at", "_origins", "_own_bytes", "_own_items",
+        "_passed_on_from", "_small_bytes", "_store", "asked", "bare", "capacity_items", "custody",
+        "custody_bytes", "large", "offers", "partners", "passed_on", "pending", "reserved", "spare",
+        "spare_bytes",
     )  # fmt: skip
 
     def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
         """`load`: take over what the store holds from an earlier life. All of it counts as custody: it is not recorded
         which copies were spares, and one copy too many is allowed."""
         self._store = store
+        self._id = settings.node_id
         self.capacity_items = settings.capacity_items
         self._capacity_bytes = settings.capacity_bytes
         self._own_items = int(settings.own_share * (settings.capacity_items or 0))
@@ -248,18 +252,19 @@ class Holdings:
 
     def is_fair(self, giver: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
-        space for others' data is nearly used up, what is left is for those that have less than their share."""
+        space for others' data is nearly used up, what is left is for those that have less than an equal share. This
+        node counts as one of them, whether it holds own data or not."""
         used = (len(self.custody) + self.reserved, self.custody_bytes + size)
         places = (self.capacity_items, self._capacity_bytes)
-        for i, (all_have, capacity, own) in enumerate(
-            zip(used, places, (self._own_items, self._own_bytes), strict=True)
-        ):
-            if capacity is None or not is_last_part(all_have, capacity - own):
+        for i, (capacity, own) in enumerate(zip(places, (self._own_items, self._own_bytes), strict=True)):
+            if capacity is None or not is_last_part(used[i], capacity - own):
                 continue
-            for shares, key in ((self._givers, giver), (self._origins, origin)):
-                has = shares.get(key)
-                if has is not None and not is_fair(has[i], all_have, len(shares)):
-                    return False
+            givers = len(self._givers.keys() | {None, giver})
+            origins = len(self._origins.keys() | {self._id, origin})
+            if not is_fair(self._givers.get(giver, _NONE)[i], capacity - own, givers):
+                return False
+            if not is_fair(self._origins.get(origin, _NONE)[i], capacity - own, origins):
+                return False
         return True
 
     def room_to_grow(self, growth: int) -> bool:
@@ -288,9 +293,9 @@ class Holdings:
         return max(0.0, 1.0 - used)
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
-        """The spare to drop first: the oldest that no node counts on, of a node that most of these are from, if there is
-        one; then, if these may go, the oldest `distant` one,
-        which is a third copy at least; then the oldest that is `near` its custodian, the only one it counts on."""
+        """The spare to drop first: the oldest that no node counts on, from the node that more than half of these are
+        from, if there is one; then, if these may go, the oldest `distant` one, which is a third copy at least; then the
+        oldest that is `near` its custodian, the only one it counts on."""
         if self.passed_on:
             most = greediest({giver: len(spares) for giver, spares in self._passed_on_from.items()})
             spares = self._passed_on_from[most]

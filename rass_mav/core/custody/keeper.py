@@ -176,8 +176,10 @@ class Keeper:
         return self.store.accepting and self.room_for(size, own=False)
 
     def is_fair(self, giver: int, origin: int, size: int) -> bool:
-        """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. Where receipts
-        are off, as in the paper, whoever comes first is served."""
+        """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits.
+
+        Where receipts are off, as in the paper, whoever comes first is served.
+        """
         return not self.notes.told or self.holdings.is_fair(giver, origin, size)
 
     def make_room(self, size: int, *, own: bool) -> bool:

@@ -60,7 +60,7 @@ LEAST = 1 / 64
 REST = 2
 #: up to this many times.
 MOST_DOUBLINGS = 4
-#: A doubted neighbour may have twice as many data with each one that arrives. With this many it is not doubted any more.
+#: A doubted neighbour may have twice as many data with each one that arrives. With this many it is doubted no more.
 TRUSTED = 16
 #: Without news of arrivals for this many turns nobody is judged.
 NEWS_TURNS = 30
