@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any
 
 from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.custody.takers import Takers
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import MAX_PASSED, MAX_SPARES, Mirrors
 from rass_mav.core.spares.overheard import Overheard
@@ -32,6 +33,16 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     assert holdings.large == {h.pending.neighbour: h for h in custody if h.pending is not None and h.pending.sending}
     assert holdings.offers == {number: h for h in custody for number in h.offers}
     assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
+    for shares, key in ((holdings._givers, lambda h: h.giver), (holdings._origins, lambda h: h.id.origin)):
+        assert {k: tuple(has) for k, has in shares.items()} == {
+            k: (sum(key(h) == k for h in custody), sum(h.size for h in custody if key(h) == k))
+            for k in map(key, custody)
+        }
+    assert [
+        h for spares in holdings._passed_on_from.values() for h in spares.values() if h.id not in holdings.passed_on
+    ] == []
+    assert sum(map(len, holdings._passed_on_from.values())) == len(holdings.passed_on)
+    assert all(h.giver == giver for giver, spares in holdings._passed_on_from.items() for h in spares.values())
     times = [h.asked for h in holdings.asked.values()]
     assert times == sorted(times)
     for h in held:
@@ -58,6 +69,8 @@ def check_node(node: Node) -> None:
     """The same for a node; and that every spare that somebody counts on has a partner, and all bounds hold."""
     check(node.holdings, node.settings.inline_bytes)
     assert all(h.partner is not None for h in node.holdings.spare.values())
+    if isinstance(node.keeper.takers, Takers):
+        assert node.keeper.takers.disagreement() == ""
     if isinstance(node.keeper.spares, Mirrors):
         check_overheard(node, node.keeper.spares._overheard)
         assert spares(node) <= MAX_SPARES

@@ -45,21 +45,20 @@ MOST_TURNS = 1200
 #: How fast the usual time and its deviation follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 #: Each datum that is judged makes those judged before count for this much less.
-FADE = 1 / 16
+FADE = 1 / 12
 #: The data of one giver count in full from this many on,
 MATURE = 4.0
 #: and before any is judged it counts for this many givers that all goes well.
-PRIOR = 0.5
+PRIOR = 0.25
 #: A neighbour that delivers less than this share is doubted.
 DOUBTED = 0.5
 #: A neighbour that delivers more than this share costs no more than others: some receipts are always late.
 FINE = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
-#: A doubted neighbour that failed again is left alone for this many times the time that it had, doubled each time,
-REST = 2
-#: up to this many times.
-MOST_DOUBLINGS = 4
+#: A doubted neighbour that failed again is left alone for as long as it had time, twice as long each time, up to this
+#: many times.
+MOST_DOUBLINGS = 3
 #: A doubted neighbour may have twice as many data with each one that arrives. With this many it is doubted no more.
 TRUSTED = 16
 #: Without news of arrivals for this many turns nobody is judged.
@@ -97,8 +96,8 @@ class NoTakers:
         """How many more data a neighbour may be given now; None: any number."""
         return None
 
-    def is_doubted(self, neighbour: int | None) -> bool:
-        """Whether a neighbour takes data and does not deliver them, as far as is known."""
+    def has_failed(self, id: DatumId) -> bool:
+        """Whether a datum that was handed over should go to another node now: its taker came to be doubted since."""
         return False
 
     def probes(self, neighbours: Iterable[Neighbour]) -> Iterator[int]:
@@ -125,7 +124,7 @@ class Given(NamedTuple):
 class Taker:
     """What is remembered of one neighbour."""
 
-    __slots__ = ("clock", "doubted", "failed", "givers", "late", "open", "rests_until", "window")
+    __slots__ = ("clock", "doubted", "doubted_since", "failed", "givers", "late", "open", "rests_until", "window")
 
     def __init__(self) -> None:
         self.clock = 0
@@ -137,6 +136,8 @@ class Taker:
         self.givers: dict[int | None, tuple[float, float]] = {}
         """By the node that the data were from: how many arrived, and how many were overdue; older ones count less."""
         self.doubted = False
+        self.doubted_since = 0
+        """By its clock."""
         self.window = 1
         """While it is doubted: how many data it may have at a time."""
         self.failed = 0
@@ -262,14 +263,18 @@ class Takers(NoTakers):
 
     def _judge(self, taker: Taker, given: Given) -> None:
         """A datum was not delivered."""
+        if given.again and not taker.doubted:
+            # Another taker did not deliver it either: the cause may be the datum.
+            return
         taker.count(given.giver, bad=1.0)
         if taker.doubted:
-            if given.since >= taker.rests_until:
-                taker.rests_until = taker.clock + (REST * (taker.clock - given.since) << taker.failed)
+            if given.since >= taker.doubted_since and taker.clock >= taker.rests_until:
+                taker.rests_until = taker.clock + (taker.clock - given.since << taker.failed)
                 taker.failed = min(taker.failed + 1, MOST_DOUBLINGS)
             taker.window = 1
         elif taker.delivers < DOUBTED:
             taker.doubted = True
+            taker.doubted_since = taker.clock
             taker.window = 1
             taker.failed = 0
             taker.rests_until = taker.clock + JUDGED_TURNS
@@ -315,9 +320,13 @@ class Takers(NoTakers):
 
     # -- who may have what ---------------------------------------------------------------------------------------------
 
-    def is_doubted(self, neighbour: int | None) -> bool:
-        taker = None if neighbour is None else self._takers.get(neighbour)
-        return taker is not None and taker.doubted
+    def has_failed(self, id: DatumId) -> bool:
+        to = self._of.get(id)
+        if to is None:
+            return False
+        taker = self._takers[to]
+        given = taker.open.get(id)
+        return taker.doubted and (given is None or given.since < taker.doubted_since)
 
     def allowance(self, neighbour: int) -> int | None:
         taker = self._takers.get(neighbour)

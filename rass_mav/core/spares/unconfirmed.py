@@ -103,7 +103,7 @@ class Unconfirmed:
 
     def _overdue(self, holding: Holding, now: float) -> float:
         """For how long a datum's wait has been over, seconds; negative: it is not over."""
-        if self._keeper.takers.is_doubted(holding.given_to):
+        if self._keeper.takers.has_failed(holding.id):
             return now - holding.given
         reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
         return now - max(holding.given + holding.patience_s, reachable)
