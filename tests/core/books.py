@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 from rass_mav.core.custody.holdings import Holding, Holdings, State
@@ -33,16 +34,12 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     assert holdings.large == {h.pending.neighbour: h for h in custody if h.pending is not None and h.pending.sending}
     assert holdings.offers == {number: h for h in custody for number in h.offers}
     assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
-    for shares, key in ((holdings._givers, lambda h: h.giver), (holdings._origins, lambda h: h.id.origin)):
-        assert {k: tuple(has) for k, has in shares.items()} == {
-            k: (sum(key(h) == k for h in custody), sum(h.size for h in custody if key(h) == k))
-            for k in map(key, custody)
-        }
-    assert [
-        h for spares in holdings._passed_on_from.values() for h in spares.values() if h.id not in holdings.passed_on
-    ] == []
+    check_shares(holdings._givers, [(h.giver, h.size) for h in custody])
+    check_shares(holdings._origins, [(h.id.origin, h.size) for h in custody])
+    for giver, spares in holdings._passed_on_from.items():
+        assert spares
+        assert all(h.giver == giver and holdings.passed_on.get(id) is h for id, h in spares.items())
     assert sum(map(len, holdings._passed_on_from.values())) == len(holdings.passed_on)
-    assert all(h.giver == giver for giver, spares in holdings._passed_on_from.items() for h in spares.values())
     times = [h.asked for h in holdings.asked.values()]
     assert times == sorted(times)
     for h in held:
@@ -63,6 +60,14 @@ def check(holdings: Holdings, small_bytes: int) -> None:
         assert mine or backed, "a partner of no datum"
         assert partner.backed == {h.id: h for h in backed}
         assert partner.spares == {h.id: h for h in mine if h.state is State.SPARE}
+
+
+def check_shares(shares: Mapping[Any, list[int]], custody: list[tuple[Any, int]]) -> None:
+    """Each has what it has."""
+    items, sizes = Counter(key for key, _ in custody), Counter[Any]()
+    for key, size in custody:
+        sizes[key] += size
+    assert shares == {key: [items[key], sizes[key]] for key in items}
 
 
 def check_node(node: Node) -> None:
