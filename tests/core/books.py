@@ -34,12 +34,13 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     assert holdings.large == {h.pending.neighbour: h for h in custody if h.pending is not None and h.pending.sending}
     assert holdings.offers == {number: h for h in custody for number in h.offers}
     assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
-    check_shares(holdings._givers, [(h.giver, h.size) for h in custody])
-    check_shares(holdings._origins, [(h.id.origin, h.size) for h in custody])
-    for giver, spares in holdings._passed_on_from.items():
+    portions = holdings.portions
+    check_shares(portions.givers, [(h.giver, h.size) for h in custody])
+    check_shares(portions.origins, [(h.id.origin, h.size) for h in custody])
+    for giver, spares in portions.passed_on.items():
         assert spares
-        assert all(h.giver == giver and holdings.passed_on.get(id) is h for id, h in spares.items())
-    assert sum(map(len, holdings._passed_on_from.values())) == len(holdings.passed_on)
+        assert all(holdings.passed_on[id].giver == giver for id in spares)
+    assert sum(map(len, portions.passed_on.values())) == len(holdings.passed_on)
     times = [h.asked for h in holdings.asked.values()]
     assert times == sorted(times)
     for h in held:

@@ -15,15 +15,12 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import chain, islice
 from math import inf
-from typing import TypeVar
 
 from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.settings import NodeSettings
-from rass_mav.core.shares import greediest, is_fair, is_last_part
+from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
-
-K = TypeVar("K")
 
 
 class State(enum.Enum):
@@ -63,9 +60,6 @@ CHANGES: dict[tuple[State | None, State | None], str] = {
     ): "arrived, corrupt, expired, or no space; or passed on by the partner (`mirror_until: passed-on`)",
     (State.PASSED_ON, None): "arrived, corrupt, expired, or no space",
 }
-
-#: Items and bytes of whoever has nothing.
-_NONE = (0, 0)
 
 
 class Pending:
@@ -158,21 +152,22 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_capacity_bytes", "_givers", "_id", "_looked_at", "_origins", "_own_bytes", "_own_items",
-        "_passed_on_from", "_small_bytes", "_store", "asked", "bare", "capacity_items", "custody",
-        "custody_bytes", "large", "offers", "partners", "passed_on", "pending", "reserved", "spare",
-        "spare_bytes",
+        "_all", "_capacity_bytes", "_looked_at", "_own", "_small_bytes", "_store", "asked", "bare",
+        "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
+        "portions", "reserved", "spare", "spare_bytes",
     )  # fmt: skip
 
     def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
         """`load`: take over what the store holds from an earlier life. All of it counts as custody: it is not recorded
         which copies were spares, and one copy too many is allowed."""
         self._store = store
-        self._id = settings.node_id
         self.capacity_items = settings.capacity_items
         self._capacity_bytes = settings.capacity_bytes
-        self._own_items = int(settings.own_share * (settings.capacity_items or 0))
-        self._own_bytes = int(settings.own_share * (settings.capacity_bytes or 0))
+        self._own = (
+            int(settings.own_share * (settings.capacity_items or 0)),
+            int(settings.own_share * (settings.capacity_bytes or 0)),
+        )
+        """Items and bytes that are reserved for the node's own data."""
         self._small_bytes = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
@@ -185,12 +180,8 @@ class Holdings:
         """Bytes of payload in custody."""
         self.spare_bytes = 0
         """Bytes of payload of the spares of both kinds."""
-        self._givers: dict[int | None, list[int]] = {}
-        """By node that data in custody are from: how many, and their bytes of payload."""
-        self._origins: dict[int, list[int]] = {}
-        """The same by origin."""
-        self._passed_on_from: dict[int | None, dict[DatumId, Holding]] = {}
-        """`passed_on` by node that the data are from."""
+        self.portions = Portions(settings.node_id)
+        """Whose data are here."""
         self._looked_at = 0
         self.reserved = 0
         """Places reserved for items that should come back."""
@@ -233,38 +224,32 @@ class Holdings:
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
-        if self._capacity_bytes is not None and self.custody_bytes >= self._capacity_bytes - self._own_bytes:
+        if self._capacity_bytes is not None and self.custody_bytes >= self._capacity_bytes - self._own[1]:
             return 0
         if self.capacity_items is None:
             return 0xFFFF
-        return min(max(self.capacity_items - self._own_items - len(self.custody) - self.reserved, 0), 0xFFFE)
+        return min(max(self.capacity_items - self._own[0] - len(self.custody) - self.reserved, 0), 0xFFFE)
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether a datum of `size` bytes of payload fits into custody. `own`: a measurement of this node."""
         if self._capacity_bytes is not None:
-            limit = self._capacity_bytes if own else self._capacity_bytes - self._own_bytes
+            limit = self._capacity_bytes if own else self._capacity_bytes - self._own[1]
             if self.custody_bytes + size > limit:
                 return False
         if self.capacity_items is None:
             return True
-        limit = self.capacity_items if own else self.capacity_items - self._own_items
+        limit = self.capacity_items if own else self.capacity_items - self._own[0]
         return len(self.custody) + self.reserved < limit
 
     def is_fair(self, giver: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
-        space for others' data is nearly used up, what is left is for those that have less than an equal share. This
-        node counts as one of them, whether it holds own data or not."""
+        space for others' data is nearly used up, what is left is for those that have less than an equal share."""
         used = (len(self.custody) + self.reserved, self.custody_bytes + size)
-        places = (self.capacity_items, self._capacity_bytes)
-        for i, (capacity, own) in enumerate(zip(places, (self._own_items, self._own_bytes), strict=True)):
-            if capacity is None or not is_last_part(used[i], capacity - own):
-                continue
-            givers = len(self._givers.keys() | {None, giver})
-            origins = len(self._origins.keys() | {self._id, origin})
-            if not is_fair(self._givers.get(giver, _NONE)[i], capacity - own, givers):
-                return False
-            if not is_fair(self._origins.get(origin, _NONE)[i], capacity - own, origins):
-                return False
+        for which, capacity in enumerate((self.capacity_items, self._capacity_bytes)):
+            if capacity is not None:
+                places = capacity - self._own[which]
+                if is_last_part(used[which], places) and not self.portions.is_fair(giver, origin, which, places):
+                    return False
         return True
 
     def room_to_grow(self, growth: int) -> bool:
@@ -297,9 +282,7 @@ class Holdings:
         from, if there is one; then, if these may go, the oldest `distant` one, which is a third copy at least; then the
         oldest that is `near` its custodian, the only one it counts on."""
         if self.passed_on:
-            most = greediest({giver: len(spares) for giver, spares in self._passed_on_from.items()})
-            spares = self._passed_on_from[most]
-            return next(iter((spares if 2 * len(spares) > len(self.passed_on) else self.passed_on).values()))
+            return self.passed_on[self.portions.superfluous() or next(iter(self.passed_on))]
         if distant:
             for holding in self.spare.values():
                 if holding.partner is not None and holding.custodian not in (None, holding.partner.id):
@@ -454,18 +437,13 @@ class Holdings:
         self._of(holding.state)[holding.id] = holding
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
-            self._share(holding, 1)
+            self.portions.add(holding.giver, holding.id.origin, holding.size)
             self._lay_bare(holding)
         else:
             self.spare_bytes += holding.size
             if holding.state is State.PASSED_ON:
-                self._passed_on_from.setdefault(holding.giver, {})[holding.id] = holding
+                self.portions.retire(holding.giver, holding.id)
         return holding
-
-    def _share(self, holding: Holding, sign: int) -> None:
-        """Count a datum in custody, or not any more."""
-        _count(self._givers, holding.giver, sign, sign * holding.size)
-        _count(self._origins, holding.id.origin, sign, sign * holding.size)
 
     def _leave(self, holding: Holding) -> None:
         self.back(holding, None)
@@ -474,7 +452,7 @@ class Holdings:
         del self._of(holding.state)[holding.id]
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
-            self._share(holding, -1)
+            self.portions.remove(holding.giver, holding.id.origin, holding.size)
             self.cancel(holding)
             self.withdraw(holding)
             if holding.offer_at is not None:
@@ -483,10 +461,7 @@ class Holdings:
         else:
             self.spare_bytes -= holding.size
             if holding.state is State.PASSED_ON:
-                spares = self._passed_on_from[holding.giver]
-                del spares[holding.id]
-                if not spares:
-                    del self._passed_on_from[holding.giver]
+                self.portions.unretire(holding.giver, holding.id)
 
     def _part(self, holding: Holding) -> Partner | None:
         partner, holding.partner = holding.partner, None
@@ -508,11 +483,3 @@ class Holdings:
         if holding.size <= self._small_bytes:
             holding.offer_at = -inf
             self.bare[holding.id] = holding
-
-
-def _count(shares: dict[K, list[int]], key: K, items: int, size: int) -> None:
-    has = shares.setdefault(key, [0, 0])
-    has[0] += items
-    has[1] += size
-    if not has[0]:
-        del shares[key]
