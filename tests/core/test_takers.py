@@ -7,7 +7,7 @@ from collections import Counter
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.custody.takers import (
@@ -414,6 +414,7 @@ def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() 
 @pytest.mark.no_cover
 @settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 1 << 32))
+@example(392)
 def test_whoever_is_doubted_there_is_never_a_cycle_and_all_have_a_route_in_the_end(seed: int) -> None:
     """Next hops are checked at every step of every node."""
     swarm, rng = rough_times(seed), random.Random(seed)

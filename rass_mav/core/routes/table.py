@@ -171,7 +171,7 @@ class RoutingTable:
         farthest = self._max_hops - 1
         best: Neighbour | None = None
         best_behind = 0
-        best_metric = elsewhere = rank.no_way
+        best_metric = elsewhere = elsewhere_doubted = rank.no_way
         # About the base that the last neighbour announced; in most cases the next one announces the same.
         base = base_life = -1
         own: tuple[int, int] | None = None
@@ -203,7 +203,9 @@ class RoutingTable:
             if neighbour.odds > 1.0 and tag is not None:
                 # Feasible is what it announces; what counts from here on is what it delivers.
                 metric = self._expected(metric, neighbour.odds)
-            if other:
+            if other and neighbour.doubted:
+                elsewhere_doubted = min(elsewhere_doubted, metric)
+            elif other:
                 elsewhere = min(elsewhere, metric)
             elif best is None or metric <= best_metric or best_behind:
                 behind = rank.behind(neighbour, now)
@@ -223,7 +225,14 @@ class RoutingTable:
         if nearest == NO_ROUTE:
             nearest = nearest_doubted
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
-        return (None if elsewhere + rank.change_over <= best_metric else best), best_metric
+        if best is None:
+            return None, best_metric
+        if best.doubted:
+            # Any base that others lead to is better; else bases compete as ever.
+            changes = elsewhere != rank.no_way or elsewhere_doubted + rank.change_over <= best_metric
+        else:
+            changes = elsewhere + rank.change_over <= best_metric
+        return (None if changes else best), best_metric
 
     def _expected(self, metric: int, odds: float) -> int:
         """The metric of a way by a neighbour that does not deliver all it takes: the last hop has to be repeated."""
