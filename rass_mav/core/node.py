@@ -89,6 +89,7 @@ class Node(Participant):
         """One turn of Alg. 1. Returns what to send, the beacon first."""
         keeper, out = self.keeper, list[Message]()
         self._begin_turn(now)
+        keeper.takers.step(self.routing)
         self.update_routing_table(now)
         out.append(self.update_fitness(now))
         has_turn = self.receipts.due(self._steps)
@@ -165,6 +166,7 @@ class Node(Participant):
             "corrupt_received": keeper.corrupt_received,
             "handovers_pending": len(self.holdings.pending),
             **keeper.spares.figures(),
+            **keeper.takers.figures(),
             **({} if self.archive is None else _told(self.archive)),
             **({"loss_notes": len(keeper.notes.waiting)} if keeper.notes.told else {}),
         }

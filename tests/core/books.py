@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 from rass_mav.core.custody.holdings import Holding, Holdings, State
+from rass_mav.core.custody.takers import Takers
 from rass_mav.core.node import Node
 from rass_mav.core.spares.mirrors import MAX_PASSED, MAX_SPARES, Mirrors
 from rass_mav.core.spares.overheard import Overheard
@@ -32,6 +34,13 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     assert holdings.large == {h.pending.neighbour: h for h in custody if h.pending is not None and h.pending.sending}
     assert holdings.offers == {number: h for h in custody for number in h.offers}
     assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
+    portions = holdings.portions
+    check_shares(portions.givers, [(h.giver, h.size) for h in custody])
+    check_shares(portions.origins, [(h.id.origin, h.size) for h in custody])
+    for giver, spares in portions.passed_on.items():
+        assert spares
+        assert all(holdings.passed_on[id].giver == giver for id in spares)
+    assert sum(map(len, portions.passed_on.values())) == len(holdings.passed_on)
     times = [h.asked for h in holdings.asked.values()]
     assert times == sorted(times)
     for h in held:
@@ -54,10 +63,20 @@ def check(holdings: Holdings, small_bytes: int) -> None:
         assert partner.spares == {h.id: h for h in mine if h.state is State.SPARE}
 
 
+def check_shares(shares: Mapping[Any, list[int]], custody: list[tuple[Any, int]]) -> None:
+    """Each has what it has."""
+    items, sizes = Counter(key for key, _ in custody), Counter[Any]()
+    for key, size in custody:
+        sizes[key] += size
+    assert shares == {key: [items[key], sizes[key]] for key in items}
+
+
 def check_node(node: Node) -> None:
     """The same for a node; and that every spare that somebody counts on has a partner, and all bounds hold."""
     check(node.holdings, node.settings.inline_bytes)
     assert all(h.partner is not None for h in node.holdings.spare.values())
+    if isinstance(node.keeper.takers, Takers):
+        assert node.keeper.takers.disagreement() == ""
     if isinstance(node.keeper.spares, Mirrors):
         check_overheard(node, node.keeper.spares._overheard)
         assert spares(node) <= MAX_SPARES

@@ -168,10 +168,12 @@ def test_it_gives_way_to_custody_and_to_spares() -> None:
         pass_by(node, item)
     kept = len(node.overheard)
     assert kept
-    for sequence in range(8):
+    for sequence in range(7):
         [answer] = node.receive(data(GIVER, node.id, (100 + sequence, datum(sequence=sequence))), 1.0)
         assert answer.committed  # type: ignore[union-attr]
         check_node(node)
+    node.put(b"own", 1.0)
+    check_node(node)
     assert not node.overheard
     node = bystander(capacity_items=8)
     for item in heard:
@@ -226,8 +228,8 @@ def test_the_fuller_the_store_the_less_is_kept() -> None:
     kept = []
     for held in (60, 90, 100):
         node = bystander(capacity_items=100)
-        for sequence in range(held):
-            node.receive(data(GIVER, node.id, (1 + sequence, datum(8, sequence))), 0.5)
+        for _ in range(held):
+            node.put(b"own", 0.5)
         for origin in range(10, 15):
             pass_by(node, datum(origin))
         kept.append(len(node.overheard))

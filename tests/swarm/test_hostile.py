@@ -72,6 +72,41 @@ def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, poli
     assert len(missing) <= 0.02 * len(made)
 
 
+@pytest.mark.no_cover
+@pytest.mark.parametrize(
+    ("kind", "policy"), [("sinkhole", "survival"), ("black-hole", "survival"), ("sinkhole", "rass")]
+)
+def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str, policy: str) -> None:
+    hostile = f"hostile=[{{kind: {kind}, near: 12, begin: {ATTACK[0]}}}]"
+    world = World(load_scenario("hostile", {}, [hostile, f"policy.name={policy}", "data.until_step=250"]))
+    world.run(300)
+    created, missing = len(world.ledger.born), len(world.ledger.born) - len(world.ledger.arrived)
+    assert created == 24 * 25
+    assert missing <= 0.02 * created
+    thief = world.scenario.nodes
+    for agent in world.agents:
+        neighbours = agent.node.routing.neighbours
+        assert not any(n.doubted for n in neighbours.values() if n.id != thief)
+    assert any(agent.node.figures().get("doubted") for agent in world.agents)
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("world", ["hostile", "islands", "field-sik-64k"])
+def test_among_honest_nodes_nobody_is_suspected(world: str) -> None:
+    swarm = World(load_scenario(world))
+    for _ in range(6):
+        swarm.run(20)
+        assert not any(agent.node.figures().get("doubted") for agent in swarm.agents)
+
+
+@pytest.mark.no_cover
+def test_junk_that_does_not_end_leaves_room_for_data() -> None:
+    hostile = f"hostile=[{{kind: junk-custody, near: 12, begin: {ATTACK[0]}}}]"
+    world = World(load_scenario("hostile", {}, [hostile, "policy.name=rass", "data.until_step=150"]))
+    world.run(250)
+    assert len(world.ledger.arrived.keys() & world.ledger.born.keys()) >= 0.96 * 24 * 15
+
+
 @pytest.fixture(scope="module")
 def honest() -> str:
     """The digest of what is on the air in the first 30 steps of a swarm without attackers."""

@@ -17,15 +17,17 @@ from __future__ import annotations
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.fingerprints import CRC_MASK, Fingerprints
+from rass_mav.core.shares import greediest
 
-#: How many accepted hand-over numbers a node remembers.
+#: How many accepted hand-over numbers a node remembers. When there is one too many, the neighbour that has most of them
+#: loses its oldest.
 MAX_ACCEPTED = 1024
 
 
 class HandoverNumbers:
     """The hand-over numbers of one node."""
 
-    __slots__ = ("_accepted", "_next", "_of", "prints")
+    __slots__ = ("_accepted", "_count", "_next", "_of", "prints")
 
     def __init__(self, first: int, prints: Fingerprints) -> None:
         """`first`: 32 random bits, so that an answer to a hand-over of an earlier life names none of this life.
@@ -33,8 +35,10 @@ class HandoverNumbers:
         self._next = first
         self.prints = prints
         """Of what is handed over."""
-        self._accepted: dict[tuple[int, int], tuple[DatumId, int]] = {}
-        """What was accepted, and its fingerprint, by giver and number, the oldest first."""
+        self._accepted: dict[int, dict[int, tuple[DatumId, int]]] = {}
+        """What was accepted, and its fingerprint, by giver, then by number, the oldest first."""
+        self._count = 0
+        """How many there are in all."""
         self._of: dict[DatumId, set[tuple[int, int]]] = {}
         """The same by datum."""
 
@@ -48,29 +52,41 @@ class HandoverNumbers:
         key = (giver, number)
         # A restarted giver may draw a number again.
         self._drop(key)
-        self._accepted[key] = id, fingerprint
+        self._accepted.setdefault(giver, {})[number] = id, fingerprint
+        self._count += 1
         self._of.setdefault(id, set()).add(key)
-        if len(self._accepted) > MAX_ACCEPTED:
-            self._drop(next(iter(self._accepted)))
+        if self._count > MAX_ACCEPTED:
+            most = greediest({giver: len(numbers) for giver, numbers in self._accepted.items()})
+            self._drop((most, next(iter(self._accepted[most]))))
 
     def _drop(self, key: tuple[int, int]) -> None:
-        accepted = self._accepted.pop(key, None)
-        if accepted is not None:
-            id, _ = accepted
+        id = self._remove(key)
+        if id is not None:
             self._of[id].remove(key)
             if not self._of[id]:
                 del self._of[id]
 
+    def _remove(self, key: tuple[int, int]) -> DatumId | None:
+        giver, number = key
+        numbers = self._accepted.get(giver, {})
+        accepted = numbers.pop(number, None)
+        if accepted is None:
+            return None
+        self._count -= 1
+        if not numbers:
+            del self._accepted[giver]
+        return accepted[0]
+
     def has_accepted(self, giver: int, number: int, id: DatumId, fingerprint: int) -> bool:
         """Whether this same hand-over was accepted before."""
-        return self._accepted.get((giver, number)) == (id, fingerprint)
+        return self._accepted.get(giver, {}).get(number) == (id, fingerprint)
 
     def accepted(self, giver: int, number: int, id: DatumId, crc: int) -> int | None:
         """The fingerprint of the datum with this checksum that was accepted under this number; None: there is none."""
-        known, fingerprint = self._accepted.get((giver, number), (None, 0))
+        known, fingerprint = self._accepted.get(giver, {}).get(number, (None, 0))
         return fingerprint if known == id and fingerprint & CRC_MASK == crc else None
 
     def forget(self, id: DatumId) -> None:
         """A copy was found corrupt or has expired: it no longer counts as accepted."""
         for key in self._of.pop(id, ()):
-            del self._accepted[key]
+            self._remove(key)

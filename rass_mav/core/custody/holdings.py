@@ -19,6 +19,7 @@ from math import inf
 from rass_mav.core.custody.transfer import Sending
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.settings import NodeSettings
+from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
 
 
@@ -103,11 +104,11 @@ class Holding:
     """All that a node knows of a datum that it holds."""
 
     __slots__ = (
-        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "id", "matched", "offer_at",
-        "offers", "partner", "patience_s", "pending", "resent", "size", "state",
+        "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "giver", "id", "matched",
+        "offer_at", "offers", "partner", "patience_s", "pending", "resent", "size", "state",
     )  # fmt: skip
 
-    def __init__(self, datum: Datum | StoredInfo, size: int, state: State) -> None:
+    def __init__(self, datum: Datum | StoredInfo, size: int, state: State, giver: int | None = None) -> None:
         self.id = datum.id
         self.created = datum.created
         """Seconds."""
@@ -134,6 +135,8 @@ class Holding:
         """When that was, seconds: the start of the wait for a receipt."""
         self.patience_s = 0.0
         """How long to wait for it, seconds."""
+        self.giver = giver
+        """The node that it is from; None: it was created here, or found at the start."""
         self.backer: Partner | None = None
         """Spare with a partner: another node that keeps a spare for this one, farther from the custodian."""
         self.custodian: int | None = None
@@ -149,9 +152,9 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_capacity_bytes", "_looked_at", "_own_bytes", "_own_items", "_small_bytes", "_store", "asked",
-        "bare", "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
-        "reserved", "spare", "spare_bytes",
+        "_all", "_capacity_bytes", "_looked_at", "_own", "_small_bytes", "_store", "asked", "bare",
+        "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
+        "portions", "reserved", "spare", "spare_bytes",
     )  # fmt: skip
 
     def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
@@ -160,8 +163,11 @@ class Holdings:
         self._store = store
         self.capacity_items = settings.capacity_items
         self._capacity_bytes = settings.capacity_bytes
-        self._own_items = int(settings.own_share * (settings.capacity_items or 0))
-        self._own_bytes = int(settings.own_share * (settings.capacity_bytes or 0))
+        self._own = (
+            int(settings.own_share * (settings.capacity_items or 0)),
+            int(settings.own_share * (settings.capacity_bytes or 0)),
+        )
+        """Items and bytes that are reserved for the node's own data."""
         self._small_bytes = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
@@ -174,6 +180,8 @@ class Holdings:
         """Bytes of payload in custody."""
         self.spare_bytes = 0
         """Bytes of payload of the spares of both kinds."""
+        self.portions = Portions(settings.node_id)
+        """Whose data are here."""
         self._looked_at = 0
         self.reserved = 0
         """Places reserved for items that should come back."""
@@ -216,22 +224,33 @@ class Holdings:
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
-        if self._capacity_bytes is not None and self.custody_bytes >= self._capacity_bytes - self._own_bytes:
+        if self._capacity_bytes is not None and self.custody_bytes >= self._capacity_bytes - self._own[1]:
             return 0
         if self.capacity_items is None:
             return 0xFFFF
-        return min(max(self.capacity_items - self._own_items - len(self.custody) - self.reserved, 0), 0xFFFE)
+        return min(max(self.capacity_items - self._own[0] - len(self.custody) - self.reserved, 0), 0xFFFE)
 
     def room_for(self, size: int, *, own: bool) -> bool:
         """Whether a datum of `size` bytes of payload fits into custody. `own`: a measurement of this node."""
         if self._capacity_bytes is not None:
-            limit = self._capacity_bytes if own else self._capacity_bytes - self._own_bytes
+            limit = self._capacity_bytes if own else self._capacity_bytes - self._own[1]
             if self.custody_bytes + size > limit:
                 return False
         if self.capacity_items is None:
             return True
-        limit = self.capacity_items if own else self.capacity_items - self._own_items
+        limit = self.capacity_items if own else self.capacity_items - self._own[0]
         return len(self.custody) + self.reserved < limit
+
+    def is_fair(self, giver: int, origin: int, size: int) -> bool:
+        """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
+        space for others' data is nearly used up, what is left is for those that have less than an equal share."""
+        used = (len(self.custody) + self.reserved, self.custody_bytes + size)
+        for which, capacity in enumerate((self.capacity_items, self._capacity_bytes)):
+            if capacity is not None:
+                places = capacity - self._own[which]
+                if is_last_part(used[which], places) and not self.portions.is_fair(giver, origin, which, places):
+                    return False
+        return True
 
     def room_to_grow(self, growth: int) -> bool:
         """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
@@ -259,10 +278,11 @@ class Holdings:
         return max(0.0, 1.0 - used)
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
-        """The spare to drop first: the oldest that no node counts on; then, if these may go, the oldest `distant` one,
-        which is a third copy at least; then the oldest that is `near` its custodian, the only one it counts on."""
-        for holding in self.passed_on.values():
-            return holding
+        """The spare to drop first: the oldest that no node counts on, from the node that more than half of these are
+        from, if there is one; then, if these may go, the oldest `distant` one, which is a third copy at least; then the
+        oldest that is `near` its custodian, the only one it counts on."""
+        if self.passed_on:
+            return self.passed_on[self.portions.superfluous() or next(iter(self.passed_on))]
         if distant:
             for holding in self.spare.values():
                 if holding.partner is not None and holding.custodian not in (None, holding.partner.id):
@@ -289,13 +309,16 @@ class Holdings:
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
-    def add(self, datum: Datum, state: State = State.CUSTODY) -> Holding:
-        """Add a copy as the most recently used one. Raises `StoreFullError` over the store's quota."""
+    def add(self, datum: Datum, state: State = State.CUSTODY, giver: int | None = None) -> Holding:
+        """Add a copy as the most recently used one. `giver`: the node that it is from; None: it was created here.
+
+        Raises `StoreFullError` over the store's quota.
+        """
         self._store.put(datum)
         old = self._all.get(datum.id)
         if old is not None:
             self._leave(old)
-        return self._enter(Holding(datum, len(datum.payload), state))
+        return self._enter(Holding(datum, len(datum.payload), state, giver))
 
     def remove(self, holding: Holding, fate: Fate) -> None:
         """Drop a copy."""
@@ -414,9 +437,12 @@ class Holdings:
         self._of(holding.state)[holding.id] = holding
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
+            self.portions.add(holding.giver, holding.id.origin, holding.size)
             self._lay_bare(holding)
         else:
             self.spare_bytes += holding.size
+            if holding.state is State.PASSED_ON:
+                self.portions.retire(holding.giver, holding.id)
         return holding
 
     def _leave(self, holding: Holding) -> None:
@@ -426,6 +452,7 @@ class Holdings:
         del self._of(holding.state)[holding.id]
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
+            self.portions.remove(holding.giver, holding.id.origin, holding.size)
             self.cancel(holding)
             self.withdraw(holding)
             if holding.offer_at is not None:
@@ -433,6 +460,8 @@ class Holdings:
                 del self.bare[holding.id]
         else:
             self.spare_bytes -= holding.size
+            if holding.state is State.PASSED_ON:
+                self.portions.unretire(holding.giver, holding.id)
 
     def _part(self, holding: Holding) -> Partner | None:
         partner, holding.partner = holding.partner, None

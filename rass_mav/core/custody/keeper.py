@@ -9,6 +9,7 @@ from rass_mav.core.alarms import Alarm, Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
 from rass_mav.core.custody.holdings import Holding, Holdings, State
 from rass_mav.core.custody.nospares import NoSpares
+from rass_mav.core.custody.takers import NoTakers, Takers
 from rass_mav.core.datum import WOUNDS, Datum, DatumId, Fate
 from rass_mav.core.messages import Digest, Distance, Handover
 from rass_mav.core.news.archive import Archive
@@ -32,7 +33,7 @@ class Keeper:
 
     __slots__ = (
         "alarms", "arrived", "corrupt_received", "holdings", "notes", "numbers", "observer", "receipts", "refused",
-        "settings", "spares", "stirred", "store",
+        "settings", "spares", "stirred", "store", "takers",
     )  # fmt: skip
 
     def __init__(
@@ -49,6 +50,8 @@ class Keeper:
         self.observer = observer
         self.spares = NoSpares()
         """Spare copies; the object that keeps them for this node sets itself here."""
+        self.takers = Takers() if notes.told and settings.acknowledged else NoTakers()
+        """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""
         self.holdings = self._take_up()
@@ -74,7 +77,8 @@ class Keeper:
             self.rejuvenate(id, datum.created, at_least=datum.at_least)
             return True
         size = len(datum.payload)
-        if self.is_occupied(id, datum.kind) or not (self.may_accept(size) or self.make_room(size, own=False)):
+        fits = self.is_fair(giver, id.origin, size) and (self.may_accept(size) or self.make_room(size, own=False))
+        if not fits or self.is_occupied(id, datum.kind):
             self.refused += 1
             if number == 0:
                 self.observer.declined(id)
@@ -182,6 +186,13 @@ class Keeper:
         """Whether this node can take custody of a datum of `size` bytes of payload."""
         return self.store.accepting and self.room_for(size, own=False)
 
+    def is_fair(self, giver: int, origin: int, size: int) -> bool:
+        """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits.
+
+        Where receipts are off, as in the paper, whoever comes first is served.
+        """
+        return not self.notes.told or self.holdings.is_fair(giver, origin, size)
+
     def make_room(self, size: int, *, own: bool) -> bool:
         """With `drop_oldest`: drop the least recently used data until `size` bytes of payload fit."""
         if not self.settings.drop_oldest or not self.store.accepting:
@@ -196,7 +207,8 @@ class Keeper:
     def keep(self, datum: Datum, giver: int | None = None) -> None:
         """Store a datum in custody here. `giver`: the node that handed it over; None: it was created here."""
         self.spares.make_way(len(datum.payload))
-        holding = self.holdings.add(datum)
+        self.takers.came_back(datum.id)
+        holding = self.holdings.add(datum, giver=giver)
         self.notes.forget(datum.id)
         self.stirred = True
         self.spares.took(holding, giver)
@@ -206,6 +218,7 @@ class Keeper:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
+        self.takers.gave(holding.id, holding.giver, to, again=holding.resent > 0)
         if not self.spares.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
 
@@ -242,6 +255,7 @@ class Keeper:
     def heed(self, changed: set[Pair]) -> None:
         """Receipts brought news about these (origin, epoch) pairs: it ends spares, but not custody."""
         receipts, holdings = self.receipts, self.holdings
+        self.takers.heed(changed, receipts)
         for spares in (holdings.spare, holdings.passed_on):
             for id in [id for id in spares if id[:2] in changed]:
                 if id in receipts:
@@ -255,6 +269,7 @@ class Keeper:
         """What a digest matches has probably arrived. That ends the spares that no custodian counts on, now or as soon
         as that is so."""
         holdings = self.holdings
+        self.takers.heed_digest(digest)
         for id in matched(digest, holdings.passed_on):
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
         for id in matched(digest, holdings.spare):

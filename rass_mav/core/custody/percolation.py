@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from itertools import islice
 from math import inf
 
 from rass_mav.core.custody.holdings import Holding, Pending
@@ -69,6 +70,8 @@ class Percolation:
         for holding, target in self._keeper.spares.detours():
             if self._pace.left > 0 and (holding.size <= inline or self._transfers.free(target)):
                 self._hand_over(holding, target, now, out)
+        for target in self._keeper.takers.probes(self._routing.neighbours.values()):
+            self._probe(target, now, out)
         self.forward(potential, now, out)
 
     def forward(self, potential: int, now: float, out: list[Message]) -> None:
@@ -84,12 +87,25 @@ class Percolation:
             out += [Data(self._id, target, tuple(handovers)) for target, handovers in self._batches.items()]
             self._batches.clear()
 
+    def _probe(self, target: int, now: float, out: list[Message]) -> None:
+        """Hand one datum over to a neighbour that is doubted, if none is on its way there."""
+        holdings = self._keeper.holdings
+        if self._pace.left <= self._pace.kept or any(
+            h.pending.neighbour == target for h in holdings.pending.values() if h.pending
+        ):
+            return
+        inline = self._keeper.settings.inline_bytes
+        for holding in holdings.custody.values():
+            if holding.pending is None and holding.size <= inline:
+                self._hand_over(holding, target, now, out)
+                return
+
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
         keeper, transfers, pace, routing = self._keeper, self._transfers, self._pace, self._routing
         neighbours = routing.neighbours
         # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
-            [n for n in neighbours.values() if not n.is_missing(now)],
+            [n for n in neighbours.values() if not (n.doubted or n.is_missing(now))],
             neighbours.get(routing.next_hop) if routing.next_hop is not None else None,
             routing.distance, potential, self._risk.risk(now), pace.left - pace.kept, self._for_neighbour, self._rng,
         )  # fmt: skip
@@ -132,6 +148,14 @@ class Percolation:
         Large data wait while a transfer to the neighbour is under way. Small data behind them do not wait.
         """
         holdings = self._keeper.holdings
+        allowance = self._keeper.takers.allowance(neighbour)
+        if allowance is not None:
+            under_way = sum(
+                h.pending is not None and h.pending.neighbour == neighbour for h in holdings.pending.values()
+            )
+            return islice(
+                (id for id, h in holdings.custody.items() if h.pending is None), max(0, allowance - under_way)
+            )
         if not self._transfers.free(neighbour):
             inline = self._keeper.settings.inline_bytes
             return (id for id, h in holdings.custody.items() if h.pending is None and h.size <= inline)

@@ -124,6 +124,7 @@ class Transfers:
             and offer.sender in self._routing.neighbours
             and not self._keeper.is_occupied(offer.id, offer.kind)
             and not self._keeper.is_squatted(offer.id)
+            and self._keeper.is_fair(offer.sender, offer.id.origin, offer.size)
         )
 
     def _has_place(self, offer: Offer, now: float) -> bool:

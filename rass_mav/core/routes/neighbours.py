@@ -43,7 +43,8 @@ class Neighbour:
     """A neighbour as its last beacon described it."""
 
     __slots__ = (
-        "beacon", "confirmed", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "patience", "turn_s",
+        "beacon", "confirmed", "doubted", "heard", "id", "late", "leaves", "lifetime_s", "missed", "noticed", "odds",
+        "patience", "turn_s",
     )  # fmt: skip
 
     def __init__(self, beacon: Beacon, heard: float, turn_s: float = 1.0, lifetime_s: float = 3.5) -> None:
@@ -67,6 +68,10 @@ class Neighbour:
         """When it is expected to be out of range, seconds (`Contacts`)."""
         self.late: int | None = None
         """Number of the last beacon that was treated as late."""
+        self.doubted = False
+        """Whether it takes data and does not deliver them, as far as is known (`custody.takers`)."""
+        self.odds = 1.0
+        """How many times as much a way by it costs, because of what it did not deliver; 1: nothing."""
 
     def is_missing(self, now: float) -> bool:
         """Whether it has probably moved away: it has been silent for long, or it is expected to be out of range."""

@@ -35,7 +35,8 @@ class Rank(Protocol):
         """The metric is the potential announced under this policy tag, and 0 for a base; None: it is the hops."""
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
-        """0, or more if data may have to wait at this neighbour: it is chosen only if no feasible one has less."""
+        """0, or more if data may have to wait at this neighbour, or be lost: it is chosen only if no feasible one has
+        less."""
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """The rank of a neighbour with this beacon; the smaller the better. If there is not enough space, the last is
@@ -60,8 +61,8 @@ class ByHops:
     tag = None
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
-        """No neighbour is."""
-        return 0
+        """One that is doubted: 4."""
+        return 4 * neighbour.doubted
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """By hops, even where the policy is another; among equals the fitter one is better."""
@@ -104,8 +105,9 @@ class ByCost:
         """How long the present window lasts, and the least length of the next one."""
 
     def behind(self, neighbour: Neighbour, now: float) -> int:
-        """Full: 1, because it may still be the route, but data wait there. It has probably moved away: 2."""
-        return 2 * neighbour.is_missing(now) + (not neighbour.beacon.free)
+        """Full: 1, because it may still be the route, but data wait there. It has probably moved away: 2. It is
+        doubted: 4."""
+        return 4 * neighbour.doubted + 2 * neighbour.is_missing(now) + (not neighbour.beacon.free)
 
     def standing(self, beacon: Beacon) -> tuple[int, int]:
         """By cost. After all of them come nodes of another policy, by hops."""

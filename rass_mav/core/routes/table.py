@@ -167,10 +167,11 @@ class RoutingTable:
         It also finds the distance, and what to request if no route is taken.
         """
         rank, tag, bound, node_id = self.rank, self.rank.tag, self._bound, self.node_id
-        nearest, farthest = NO_ROUTE, self._max_hops - 1
+        nearest = nearest_doubted = NO_ROUTE
+        farthest = self._max_hops - 1
         best: Neighbour | None = None
         best_behind = 0
-        best_metric = elsewhere = rank.no_way
+        best_metric = elsewhere = elsewhere_doubted = rank.no_way
         # About the base that the last neighbour announced; in most cases the next one announces the same.
         base = base_life = -1
         own: tuple[int, int] | None = None
@@ -181,7 +182,9 @@ class RoutingTable:
             hops = beacon.hops
             if hops > farthest or beacon.base == node_id:
                 continue
-            if hops < nearest:
+            if neighbour.doubted:
+                nearest_doubted = min(nearest_doubted, hops)
+            elif hops < nearest:
                 nearest = hops
             if beacon.base != base or beacon.base_life != base_life:
                 base, base_life = key = beacon.base, beacon.base_life
@@ -196,6 +199,12 @@ class RoutingTable:
             number = beacon.route_number
             if own is not None and (metric >= own[1] if number == own[0] else not newer(number, own[0])):
                 self.wanted = (base, following(own[0]))
+                continue
+            if neighbour.odds > 1.0 and tag is not None:
+                # Feasible is what it announces; what counts from here on is what it delivers.
+                metric = self._expected(metric, neighbour.odds)
+            if other and neighbour.doubted:
+                elsewhere_doubted = min(elsewhere_doubted, metric)
             elif other:
                 elsewhere = min(elsewhere, metric)
             elif best is None or metric <= best_metric or best_behind:
@@ -210,11 +219,25 @@ class RoutingTable:
                     )
                 ):
                     best, best_behind, best_metric = neighbour, behind, metric
-                    if tag is None:
+                    if tag is None and not behind:
                         # By hops, neighbours that are farther need not be considered.
                         farthest = hops
+        if nearest == NO_ROUTE:
+            nearest = nearest_doubted
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
-        return (None if elsewhere + rank.change_over <= best_metric else best), best_metric
+        if best is None:
+            return None, best_metric
+        if best.doubted:
+            # Any base that others lead to is better; else bases compete as ever.
+            changes = elsewhere != rank.no_way or elsewhere_doubted + rank.change_over <= best_metric
+        else:
+            changes = elsewhere + rank.change_over <= best_metric
+        return (None if changes else best), best_metric
+
+    def _expected(self, metric: int, odds: float) -> int:
+        """The metric of a way by a neighbour that does not deliver all it takes: the last hop has to be repeated."""
+        toll = sum(self.toll)
+        return min(int((metric + toll) * odds) - toll, self.rank.no_way - 1)
 
     def _preferred(self, neighbour: Neighbour, best: Neighbour) -> bool:
         """Between routes of the same rank: the newer announcement of the same base, else the present next hop."""

@@ -124,6 +124,7 @@ class Mirrors(NoSpares):
         """If this is a spare, take custody of it (again)."""
         if holding.state is not State.CUSTODY:
             backer, custodian = holding.backer, holding.partner
+            self._keeper.takers.came_back(holding.id)
             self._keeper.holdings.change(holding, State.CUSTODY)
             if custodian is not None and self._rests:
                 # This copy moves on, so another custodian cannot count on it.
@@ -229,7 +230,7 @@ class Mirrors(NoSpares):
         full = id in keeper.arrived or len(holdings) - len(holdings.custody) >= MAX_SPARES
         if full or not keeper.store.accepting or not self._make_way(size, distant=distance is None, near=False):
             return False
-        holding = holdings.add(datum.arrived(), State.SPARE)
+        holding = holdings.add(datum.arrived(), State.SPARE, giver)
         self._unconfirmed.handed_on(holding, giver, self._now)
         self._repairs.end(id)
         self._overheard.forget(id)

@@ -210,8 +210,8 @@ class SpareOffers:
         safest.sort(key=self._standing)
         return safest
 
-    def _standing(self, neighbour: Neighbour) -> tuple[bool, int]:
-        return neighbour.id in self._enclosed, neighbour.beacon.risk
+    def _standing(self, neighbour: Neighbour) -> tuple[bool, bool, int]:
+        return neighbour.doubted, neighbour.id in self._enclosed, neighbour.beacon.risk
 
     def on_refused(self, numbers: Iterable[int], sender: int, now: float, out: list[Message]) -> None:
         """A neighbour refused spares: others are tried. Numbers of other offers are ignored."""

@@ -103,6 +103,8 @@ class Unconfirmed:
 
     def _overdue(self, holding: Holding, now: float) -> float:
         """For how long a datum's wait has been over, seconds; negative: it is not over."""
+        if self._keeper.takers.has_failed(holding.id):
+            return now - holding.given
         reachable = self._reachable + REACHABLE_TURNS * self._pace.turn_s
         return now - max(holding.given + holding.patience_s, reachable)
 
@@ -118,9 +120,9 @@ class Unconfirmed:
         ]
         return min(ways, key=lambda neighbour: self._rank(neighbour, now)).id if ways else None
 
-    def _rank(self, neighbour: Neighbour, now: float) -> tuple[int, int, int, int]:
+    def _rank(self, neighbour: Neighbour, now: float) -> tuple[bool, int, int, int, int]:
         rank, beacon = self._routing.rank, neighbour.beacon
         # A neighbour whose cost cannot be compared is used only if there is no other.
         foreign = rank.tag is not None and beacon.hops > 0 and beacon.policy != rank.tag
         metric = beacon.hops if rank.tag is None or foreign or not beacon.hops else beacon.potential
-        return rank.behind(neighbour, now), foreign, metric, neighbour.id
+        return neighbour.doubted, rank.behind(neighbour, now), foreign, metric, neighbour.id

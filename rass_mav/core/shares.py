@@ -1,0 +1,97 @@
+"""Fair shares of what is bounded: nobody can fill a table or a store alone.
+
+The rule is max-min. While there is space, everybody may use it. When there is little or none, the one that has most
+gives way, or gets no more. So each can have as much as all others that want it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+from rass_mav.core.datum import DatumId
+
+K = TypeVar("K")
+
+#: The last part of a store, one place in this many, is for those that have less than their share.
+LAST_PART = 8
+
+
+def greediest(counts: Mapping[K, int]) -> K:
+    """Who has most; among equals the first one."""
+    return max(counts, key=lambda key: counts[key])
+
+
+def is_fair(has: int, places: int, sharing: int) -> bool:
+    """Whether one of `sharing` that has so many has less than an equal share of the places."""
+    return has * sharing < places
+
+
+def is_last_part(used: int, places: int) -> bool:
+    """Whether so little is left that it is kept for those that have less than their share."""
+    return used >= places - places // LAST_PART
+
+
+class Portions:
+    """Whose data a node has in custody, and whose spares that nobody counts on."""
+
+    __slots__ = ("_node_id", "givers", "origins", "passed_on")
+
+    def __init__(self, node_id: int) -> None:
+        """`node_id`: of the node itself, the origin of its own data."""
+        self._node_id = node_id
+        self.givers: dict[int | None, list[int]] = {}
+        """Data in custody by the node that they are from, None: this one: how many, and their bytes of payload."""
+        self.origins: dict[int, list[int]] = {}
+        """The same by origin."""
+        self.passed_on: dict[int | None, dict[DatumId, None]] = {}
+        """Spares that nobody counts on, by the node that they are from, the oldest first."""
+
+    def add(self, giver: int | None, origin: int, size: int) -> None:
+        """A datum is in custody now."""
+        _count(self.givers, giver, 1, size)
+        _count(self.origins, origin, 1, size)
+
+    def remove(self, giver: int | None, origin: int, size: int) -> None:
+        """A datum is in custody no more."""
+        _count(self.givers, giver, -1, -size)
+        _count(self.origins, origin, -1, -size)
+
+    def retire(self, giver: int | None, id: DatumId) -> None:
+        """Nobody counts on a spare any more."""
+        self.passed_on.setdefault(giver, {})[id] = None
+
+    def unretire(self, giver: int | None, id: DatumId) -> None:
+        """Such a spare goes, or somebody counts on it again."""
+        spares = self.passed_on[giver]
+        del spares[id]
+        if not spares:
+            del self.passed_on[giver]
+
+    def is_fair(self, giver: int, origin: int, which: int, places: int) -> bool:
+        """Whether a neighbour, and an origin, have less than an equal share of the places. `which`: 0: items, 1: bytes.
+        This node counts as one of those that share, whether it holds own data or not."""
+        givers = len(self.givers.keys() | {None, giver})
+        origins = len(self.origins.keys() | {self._node_id, origin})
+        return is_fair(self.givers.get(giver, _NOTHING)[which], places, givers) and is_fair(
+            self.origins.get(origin, _NOTHING)[which], places, origins
+        )
+
+    def superfluous(self) -> DatumId | None:
+        """The oldest spare from the node that more than half of those are from that nobody counts on; None: no node has
+        so many."""
+        counts = {giver: len(spares) for giver, spares in self.passed_on.items()}
+        most = greediest(counts)
+        return next(iter(self.passed_on[most])) if 2 * counts[most] > sum(counts.values()) else None
+
+
+#: Items and bytes of whoever has nothing.
+_NOTHING = (0, 0)
+
+
+def _count(portions: dict[K, list[int]], key: K, items: int, size: int) -> None:
+    has = portions.setdefault(key, [0, 0])
+    has[0] += items
+    has[1] += size
+    if not has[0]:
+        del portions[key]

@@ -1,0 +1,431 @@
+"""Who takes data and brings no receipts loses rank, and what it has is handed over again; nobody else is blamed."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from typing import Any
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from rass_mav.core.custody.takers import (
+    DOUBTED,
+    JUDGED_TURNS,
+    LEAST,
+    MAX_GIVEN,
+    MAX_GIVERS,
+    MAX_TAKERS,
+    MOST_HOPS,
+    NEWS_TURNS,
+    TRUSTED,
+    Taker,
+    Takers,
+)
+from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import NO_ROUTE, Committed, Data, Handover, ReceiptEntry, Route, Word, WordEntry, Words
+from rass_mav.core.news.checksums import make_receipt
+from rass_mav.core.node import Node
+from rass_mav.core.routes.costs import COST_ONE
+from tests.extent import examples
+
+from .books import check_node
+from .build import beacon, datum, make_node, of
+from .durable import DurableStore
+from .routing_harness import rough_times
+
+OWN, NEAR, FAR, FARTHER = 2, 3, 4, 5
+#: An origin whose data arrive all the time without this node, so that there is news.
+OTHERS = 99
+
+
+class Drone:
+    """Drone 2, which creates a datum a turn. Its neighbours say how far they are from the base, and take all they get.
+    What is taken by those who deliver is confirmed some turns later."""
+
+    def __init__(self, *, policy: str = "survival", store: DurableStore | None = None, **settings: Any) -> None:
+        self.ways = {NEAR: 1, FAR: 2, FARTHER: 3}
+        self.deliver = {NEAR, FAR, FARTHER}
+        self.delay = 5
+        self.news = True
+        self.settings = {"capacity_items": 500, "digest": False, **settings, "policy": policy}
+        self.now = 0.0
+        self.node = self.start(store)
+        self.serial = 0
+        self.due: dict[int, list[DatumId]] = {}
+        self.given: Counter[int] = Counter()
+        """Who got how many data since this was cleared."""
+        self.arrived: set[DatumId] = set()
+
+    def start(self, store: DurableStore | None = None) -> Node:
+        settings: dict[str, Any] = {"mirror": True, **self.settings}
+        self.node = make_node(OWN, store=store, now=self.now, **settings)
+        return self.node
+
+    def turn(self, *, creates: int = 1) -> None:
+        node = self.node
+        self.now += 1.0
+        turn = int(self.now)
+        for id, hops in self.ways.items():
+            way = (1, 1, turn, hops) if hops != NO_ROUTE else None
+            cost = hops * COST_ONE // 10 if node.policy.costs is not None else (1 << 24) // hops
+            said = beacon(id, turn, Route(*way) if way else None, policy=node.policy.tag, potential=cost)
+            node.receive(said, self.now)
+        if self.news:
+            self._confirm([DatumId(OTHERS, 7, turn)])
+        self._confirm(self.due.pop(turn, []))
+        for _ in range(creates):
+            node.put(b"x", self.now)
+        self._take(node.step(self.now))
+        check_node(node)
+
+    def _take(self, out: list[Any]) -> None:
+        for data in of(Data, out):
+            if data.spare:
+                continue
+            self.given[data.target] += len(data.handovers)
+            taken = tuple((number, datum.crc) for number, datum in data.handovers)
+            self.node.receive(Committed(data.target, OWN, taken, ()), self.now)
+            if data.target in self.deliver:
+                ids = [datum.id for _, datum in data.handovers]
+                self.due.setdefault(int(self.now) + self.delay, []).extend(ids)
+
+    def _confirm(self, ids: list[DatumId]) -> None:
+        self.arrived.update(ids)
+        for id in ids:
+            self.serial += 1
+            entry = ReceiptEntry(id.origin, id.epoch, id.sequence, 1, 0, False)
+            self.node.receive(make_receipt(1, 1, self.serial, [entry]), self.now)
+
+    def turns(self, count: int, *, creates: int = 1) -> None:
+        for _ in range(count):
+            self.turn(creates=creates)
+
+    @property
+    def doubted(self) -> set[int]:
+        return {id for id, n in self.node.routing.neighbours.items() if n.doubted}
+
+
+def seasoned(**settings: Any) -> Drone:
+    """A drone whose data have gone by the nearest neighbour, and arrived."""
+    drone = Drone(**settings)
+    drone.turns(30)
+    assert drone.given[NEAR] == 30
+    drone.given.clear()
+    return drone
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass", "hop-count"])
+@pytest.mark.parametrize("mirror", [True, False])
+def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(policy: str, mirror: bool) -> None:
+    drone = seasoned(policy=policy, mirror=mirror)
+    drone.deliver = {FAR, FARTHER}
+    drone.turns(3 * JUDGED_TURNS)
+    assert drone.doubted == {NEAR}
+    # What it took until the first were overdue, and a few more until it was doubted.
+    assert drone.given[NEAR] <= 3 * JUDGED_TURNS
+    drone.given.clear()
+    drone.turns(1000)
+    assert drone.doubted == {NEAR}
+    assert 2 <= drone.given[NEAR] <= 10
+    assert drone.given[FAR] >= 990
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass"])
+def test_what_it_has_goes_out_again_at_once(policy: str) -> None:
+    drone = seasoned(policy=policy)
+    drone.deliver = {FAR, FARTHER}
+    while not drone.doubted:
+        drone.turn()
+    missing = len(set(drone.node.holdings) - drone.arrived)
+    # A tenth of the bandwidth, and then the receipts.
+    drone.turns(missing + 20)
+    assert len(set(drone.node.holdings) - drone.arrived) <= drone.delay + 3
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass"])
+def test_who_delivers_again_is_trusted_again(policy: str) -> None:
+    drone = seasoned(policy=policy)
+    drone.deliver = {FAR, FARTHER}
+    drone.turns(200)
+    assert drone.doubted == {NEAR}
+    drone.deliver = {NEAR, FAR, FARTHER}
+    drone.turns(600)
+    assert not drone.doubted
+    drone.given.clear()
+    drone.turns(20)
+    assert drone.given == {NEAR: 20}
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass"])
+def test_the_only_way_is_tried_with_few_data_and_used_as_before_when_it_delivers(policy: str) -> None:
+    drone = seasoned(policy=policy, capacity_items=2000)
+    drone.ways = {NEAR: 1}
+    drone.deliver = set()
+    drone.turns(400)
+    assert drone.doubted == {NEAR}
+    drone.given.clear()
+    drone.turns(100)
+    assert drone.given[NEAR] <= 3
+    drone.deliver = {NEAR}
+    drone.turns(700)
+    assert not drone.doubted
+    assert len(drone.node.holdings.custody) <= 10
+
+
+def test_a_late_confirmation_takes_back_the_blame() -> None:
+    drone = seasoned(mirror=False)
+    drone.delay = 3 * JUDGED_TURNS
+    drone.turns(200)
+    assert not drone.doubted
+    drone.given.clear()
+    drone.turns(20)
+    assert drone.given == {NEAR: 20}
+
+
+def test_who_is_farther_has_more_time() -> None:
+    first: dict[int, int] = {}
+    for hops in (1, 2, MOST_HOPS, 200):
+        drone = seasoned()
+        drone.ways = {NEAR: hops}
+        drone.deliver = set()
+        while not drone.doubted:
+            drone.turn()
+        first[hops] = int(drone.now)
+    assert first[1] < first[2] < first[MOST_HOPS] == first[200]
+
+
+@pytest.mark.parametrize("cause", ["no route", "no news", "taker without a route", "taker not heard"])
+def test_nobody_is_judged_while_receipts_cannot_come(cause: str) -> None:
+    drone = seasoned()
+    drone.deliver = set()
+    drone.turns(10)
+    taker = drone.node.keeper.takers._takers[NEAR]  # type: ignore[attr-defined]
+    if cause == "no news":
+        drone.news = False
+        drone.turns(NEWS_TURNS)
+    elif cause == "no route":
+        drone.ways = dict.fromkeys(drone.ways, NO_ROUTE)
+    elif cause == "taker without a route":
+        drone.ways[NEAR] = NO_ROUTE
+    else:
+        del drone.ways[NEAR]
+    drone.turns(10, creates=0)
+    clock = taker.clock
+    drone.turns(200, creates=0)
+    assert taker.clock == clock
+    assert not taker.doubted
+
+
+def test_after_long_without_a_route_all_waits_begin_again() -> None:
+    drone = seasoned()
+    drone.deliver = set()
+    drone.turns(JUDGED_TURNS)
+    ways, drone.ways = drone.ways, dict.fromkeys(drone.ways, NO_ROUTE)
+    drone.turns(50, creates=0)
+    drone.ways = ways
+    drone.turns(2 * JUDGED_TURNS - 5, creates=0)
+    assert not drone.doubted
+
+
+@pytest.mark.parametrize("settings", [{"receipts": False}, {"acknowledged": False, "mirror": False}])
+def test_where_receipts_are_off_nobody_is_judged(settings: dict[str, Any]) -> None:
+    drone = Drone(**settings)
+    drone.deliver = set()
+    drone.turns(200)
+    assert drone.given[FAR] == drone.given[FARTHER] == 0
+    assert "doubted" not in drone.node.figures()
+
+
+@pytest.mark.parametrize("policy", ["survival", "rass"])
+def test_junk_discredits_nobody(policy: str) -> None:
+    """A neighbour hands over data that no base confirms: the drone that takes them from here is honest."""
+    drone = seasoned(policy=policy)
+    for sequence in range(300):
+        junk = Data(6, OWN, tuple(Handover(1 + 3 * sequence + i, datum(50 + i, sequence)) for i in range(3)))
+        drone.node.receive(beacon(6, 1 + sequence), drone.now)
+        drone.node.receive(junk, drone.now)
+        known = dict(drone.due)
+        drone.turn()
+        # What is junk brings no receipt.
+        for turn, ids in drone.due.items():
+            drone.due[turn] = [id for id in ids if id.origin == OWN or turn in known]
+    assert not drone.doubted
+    drone.given.clear()
+    drone.turns(5)
+    assert drone.given[NEAR] >= 5
+
+
+def test_data_reported_lost_count_as_not_delivered() -> None:
+    drone = seasoned()
+    drone.deliver = set()
+    for _ in range(15):
+        before = set(drone.node.keeper.takers._of)  # type: ignore[attr-defined]
+        drone.turn()
+        for id in set(drone.node.keeper.takers._of) - before:  # type: ignore[attr-defined]
+            drone.serial += 1
+            lost = ReceiptEntry(id.origin, id.epoch, id.sequence, 1, 0, True)
+            drone.node.receive(make_receipt(1, 1, drone.serial, [lost]), drone.now)
+    assert NEAR in drone.doubted
+
+
+def test_what_comes_back_is_not_judged() -> None:
+    drone = seasoned()
+    drone.deliver = set()
+    for _ in range(200):
+        drone.turn()
+        taken = list(drone.node.keeper.takers._of)  # type: ignore[attr-defined]
+        again = tuple(WordEntry(id, Word.AGAIN) for id in taken)
+        drone.node.receive(Words(NEAR, OWN, again), drone.now)
+    assert not drone.doubted
+
+
+def test_after_a_restart_nobody_is_doubted_and_the_same_is_learned_again() -> None:
+    store = DurableStore(epoch=1000 + OWN)
+    drone = Drone(store=store)
+    drone.turns(30)
+    drone.deliver = {FAR, FARTHER}
+    drone.turns(100)
+    assert drone.doubted == {NEAR}
+    store.commit()
+    drone.start(store)
+    drone.turns(20)
+    assert not drone.doubted
+    drone.turns(4 * JUDGED_TURNS)
+    assert drone.doubted == {NEAR}
+    drone.turns(100)
+    assert len(set(drone.node.holdings) - drone.arrived) <= 10
+
+
+def test_a_doubted_neighbour_gets_no_spares_if_another_can() -> None:
+    drone = seasoned(capacity_items=500)
+    drone.deliver = {FAR, FARTHER}
+    drone.turns(200)
+    assert drone.doubted == {NEAR}
+    drone.ways = dict.fromkeys(drone.ways, NO_ROUTE)
+    drone.turns(20, creates=0)
+    drone.node.put(b"alone", drone.now)
+    out = drone.node.step(drone.now + 1.0)
+    assert {data.target for data in of(Data, out) if data.spare} <= {FAR, FARTHER}
+
+
+# -- the estimate ------------------------------------------------------------------------------------------------------
+
+outcomes = st.lists(st.tuples(st.sampled_from([None, *range(20)]), st.booleans()), max_size=200)
+
+
+@given(outcomes)
+def test_the_chance_is_a_chance_and_the_givers_are_bounded(judged: list[tuple[int | None, bool]]) -> None:
+    taker = Taker()
+    assert taker.delivers == 1.0
+    for giver, good in judged:
+        taker.count(giver, good=float(good), bad=float(not good))
+        assert 0.0 < taker.delivers <= 1.0
+        assert len(taker.givers) <= MAX_GIVERS
+
+
+@pytest.mark.parametrize("many", [1, 2, 5])
+def test_one_giver_of_several_cannot_make_a_taker_doubted(many: int) -> None:
+    taker = Taker()
+    for _ in range(50):
+        for giver in range(many):
+            taker.count(giver, good=1.0)
+        for _ in range(10):
+            taker.count(77, bad=1.0)
+    assert taker.delivers > DOUBTED
+
+
+def test_who_drops_all_is_soon_below_the_line_whatever_it_did_before() -> None:
+    taker = Taker()
+    for _ in range(1000):
+        taker.count(None, good=1.0)
+    dropped = 0
+    while taker.delivers >= DOUBTED:
+        taker.count(None, bad=1.0)
+        dropped += 1
+    assert dropped <= 30
+
+
+class World:
+    """Neighbours as `Takers.step` sees them: those of a node that hears no beacons but these."""
+
+    def __init__(self) -> None:
+        self.node = make_node(OWN)
+        self.takers = Takers()
+        self.now = 0.0
+
+    def step(self, hops: dict[int, int]) -> None:
+        self.now += 1.0
+        for id, h in hops.items():
+            way = Route(1, 1, int(self.now), h) if h != NO_ROUTE else None
+            self.node.receive(beacon(id, int(self.now), way, policy=self.node.policy.tag), self.now)
+        self.node.routing.update(self.now)
+        self.takers.step(self.node.routing)
+
+
+@settings(max_examples=examples(40), deadline=None)
+@given(st.integers(0, 1 << 32))
+def test_whatever_happens_the_tables_agree_and_are_bounded(seed: int) -> None:
+    rng, world = random.Random(seed), World()
+    takers, receipts = world.takers, world.node.receipts
+    ids = [DatumId(origin, 1, sequence) for origin in range(5) for sequence in range(60)]
+    serial = 0
+    for _ in range(300):
+        kind = rng.random()
+        id = rng.choice(ids)
+        if kind < 0.5:
+            takers.gave(
+                id, rng.choice([None, 1, 2]), rng.randrange(3, 3 + rng.choice([4, 100])), again=rng.random() < 0.2
+            )
+        elif kind < 0.6:
+            takers.came_back(id)
+        elif kind < 0.7:
+            serial += 1
+            entry = ReceiptEntry(id.origin, 1, id.sequence, rng.randint(1, 20), 0, rng.random() < 0.3)
+            takers.heed(receipts.learn(make_receipt(1, 1, serial, [entry])), receipts)
+        else:
+            for _ in range(rng.choice([1, 5, 40])):
+                world.step({n: rng.choice([1, 2, 9, NO_ROUTE]) for n in range(3, 10) if rng.random() < 0.8})
+        assert takers.disagreement() == ""
+        for neighbour in world.node.routing.neighbours.values():
+            assert 1.0 <= neighbour.odds <= 1.0 / LEAST
+            left = takers.allowance(neighbour.id)
+            assert left is None or 0 <= left < TRUSTED
+
+
+def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() -> None:
+    takers = Takers()
+    for sequence in range(10):
+        takers.gave(DatumId(1, 1, sequence), None, 7, again=False)
+    for sequence in range(2 * MAX_GIVEN):
+        takers.gave(DatumId(2, 1, sequence), None, 8, again=False)
+    assert len(takers._takers[7].open) == 10
+    takers._takers[7].doubted = True
+    for name in range(1000, 1000 + 2 * MAX_TAKERS):
+        takers.gave(DatumId(3, 1, name), None, name, again=False)
+    assert takers._takers[7].doubted
+    assert takers.disagreement() == ""
+
+
+# -- routes ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.no_cover
+@settings(max_examples=examples(30), deadline=None)
+@given(st.integers(0, 1 << 32))
+@example(392)
+def test_whoever_is_doubted_there_is_never_a_cycle_and_all_have_a_route_in_the_end(seed: int) -> None:
+    """Next hops are checked at every step of every node."""
+    swarm, rng = rough_times(seed), random.Random(seed)
+    for turn in range(60):
+        for node in swarm.nodes.values():
+            for neighbour in node.routing.neighbours.values():
+                if turn < 30 and rng.random() < 0.1:
+                    neighbour.doubted, neighbour.odds = rng.choice(
+                        [(False, 1.0), (False, 1.7), (True, 3.0), (True, 64.0)]
+                    )
+        swarm.turn()
+    swarm.check()
+    if swarm.seq_period:
+        assert set(swarm.hops()) == set(swarm.distances())
