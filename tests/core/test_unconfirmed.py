@@ -14,6 +14,7 @@ from rass_mav.core.messages import (
     Beacon,
     Committed,
     Data,
+    Handover,
     Message,
     PassedOn,
     ReceiptEntry,
@@ -24,10 +25,10 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_BASE
-from rass_mav.core.spares.unconfirmed import PATIENCE_TURNS, REACHABLE_TURNS
+from rass_mav.core.spares.unconfirmed import LOOK_TURNS, PATIENCE_TURNS, REACHABLE_TURNS
 
 from .books import check_node
-from .build import beacon, make_node, of
+from .build import beacon, datum, make_node, of
 from .mirror_net import Net
 
 LIAR = 9
@@ -262,3 +263,25 @@ def test_what_takes_long_because_of_a_liar_does_not_make_it_wait_longer_for_what
     assert list(alone.node.holdings) == [alone.ids[29]]
     [(turn, _)] = alone.times(100)
     assert turn <= PATIENCE_TURNS - 50 + 10
+
+
+@pytest.mark.parametrize("reachable", [False, True])
+def test_a_spare_whose_custodian_has_gone_waits_for_the_receipt_where_a_base_can_be_reached(reachable: bool) -> None:
+    """In a moving swarm most custodians that go out of range have passed the datum on."""
+    node = make_node(2, mirror=True, mirror_until_receipt=True, receipts=True, newborn=True)
+    node.receive(beacon(3, 1, free=50), 0.0)
+    spare = datum()
+    node.receive(Data(3, 2, (Handover(7, spare),), True), 0.0)
+    taken_back = None
+    for turn in range(1, 2 * PATIENCE_TURNS):
+        if reachable:
+            node.receive(beacon(4, turn, Route(0, 1, turn, 1), free=50), float(turn))
+        node.step(float(turn))
+        if spare.id in node.holdings.custody or node.holdings.pending:
+            taken_back = turn
+            break
+    assert taken_back is not None
+    if reachable:
+        assert PATIENCE_TURNS <= taken_back <= PATIENCE_TURNS + 2 * LOOK_TURNS
+    else:
+        assert 28 <= taken_back <= 30

@@ -384,9 +384,10 @@ class Mirrors(NoSpares):
             elif partner.heard >= now - GONE_LIFETIMES * max(partner.lifetime_s, own):
                 continue
             # Gone, or its store was wiped: it has none of our data any more, or none that can be counted on.
+            moved_on = neighbour is None and self._until_receipt
             for holding in list(partner.spares.values()):
-                if holding.custodian != id and routing.route is not None:
-                    # It was not the custodian, and what is in custody moves on: this copy waits for the receipt.
+                if (moved_on or holding.custodian != id) and routing.route is not None:
+                    # It has probably passed the datum on, or was not the custodian: this copy waits for the receipt.
                     self._retire(holding)
                 elif keeper.load(holding) is not None:
                     self.take_back(holding)
