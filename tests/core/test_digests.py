@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 
 import pytest
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import Digest, PassedOn, Route
+from rass_mav.core.messages import Data, Digest, Message, PassedOn, Route
 from rass_mav.core.news.checksums import is_sound_digest, make_digest
 from rass_mav.core.news.digests import (
     ENOUGH,
@@ -329,6 +329,23 @@ def test_forged_digests_end_no_custody(lies: list[list[int]], seed: int) -> None
     base = net.nodes[0]
     assert base.archive is not None
     assert all(id in base.archive for id in ids)
+
+
+@pytest.mark.parametrize("told", [digest_of, statement])
+def test_while_the_air_is_full_data_that_have_probably_arrived_wait_for_others(told: Callable[..., Message]) -> None:
+    node = make_node(1, digest=True, receipts=True, newborn=True)
+    arrived, other = (node.put(payload, 0.0) for payload in (b"arrived", b"other"))
+    node.receive(told([arrived]) if told is digest_of else told(arrived), 0.0)
+
+    def sent(t: int) -> list[DatumId]:
+        node.receive(beacon(3, t, Route(0, 1, t, 0), free=50), float(t))
+        return [handover.datum.id for data in of(Data, node.step(float(t))) for handover in data.handovers]
+
+    node.pace.queue = 1
+    assert sent(1) == [other]
+    node.pace.queue = 0
+    assert arrived in sent(2)
+    assert arrived in node.holdings.custody
 
 
 @pytest.mark.parametrize("digest", [False, True])

@@ -128,7 +128,7 @@ class Holding:
         self.asked = 0.0
         """Spare: when the custodian last reported it or was asked for it, seconds."""
         self.matched = False
-        """Spare: a digest matches it, so it has probably arrived, and is kept only while a custodian counts on it."""
+        """A digest matches it, so it has probably arrived. A spare is then kept only while a custodian counts on it."""
         self.given_to: int | None = None
         """Spare: the node that took custody last, or offered this copy."""
         self.given = 0.0

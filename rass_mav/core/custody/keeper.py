@@ -267,13 +267,14 @@ class Keeper:
 
     def heed_digest(self, digest: Digest) -> None:
         """What a digest matches has probably arrived. That ends the spares that no custodian counts on, now or as soon
-        as that is so."""
+        as that is so. It never ends custody, but such data wait while the air is full."""
         holdings = self.holdings
         self.takers.heed_digest(digest)
         for id in matched(digest, holdings.passed_on):
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
-        for id in matched(digest, holdings.spare):
-            holdings.spare[id].matched = True
+        for held in (holdings.spare, holdings.custody):
+            for id in matched(digest, held):
+                held[id].matched = True
         self.spares.heed_digest(digest)
 
     @property

@@ -145,23 +145,26 @@ class Percolation:
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
         """Held data that can be handed over to a neighbour now, least recently used first.
 
-        Large data wait while a transfer to the neighbour is under way. Small data behind them do not wait.
+        Large data wait while a transfer to the neighbour is under way. Small data behind them do not wait. While the
+        air is full, data that have probably arrived wait too: other copies of them have.
         """
         holdings = self._keeper.holdings
+        free: Iterator[Holding] = (holding for holding in holdings.custody.values() if holding.pending is None)
         allowance = self._keeper.takers.allowance(neighbour)
         if allowance is not None:
             under_way = sum(
                 h.pending is not None and h.pending.neighbour == neighbour for h in holdings.pending.values()
             )
-            return islice(
-                (id for id, h in holdings.custody.items() if h.pending is None), max(0, allowance - under_way)
-            )
-        if not self._transfers.free(neighbour):
+            free = islice(free, max(0, allowance - under_way))
+        elif not self._transfers.free(neighbour):
             inline = self._keeper.settings.inline_bytes
-            return (id for id, h in holdings.custody.items() if h.pending is None and h.size <= inline)
-        if holdings.pending:
-            return (id for id, h in holdings.custody.items() if h.pending is None)
-        return iter(holdings.custody)
+            free = (holding for holding in free if holding.size <= inline)
+        elif not holdings.pending and not self._pace.full:
+            return iter(holdings.custody)
+        if self._pace.full:
+            arrived = self._keeper.arrived
+            free = (holding for holding in free if not holding.matched and holding.id not in arrived)
+        return (holding.id for holding in free)
 
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
