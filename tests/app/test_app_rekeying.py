@@ -52,13 +52,7 @@ def nodes(directory: Path, tidy: Tidy, ids: list[int], pairs: list[tuple[int, in
         if node_id == 1:
             sections["node"] = {"role": "base"}
         link = {"listen": f"127.0.0.1:{ports[node_id]}", "peers": peers}
-        made.append(
-            tidy(
-                RunningNode(
-                    directory, node_id, links=[link], keys={"file": str(held)}, data={"status_s": 1.0}, **sections
-                )
-            )
-        )
+        made.append(tidy(RunningNode(directory, node_id, links=[link], **sections)))
     return made
 
 
