@@ -51,7 +51,7 @@ def check(holdings: Holdings, small_bytes: int) -> None:
         if h.backer is not None:
             assert h.state is State.SPARE
             assert h.partner not in (None, h.backer)
-        assert h.state is State.SPARE or not h.matched
+        assert h.state is not State.PASSED_ON or not h.matched
         if h.partner is not None:
             assert holdings.partners[h.partner.id] is h.partner
     for id, partner in holdings.partners.items():
