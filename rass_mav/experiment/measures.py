@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rass_mav.core.datum import DatumId, Fate
+from rass_mav.core.datum import Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.experiment.oracle import Ceiling, Contacts
@@ -16,10 +16,6 @@ from rass_mav.swarm.world import World
 
 #: Steps between two samples of a time series, which also has the last step; the authors' curves are the same.
 EVERY = 5
-#: Attackers are present from this step until that one.
-ATTACK = (50, 150)
-#: Late data have healed if they arrive within this many steps after the attackers have left.
-HEALING = 200
 #: Distance of a datum that was created out of every base's reach.
 OUT_OF_REACH = -1
 
@@ -220,38 +216,10 @@ class Basins:
         return {key: self._counts[key] for key in keys}
 
 
-class Attack:
-    """What became of the data that were created before the attackers left, and which nodes noticed the attackers."""
-
-    def __init__(self) -> None:
-        self._missing: set[DatumId] = set()
-        self._healed = 0
-        self._alarms: Counter[str] = Counter()
-        self._noticed = 0
-
-    def after(self, world: World) -> None:
-        """Count, in the relevant steps."""
-        ledger, left = world.ledger, ATTACK[1]
-        if world.t == left:
-            self._missing = ledger.born.keys() - ledger.arrived.keys()
-        if left < world.t <= left + HEALING:
-            self._healed = len(self._missing & ledger.arrived.keys())
-        alarms = [agent.node.alarms.counts for agent in world.agents]
-        self._noticed = sum(map(bool, alarms))
-        self._alarms = Counter(alarm.name.lower() for counts in alarms for alarm in counts)
-
-    def result(self) -> dict[str, Any]:
-        """Counts of data, of nodes that raised any alarm, and of those that raised each."""
-        return {
-            "late": len(self._missing), "healed": self._healed, "noticed": self._noticed, "alarms": dict(self._alarms),
-        }  # fmt: skip
-
-
 #: By the names that a `Run` uses.
 MEASURES: dict[str, Callable[[], Measure]] = {
     "origins": Origins,
     "basins": Basins,
     "ceiling": Ceiling,
     "contacts": Contacts,
-    "attack": Attack,
 }

@@ -8,57 +8,40 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.experiment import hostile
-from rass_mav.experiment.measures import ATTACK
 from rass_mav.experiment.runs import Extent
 
 from .test_commands import asked, check_files, table
 
 
-def test_every_attacker_meets_every_policy_with_and_without_spare_copies() -> None:
+def test_every_attacker_meets_every_policy_with_and_without_keys() -> None:
     planned = hostile.plan(Extent(2, 500), hostile.ATTACKERS, hostile.POLICIES, list(hostile.VARIANTS))
-    assert len(planned) == 2 * len(hostile.ATTACKERS) * len(hostile.POLICIES) * 2
+    assert len(planned) == 2 * len(hostile.ATTACKERS) * len(hostile.POLICIES) * 3
     for run in planned:
         there = [(each.kind, each.begin, each.end) for each in run.scenario.hostile]
-        assert there == ([] if run.world == hostile.NOBODY else [(run.world, *ATTACK)])
-        assert run.scenario.custody.mirror is hostile.VARIANTS[run.variant]
+        assert there == ([] if run.world == hostile.NOBODY else [(run.world, hostile.ATTACK, None)])
+        keys, captured = hostile.VARIANTS[run.variant]
+        assert run.scenario.keys is keys
+        assert all(each.captured is captured for each in run.scenario.hostile)
 
 
-def test_every_row_and_figure_of_a_short_run_is_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The attacker has come, and has not left yet. Measured; the long run is not."""
+def test_a_stranger_costs_nothing_where_links_are_signed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """With one copy, so that every datum that somebody is made to delete is lost."""
     summary = asked(
         capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
-        "survival", "--jobs", "1", "--steps", str(ATTACK[0] + 10),
-    )  # fmt: skip
-    check_files(tmp_path, summary)
-    _, rows = table(tmp_path / "table.csv")
-    found = {(row["attacker"], row["variant"]): float(row["delivered_mean"]) for row in rows}
-    assert len(found) == 4
-    for variant in hostile.VARIANTS:
-        assert found["sinkhole", variant] < found["nobody", variant]
-
-
-@pytest.mark.no_cover
-def test_what_a_sinkhole_takes_is_healed_from_spares_and_told_where_there_are_none(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    summary = asked(
-        capsys, "hostile", "--out", str(tmp_path), "--runs", "1", "--attacker", "nobody", "sinkhole", "--policy",
-        "survival", "--jobs", "1", "--steps", "420", "--set", f"data.until_step={ATTACK[1]}",
+        "survival", "--jobs", "1", "--steps", str(hostile.ATTACK + 30), "--set", "custody.mirror=false",
+        "--set", f"data.until_step={hostile.ATTACK + 10}",
     )  # fmt: skip
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
     assert tuple(columns) == hostile.TABLE_COLUMNS
     found = {(row["attacker"], row["variant"]): row for row in rows}
-    assert len(found) == 4
-    for attacker in ("nobody", "sinkhole"):
-        assert float(found[attacker, "mirrors"]["delivered_mean"]) >= 0.99
-    healed, lost = found["sinkhole", "mirrors"], found["sinkhole", "one-copy"]
-    assert float(healed["late_mean"]) > 0.1
-    # Some spare may have had to go for want of room.
-    assert float(healed["healed_mean"]) >= 0.9 * float(healed["late_mean"])
-    assert float(lost["unfounded_mean"]) > 0.1
-    assert float(lost["noticed_mean"]) > 1
-    assert "unconfirmed" in (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert len(found) == 6
+    assert float(found["sinkhole", "open"]["unfounded_mean"]) > 0.0
+    for of_nobody, of_sinkhole in ((found["nobody", v], found["sinkhole", v]) for v in ("open", "signed")):
+        assert float(of_nobody["unfounded_mean"]) == 0.0
+        assert float(of_nobody["delivered_mean"]) == 1.0
+        assert of_sinkhole["variant"] == "open" or of_sinkhole["delivered_mean"] == of_nobody["delivered_mean"]
+    assert float(found["sinkhole", "captured"]["unfounded_mean"]) > 0.0
 
 
 def test_an_attacker_that_is_none_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -8,12 +8,15 @@ import pytest
 
 from rass_mav.core.datum import Fate
 from rass_mav.errors import ConfigError
-from rass_mav.experiment.measures import ATTACK, HEALING
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.hostile.kinds import KINDS
 from rass_mav.swarm.world import World
 from tests.extent import extents
 
+#: Unless a test says otherwise, the attacker is present from this step until that one,
+ATTACK = (50, 150)
+#: and so many steps later everything has healed.
+HEALING = 200
 #: What these do must not matter.
 HARMLESS = (
     "number-squatter", "request-forger", "impostor", "id-inventor", "replayer", "flooder", "bit-flipper",

@@ -50,7 +50,7 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' keys 'keys new' 'keys drone' 'keys rotate' 'keys show' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' keys 'keys new' 'keys drone' 'keys rotate' 'keys revoke' 'keys show' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
 set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --keys --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
 
 complete -c rass-mav -e
@@ -158,7 +158,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using params write' -l live -xka "(__fi
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l sysid -x -d 'the system id that the vehicle should have (default: unchanged)'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l yes -d 'do not ask'
 complete -c rass-mav -n '_shtab_rass_mav_using params write; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'parameters: .parm (NAME VALUE) or .params (QGroundControl)'
-complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a keys -d 'Keys by which the nodes of a mission know each other. Frames are not signed with them yet.'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a keys -d 'Keys by which the nodes of a mission know each other, and which only the ground reads data with.'
 complete -c rass-mav -n '_shtab_rass_mav_using keys' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a new -d 'Create a mission: the ground'"'"'s keys, for bases, in a folder.'
 complete -c rass-mav -n '_shtab_rass_mav_using keys new' -s h -l help -d 'show this help message and exit'
@@ -172,12 +172,16 @@ complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -l json -d 'print exa
 complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -l replace -d 'new keys, for another drone in the place of the one that had this id'
 complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -l again -d 'the same keys again, for the same drone'
 complete -c rass-mav -n '_shtab_rass_mav_using keys drone' -s d -l dir -xka "(__fish_complete_directories)" -d 'the mission'"'"'s folder (the current one)'
-complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a rotate -d 'Change the key that all nodes have, in three steps.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a rotate -d 'Change the link key, which all nodes have, while they run.'
 complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using keys rotate' -s d -l dir -xka "(__fish_complete_directories)" -d 'the mission'"'"'s folder (the current one)'
-complete -c rass-mav -n '_shtab_rass_mav_using keys rotate; and test $_shtab_rass_mav_npos -eq 0' -ka "add use drop" -d 'add: nodes accept a new key too; use: they sign with it; drop: they refuse the old one. After each step all nodes get their files'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a revoke -d 'Lock a drone out: change the link key for all others, while they run.'
+complete -c rass-mav -n '_shtab_rass_mav_using keys revoke' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys revoke' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using keys revoke' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using keys revoke' -s d -l dir -xka "(__fish_complete_directories)" -d 'the mission'"'"'s folder (the current one)'
 complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a show -d 'Show what is not secret in a file of keys.'
 complete -c rass-mav -n '_shtab_rass_mav_using keys show' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using keys show' -s v -l verbose -d 'logs on stderr; -vv for more'
@@ -370,7 +374,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l air -xka
 complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l place -xka "grid walk field dying" -d 'in which places, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l baseline -xka "default hop-count epidemic spray-and-wait spray-and-focus prophet rapid backpressure" -d 'which protocols, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment baselines' -l own-runs -x -d 'runs of our defaults (default: as many as of the others)'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a hostile -d 'Attackers beside honest nodes: what arrives, what is lost, who notices, recovery.'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a hostile -d 'Attackers beside honest nodes: without keys, with keys, with the link key.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l json -d 'print exactly one JSON object'
