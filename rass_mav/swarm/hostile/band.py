@@ -37,7 +37,7 @@ class _Member:
         self._store = MemoryStore(attacker.id)
         signed, tags = None, OPEN
         if section.captured and keys is not None:
-            signed = Signed.begin(keys.signing, self._writer, self._store, attacker.rng, step_s)
+            signed = Signed.begin(attacker.id, keys.signing, self._writer, self._store, attacker.rng, step_s)
             tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
         attacker.prints = tags.prints
