@@ -6,7 +6,8 @@ import logging
 import math
 import random
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rass_mav.agent.answers import Answers
 from rass_mav.agent.ground import Ground
@@ -20,6 +21,8 @@ from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.statuses import Statuses
 from rass_mav.agent.turns import Turns
+from rass_mav.agent.vouchers import Held
+from rass_mav.agent.word import Word
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
@@ -28,6 +31,7 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
 from rass_mav.core.routes.contacts import Motion
 from rass_mav.core.seals import NoSeals
+from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -37,6 +41,9 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SigningKeys
 from rass_mav.mavlink.telemetry import Accuracy, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
+
+if TYPE_CHECKING:
+    from rass_mav.keys.word import GroundWord
 
 log = logging.getLogger(__name__)
 
@@ -72,6 +79,7 @@ class _Makings(NamedTuple):
 
     participant: type[Participant] | None
     seals: Callable[[Store], NoSeals] | None
+    vouched: bool
 
 
 class Agent:
@@ -118,6 +126,7 @@ class Agent:
         participant: type[Participant] | None = None,
         keys: SigningKeys | None = None,
         seals: Callable[[Store], NoSeals] | None = None,
+        word: GroundWord | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
@@ -125,7 +134,8 @@ class Agent:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
         others with it. `keys`: of the links; None: they are open. `seals`: what the node's keys do to data, for each of
-        its lives (`agent.seals`); None: nothing.
+        its lives (`agent.seals`); None: nothing. `word`: of the ground, without which no base is believed, only with
+            `keys`; None: all are.
         """
         configured = settings
         unfit: list[str] = []
@@ -134,7 +144,7 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
-        self._makings = _Makings(participant, seals)
+        self._makings = _Makings(participant, seals, word is not None)
         self.answers = Answers(rng)
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
@@ -149,6 +159,7 @@ class Agent:
         writer = FrameWriter(system_id, mavlink.component_id)
         signed = None if keys is None else Signed.begin(keys, writer, store, rng, settings.step_s)
         self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed)
+        self.peers.word = None if word is None else Word(settings.node_id, word, store, rng, self.node)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -177,9 +188,13 @@ class Agent:
         kind = self._makings.participant or (Replica if policy.replicates else Node)
         seals = None if self._makings.seals is None else self._makings.seals(self.store)
         return kind(
-            settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
+            self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn, seals=seals,
         )  # fmt: skip
+
+    def _node_settings(self) -> NodeSettings:
+        settings = self.settings.node_settings()
+        return replace(settings, vouched=True) if self._makings.vouched else settings
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
         """Continue with other settings, between two steps.
@@ -195,7 +210,7 @@ class Agent:
         if rebirth or policy.costs != node.policy.costs:
             self._renew(now)
             return
-        node.adopt(settings.node_settings(), policy)
+        node.adopt(self._node_settings(), policy)
         risk, old = settings.risk, before.risk
         # The average was on another scale.
         rescaled = (risk.low, risk.high) != (old.low, old.high)
@@ -222,6 +237,8 @@ class Agent:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False)
         self.answers.forget()
+        if self.peers.word is not None:
+            self.peers.word.node = self.node
         self.peers.overhears = self.node.overhears
         self._observe_again()
 
@@ -346,9 +363,11 @@ class Agent:
             service.step(now)
         # Before the beacon, which counts where the answer has been heard.
         out = self.peers.challenges(now)
+        if self.peers.word is not None:
+            self._hear_released(self.peers.word, now)
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
-            out += self.peers.frames(node.step(now), self.store, now)
+            out += self.peers.frames_of_turn(node.step(now), self.store, now)
         self._reports.look(node, now, self.tell_ground)
         if self.peers.other_versions:
             self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
@@ -359,6 +378,19 @@ class Agent:
             out += self.forward(now)
         self.steps += 1
         return out + self._take_said() if self._said else out
+
+    def _hear_released(self, word: Word, now: float) -> None:
+        """Let core hear the statements for which the ground has vouched meanwhile. It answers none."""
+        for held in word.released():
+
+            def hear(frame: Frame | None, now: float, held: Held = held) -> None:
+                for _ in range(held.times):
+                    self.node.receive(held.message, now)
+
+            if held.frame is None:
+                hear(None, now)
+            else:
+                self.guard.take(held.frame, now, hear)
 
     def _is_measured(self) -> bool:
         """Whether a measurement is due in this step."""

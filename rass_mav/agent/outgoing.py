@@ -58,10 +58,12 @@ def frames_of(
     return out
 
 
-def frames_about_links(payloads: Sequence[bytes], writer: FrameWriter, payload_type: int) -> list[Outgoing]:
+def frames_about_links(
+    payloads: Sequence[bytes], writer: FrameWriter, payload_type: int, urgency: Urgency = Urgency.ANSWER
+) -> list[Outgoing]:
     """TUNNEL payloads that are no messages of core, as frames of `writer` to everybody in range."""
     frames = (writer.tunnel(payload, payload_type=payload_type) for payload in payloads)
-    return [Outgoing(frame, BROADCAST, False, Urgency.ANSWER) for frame in frames]
+    return [Outgoing(frame, BROADCAST, False, urgency) for frame in frames]
 
 
 def held_back(frames: Sequence[Outgoing]) -> list[Outgoing]:

@@ -39,6 +39,7 @@ from .notify import Notifier
 
 if TYPE_CHECKING:
     from rass_mav.agent.seals import DataKeys
+    from rass_mav.keys.word import GroundWord
 
     from .companion import Companion
 
@@ -70,10 +71,14 @@ class Runtime:
         self._keys = None if keys is None else keys.own.about
         self._signing = None if keys is None else SigningKeys([link.key.reveal() for link in keys.own.links])
         self._seals: DataKeys | None = None
+        self._word: GroundWord | None = None
         if keys is not None and config.keys is not None:
-            from rass_mav.agent.seals import DataKeys  # with PyNaCl, which a node without keys does not need
+            # With PyNaCl, which a node without keys does not need.
+            from rass_mav.agent.seals import DataKeys
+            from rass_mav.keys.word import GroundWord
 
             self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
+            self._word = GroundWord(keys)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._anew = False
@@ -150,7 +155,10 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing, seals=self._seals)
+            agent = Agent(
+                settings, store, rng, now=clock.now(), forgiving=True, keys=self._signing, seals=self._seals,
+                word=self._word,
+            )  # fmt: skip
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:

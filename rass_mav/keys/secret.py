@@ -26,6 +26,9 @@ class Purpose(bytes, Enum):
     SEAL = b"rass seal key"
     MISSION = b"rass mission"
     CERTIFICATE = b"rass certificate"
+    VOUCHER = b"rass voucher"
+    ANCHOR = b"rass anchor"
+    CHAIN = b"rass chain"
     FILE = b"rass key file"
 
 

@@ -41,6 +41,7 @@ from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.wires import Wires
 from rass_mav.wire import decode
 from rass_mav.wire.challenge import is_challenge
+from rass_mav.wire.word import is_word
 
 # Longest line of orders, bytes.
 _MAX_ORDER = 4096
@@ -198,7 +199,7 @@ class Air(ABC, Generic[F]):
         if fields is None or fields[4] != self._payload_type:
             counted.malformed += 1
             return
-        if is_challenge(fields[5]):
+        if is_challenge(fields[5]) or is_word(fields[5]):
             return
         try:
             message = decode(fields[5], 0.0)

@@ -12,6 +12,7 @@ from rass_mav.swarm.scenario import Scenario
 
 if TYPE_CHECKING:
     from rass_mav.keys.identity import Ground
+    from rass_mav.keys.word import GroundWord
 
 
 def ground_of(scenario: Scenario) -> Ground:
@@ -30,6 +31,21 @@ def signing_keys(scenario: Scenario) -> SigningKeys | None:
     if not scenario.keys:
         return None
     return SigningKeys([link.key.reveal() for link in ground_of(scenario).node(0).links])
+
+
+def ground_words(scenario: Scenario) -> list[GroundWord] | None:
+    """What each node has of the ground's keys, and then what anybody has; None: the scenario has no keys. Raises
+    `KeysError` if PyNaCl is missing."""
+    if not scenario.keys:
+        return None
+    ground = ground_of(scenario)
+    from rass_mav.keys.keyring import Keyring
+    from rass_mav.keys.word import GroundWord
+
+    keys = ground.node(0)
+    return [GroundWord(Keyring(keys, ground))] * scenario.bases + [GroundWord(Keyring(keys, None))] * (
+        scenario.nodes - scenario.bases + 1
+    )
 
 
 def write_files(scenario: Scenario, directory: Path) -> list[KeysSection | None]:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from math import inf
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
@@ -39,6 +39,9 @@ from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
+
+if TYPE_CHECKING:
+    from rass_mav.keys.word import GroundWord
 
 S = TypeVar("S", bound="VirtualSwarm")
 
@@ -78,6 +81,7 @@ class VirtualSwarm(ABC):
         record: Record | None = None,
         participant: type[Participant] | None = None,
         keys: SigningKeys | None = None,
+        words: Sequence[GroundWord] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -92,6 +96,7 @@ class VirtualSwarm(ABC):
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
         :param keys: of the links; None: they are open.
+        :param words: what each node has of the ground's keys, and then what anybody has; None: bases are believed.
         """
         agents = list(agents)
         self.seed = seed
@@ -135,11 +140,13 @@ class VirtualSwarm(ABC):
                 store, observer = computer.store, computer.diary
             self.stores.append(store)
             self.gates.append(self.make_gate(store))
+            word = None if words is None else words[settings.node_id]
             self.agents.append(
                 Agent(
-                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant, keys=keys
+                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant, keys=keys,
+                    word=word,
                 )
-            )
+            )  # fmt: skip
             self.air.start(settings.node_id, self.agents[-1], 0.0)
         self._answering = [inf] * len(agents)
         """When each node's answers were last due, seconds."""
@@ -148,6 +155,7 @@ class VirtualSwarm(ABC):
         self.hostile = Band(
             hostile, nodes=len(self.agents), seed=seed, payload_type=some.settings.mavlink.payload_type,
             costs=some.node.policy.costs is not None, keys=keys, step_s=self.step_s,
+            word=None if words is None else words[-1],
         )  if hostile else None  # fmt: skip
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
@@ -373,6 +381,7 @@ class VirtualSwarm(ABC):
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
             keys=None if old.peers.signed is None else old.peers.signed.keys,
+            word=None if old.peers.word is None else old.peers.word.keys,
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

@@ -5,10 +5,13 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
+from typing import TYPE_CHECKING
 
 from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.peers import Opened, Peers, open_datagram
 from rass_mav.agent.signed import Signed
+from rass_mav.agent.word import Word
+from rass_mav.core.messages import Beacon
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import SigningKeys
@@ -19,15 +22,19 @@ from rass_mav.wire import decode, encode
 from .attacker import Attacker, Said
 from .kinds import KINDS
 
+if TYPE_CHECKING:
+    from rass_mav.keys.word import GroundWord
+
 #: The most frames that an attacker sends in a step: the air has no limit, but a run has an end.
 MOST_FRAMES = 300
 
 
 class _Member:
     def __init__(
-        self, section: HostileSection, attacker: Attacker, payload_type: int, keys: SigningKeys | None, step_s: float
-    ) -> None:
-        """`keys`: of the links, which a captured drone has."""
+        self, section: HostileSection, attacker: Attacker, payload_type: int, keys: SigningKeys | None, step_s: float,
+        word: GroundWord | None,
+    ) -> None:  # fmt: skip
+        """`keys`: of the links, which a captured drone has. `word`: what it has of the ground's keys."""
         self.section = section
         self.attacker = attacker
         self.left = 0
@@ -37,6 +44,8 @@ class _Member:
         if section.captured and keys is not None:
             signed = Signed.begin(keys, self._writer, MemoryStore(attacker.id), attacker.rng, step_s)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed)
+        if signed is not None and word is not None:
+            self._peers.word = Word(attacker.id, word, MemoryStore(attacker.id), attacker.rng, None)
 
     def is_there(self, t: int) -> bool:
         section = self.section
@@ -44,6 +53,9 @@ class _Member:
 
     def frames(self, said: Iterable[Said], now: float) -> Iterator[bytes]:
         for message in said:
+            if self._peers.word is not None and isinstance(message, Beacon):
+                # With a better proof than that of the beacon it imitates, if it can.
+                message = self._peers.word.routes.shown(message)
             for payload in [message] if isinstance(message, bytes) else encode(message, now):
                 if self.left <= 0:
                     return
@@ -58,7 +70,11 @@ class _Member:
 
     def answers(self, now: float) -> Iterator[bytes]:
         """If captured: answer them."""
-        for outgoing in self._peers.challenges(now):
+        outgoings = self._peers.challenges(now)
+        if self._peers.word is not None:
+            self._peers.word.released()
+            outgoings += frames_about_links(self._peers.word.turn(())[0], self._writer, self._payload_type)
+        for outgoing in outgoings:
             yield self._peers.leaving(outgoing).frame
 
 
@@ -67,9 +83,10 @@ class Band:
 
     def __init__(
         self, sections: Sequence[HostileSection], *, nodes: int, seed: int, payload_type: int, costs: bool,
-        keys: SigningKeys | None, step_s: float,
+        keys: SigningKeys | None, step_s: float, word: GroundWord | None,
     ) -> None:  # fmt: skip
-        """`costs`: see `Attacker`. `keys`: of the swarm's links; None: they are open."""
+        """`costs`: see `Attacker`. `keys`: of the swarm's links; None: they are open. `word`: what a drone has of the
+        ground's keys."""
         self._members = {
             nodes + index: _Member(
                 section,
@@ -77,6 +94,7 @@ class Band:
                 payload_type,
                 keys,
                 step_s,
+                word,
             )
             for index, section in enumerate(sections)
         }
