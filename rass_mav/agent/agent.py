@@ -157,7 +157,7 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         writer = FrameWriter(system_id, mavlink.component_id)
-        signed = None if keys is None else Signed.begin(keys, writer, store, rng, settings.step_s)
+        signed = None if keys is None else Signed.begin(settings.node_id, keys, writer, store, rng, settings.step_s)
         self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed)
         self.peers.word = None if word is None else Word(settings.node_id, word, store, rng, self.node)
         self.peers.overhears = self.node.overhears

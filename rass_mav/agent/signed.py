@@ -22,13 +22,15 @@ class Signed(NamedTuple):
     streams: Streams
 
     @classmethod
-    def begin(cls, keys: SigningKeys, writer: FrameWriter, store: Store, rng: random.Random, step_s: float) -> Signed:
+    def begin(
+        cls, node_id: int, keys: SigningKeys, writer: FrameWriter, store: Store, rng: random.Random, step_s: float
+    ) -> Signed:
         """`writer`: its TUNNEL messages are signed from now on. `rng`: draws nonces. `step_s`: length of a step,
         seconds."""
         writer.tunnel_flags = FLAG_SIGNED
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
         timestamps = Timestamps(store, keys.signer(store.epoch & 0xFF, 0))
-        return cls(keys, timestamps, Streams(writer, timestamps, rng, step_s))
+        return cls(keys, timestamps, Streams(node_id, writer, timestamps, rng, step_s))
 
     def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:
         """For a reader. `needed`: returns whether messages with this id must be signed; by default all but

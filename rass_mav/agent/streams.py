@@ -93,13 +93,16 @@ class Streams:
     """The streams that one node hears, and its own. Time is an argument."""
 
     __slots__ = (
-        "_again", "_answers", "_asks", "_late", "_nonces", "_rng", "_step_s", "_strange", "_table", "_timestamps",
-        "_twin", "_writer", "malformed", "twins",
+        "_again", "_answers", "_asks", "_late", "_node_id", "_nonces", "_rng", "_step_s", "_strange", "_table",
+        "_timestamps", "_twin", "_writer", "malformed", "twins",
     )  # fmt: skip
 
-    def __init__(self, writer: FrameWriter, timestamps: Timestamps, rng: random.Random, step_s: float) -> None:
+    def __init__(
+        self, node_id: int, writer: FrameWriter, timestamps: Timestamps, rng: random.Random, step_s: float
+    ) -> None:
         """`writer`: of the node's own stream, which `timestamps` signs. `rng`: draws nonces. `step_s`: seconds between
         two calls of `due`."""
+        self._node_id = node_id
         self._writer = writer
         self._timestamps = timestamps
         self._rng = rng
@@ -164,8 +167,7 @@ class Streams:
                 self._answer(stream, state, timestamp, challenge)
             return False
         if stream[:2] == (self._writer.system_id, self._writer.component_id):
-            self._hear_twin(payload, now)
-            return False
+            return self._hear_twin(payload, now)
         return True
 
     def _room_for_another(self) -> _State:
@@ -217,7 +219,7 @@ class Streams:
         if now >= state.ask_at:
             self._asks[stream] = None
 
-    def _hear_twin(self, payload: bytes, now: float) -> None:
+    def _hear_twin(self, payload: bytes, now: float) -> bool:
         self._twin += 1
         node_id = beacon_sender(payload)
         if node_id is not None:
@@ -225,6 +227,8 @@ class Streams:
             self.twins[node_id] = now
             if len(self.twins) > MAX_TWINS:
                 del self.twins[next(iter(self.twins))]
+        # A beacon of its own node id changes nothing but what the node knows of copies of its store.
+        return node_id == self._node_id
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
