@@ -26,6 +26,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rass_mav.agent.peers import open_datagram
+from rass_mav.agent.vouchers import MAX_ANSWERS
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.news.receipts import DENIAL_TURNS, Receipts
 from rass_mav.core.node import Node
@@ -34,12 +35,13 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.statistics import percentile
 from rass_mav.swarm.world import World
-from rass_mav.wire.codec import DIGEST_BYTES, MAX_TUNNEL
+from rass_mav.wire.codec import DIGEST, DIGEST_BYTES, MAX_TUNNEL, MORE
+from rass_mav.wire.word import ASK, VOUCHER
 
 #: Steps within which a node should know.
 WITHIN = 60
-#: Types of the messages that tell what has arrived: Receipt, Given, Digest.
-_TYPES = (8, 14, 15)
+#: Types of the messages that tell what has arrived: Receipt, Given, Digest, and with keys vouchers and asks for them.
+_TYPES = (8, 14, DIGEST, VOUCHER, ASK)
 
 
 class Watch(Observer):
@@ -93,7 +95,8 @@ class Copies:
         opened = open_datagram(frame)
         assert opened is not None
         payload = opened[3]
-        if payload[0] & 15 in _TYPES:
+        type_ = payload[0] & 15
+        if (payload[1] if type_ == MORE else type_) in _TYPES:
             self.bytes += len(payload)
 
     def ended(self, node: int, id: DatumId, fate: Fate) -> None:
@@ -168,6 +171,9 @@ def bounds(scenario: Scenario) -> tuple[float, float]:
         return 0.0, 0.0
     period = custody.receipt_steps
     receipts = (MAX_TUNNEL + 15 / DENIAL_TURNS) / period
+    if scenario.keys:
+        # A voucher with each statement, two for neighbours that ask, and what the node asks itself.
+        receipts += MAX_TUNNEL * (2 / period + MAX_ANSWERS + 1)
     if not custody.digest:
         return receipts, receipts
     return receipts + DIGEST_BYTES / period, receipts + DIGEST_BYTES / max(1, period // 3)

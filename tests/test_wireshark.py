@@ -98,7 +98,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
     """All fields of a message as the dissector names them. `created` is an age on the wire."""
     kind = type(record).__name__
     for name, value in zip(record._fields, record, strict=True):
-        if (kind, name) == ("Chunk", "target") or value is None or (name == "moves" and not value):
+        if (kind, name) == ("Chunk", "target") or value is None or (name in ("moves", "proof") and not value):
             continue  # not on the wire
         if name == "created":
             yield "age", round((now - value) * 1000)
@@ -106,7 +106,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
-        elif name in ("answers", "distance", "moves"):
+        elif name in ("answers", "distance", "moves", "proof"):
             yield from said_in_a_block(name, value)
         elif name == "marks":
             yield from [("count", len(value)), ("mark_bytes", len(pack_marks(value, record.bits)))]
@@ -137,6 +137,8 @@ def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
         yield from [("block", 2), ("block_size", 5), *said(value)]
     elif name == "moves":
         yield from [("block", 3), ("block_size", 8), (name, value)]
+    elif name == "proof":
+        yield from [("block", 4), ("block_size", 8), (name, value)]
     elif value:
         yield "block", 1
         yield "block_size", sum(4 + 8 * len(each.committed) + 4 * len(each.refused) for each in value)
@@ -146,7 +148,7 @@ def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
 
 
 def read(name: str, text: str) -> int | bytes:
-    if name in ("rass.payload", "rass.data", "rass.bitmap", "rass.entry_bitmap", "rass.block_content"):
+    if name in ("rass.payload", "rass.data", "rass.bitmap", "rass.entry_bitmap", "rass.block_content", "rass.proof"):
         return bytes.fromhex(text.replace(":", ""))
     if text in ("True", "False"):
         return int(text == "True")

@@ -77,6 +77,7 @@ field("digest", ProtoField.uint32, "rass.digest", "Receipt digest", base.HEX)
 field("beacon_crc", ProtoField.uint32, "rass.beacon_crc", "CRC of the beacon", base.HEX)
 field("turn", ProtoField.uint16, "rass.turn", "Turn, tenths of a second (0: a step)")
 field("moves", ProtoField.uint64, "rass.moves", "Motion", base.HEX)
+field("proof", ProtoField.bytes, "rass.proof", "Element of the hash chain")
 field("count", ProtoField.uint8, "rass.count", "Entries")
 field("data_count", ProtoField.uint8, "rass.count", "Hand-overs", base.DEC, nil, 0x7f)
 field("spare", ProtoField.bool, "rass.spare", "Spare copies", 8, nil, 0x80)
@@ -334,6 +335,9 @@ local function blocks(r)
                 size = size - 5
             elseif kind == 3 and size >= 8 then
                 r.tree:add_le(f.moves, r:need(8))
+                size = size - 8
+            elseif kind == 4 and size >= 8 then
+                r:bytes("proof", 8)
                 size = size - 8
             end
             if kind ~= 1 then

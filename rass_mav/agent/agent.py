@@ -6,6 +6,7 @@ import logging
 import math
 import random
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rass_mav.agent.answers import Answers
@@ -21,6 +22,8 @@ from rass_mav.agent.signed import Signed
 from rass_mav.agent.statuses import Statuses
 from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.agent.turns import Turns
+from rass_mav.agent.vouchers import Held
+from rass_mav.agent.word import Word
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
@@ -29,6 +32,7 @@ from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
 from rass_mav.core.routes.contacts import Motion
 from rass_mav.core.seals import NoSeals
+from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
 from rass_mav.mavlink.dialect import payload_of
@@ -41,6 +45,7 @@ from rass_mav.wire.measurement import Measurement, encode_measurement
 
 if TYPE_CHECKING:
     from rass_mav.agent.letters import Letters
+    from rass_mav.keys.word import GroundWord
 
 log = logging.getLogger(__name__)
 
@@ -77,6 +82,7 @@ class _Makings(NamedTuple):
     participant: type[Participant] | None
     seals: Callable[[Store], NoSeals] | None
     tags: NoTags
+    vouched: bool
 
 
 class Agent:
@@ -125,6 +131,7 @@ class Agent:
         letters: Letters | None = None,
         seals: Callable[[Store], NoSeals] | None = None,
         tags: Callable[[Store, random.Random, float], NoTags] | None = None,
+        word: GroundWord | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
@@ -134,7 +141,8 @@ class Agent:
         others with it. `keys`: of the links; None: they are open. `letters`: bring the keys of the links, instead of
         `keys`. `seals`: what the node's keys do to data, for each of its lives (`agent.seals`); None: nothing. `tags`:
         prove its words to other nodes (`agent.pairs`); made with the store, the generator and the length of a step.
-        None: there are none.
+        None: there are none. `word`: of the ground, without which no base is believed, only with `keys` or `letters`;
+        None: all are.
         """
         configured = settings
         unfit: list[str] = []
@@ -144,7 +152,7 @@ class Agent:
         self._rng = rng
         self.store = store
         words = OPEN if tags is None else tags(store, rng, settings.step_s)
-        self._makings = _Makings(participant, seals, words)
+        self._makings = _Makings(participant, seals, words, word is not None)
         self.answers = Answers(rng)
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
@@ -163,6 +171,7 @@ class Agent:
         if keys is not None:
             signed = Signed(settings.node_id, keys, writer, store, rng, settings.step_s, mavlink.payload_type, letters)
         self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, words)
+        self.peers.word = None if word is None else Word(settings.node_id, word, store, rng, self.node)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -193,9 +202,13 @@ class Agent:
         kind = self._makings.participant or (Replica if policy.replicates else Node)
         seals = None if self._makings.seals is None else self._makings.seals(self.store)
         return kind(
-            settings.node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
+            self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn, seals=seals, prints=self._makings.tags.prints,
         )  # fmt: skip
+
+    def _node_settings(self) -> NodeSettings:
+        settings = self.settings.node_settings()
+        return replace(settings, vouched=True) if self._makings.vouched else settings
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
         """Continue with other settings, between two steps.
@@ -211,7 +224,7 @@ class Agent:
         if rebirth or policy.costs != node.policy.costs:
             self._renew(now)
             return
-        node.adopt(settings.node_settings(), policy)
+        node.adopt(self._node_settings(), policy)
         risk, old = settings.risk, before.risk
         # The average was on another scale.
         rescaled = (risk.low, risk.high) != (old.low, old.high)
@@ -238,6 +251,8 @@ class Agent:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False)
         self.answers.forget()
+        if self.peers.word is not None:
+            self.peers.word.node = self.node
         self.peers.overhears = self.node.overhears
         self._observe_again()
 
@@ -362,9 +377,11 @@ class Agent:
             service.step(now)
         # Before the beacon, which counts where the answer has been heard.
         out = self.peers.about_links(now, self.node.pace)
+        if self.peers.word is not None:
+            self._hear_released(self.peers.word, now)
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
-            out += self.peers.frames(node.step(now), self.store, now)
+            out += self.peers.frames_of_turn(node.step(now), self.store, now)
         self._reports.look(node, now, self.tell_ground)
         if self.peers.other_versions:
             self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
@@ -375,6 +392,19 @@ class Agent:
             out += self.forward(now)
         self.steps += 1
         return out + self._take_said() if self._said else out
+
+    def _hear_released(self, word: Word, now: float) -> None:
+        """Let core hear the statements for which the ground has vouched meanwhile. It answers none."""
+        for held in word.released():
+
+            def hear(frame: Frame | None, now: float, held: Held = held) -> None:
+                for _ in range(held.times):
+                    self.node.receive(held.message, now)
+
+            if held.frame is None:
+                hear(None, now)
+            else:
+                self.guard.take(held.frame, now, hear)
 
     def _is_measured(self) -> bool:
         """Whether a measurement is due in this step."""

@@ -10,6 +10,7 @@ from typing import NamedTuple, TypeAlias
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.tags import OPEN, NoTags
+from rass_mav.agent.word import Word
 from rass_mav.core.messages import BROADCAST, Message, Urgency
 from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
@@ -22,6 +23,7 @@ from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, is_data, target_of
 from rass_mav.wire.codec import VERSION, ForeignError
+from rass_mav.wire.word import is_word
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +66,7 @@ class Peers:
 
     __slots__ = (
         "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "overhears", "reader", "received",
-        "signed", "system_ids", "tags", "writer",
+        "signed", "system_ids", "tags", "word", "writer",
     )  # fmt: skip
 
     def __init__(
@@ -78,6 +80,8 @@ class Peers:
         self._payload_type = payload_type
         self.signed = signed
         self.tags = tags
+        self.word: Word | None = None
+        """What is known of the ground's word; None: there are no keys, and bases are believed."""
         self.writer = writer
         self.reader = FrameReader(None if signed is None else signed.check())
         self.overhears = False
@@ -105,19 +109,26 @@ class Peers:
             self._count(error, now)
             return None
         opened = (*tunnel, target_of(tunnel.payload))
-        return self.message(opened, now) if self._admits(frame.stream, frame.timestamp, opened, now) else None
+        if not self._admits(frame.stream, frame.timestamp, opened, now):
+            return None
+        return self._believed(self.message(opened, now, frame.stream), frame.stream, frame)
 
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
         """The same for the datagram that `open_datagram` has opened."""
+        stream = (0, 0, 0)
         if self.signed is not None:
             stamp = stamp_of(datagram, self.signed.key)
             if stamp is None:
                 # It refuses the frame too, and counts it.
                 self.reader.datagram(datagram)
                 return None
+            stream = stamp[0]
             if not self._admits(*stamp, opened, now):
                 return None
-        return self.message(opened, now)
+        return self._believed(self.message(opened, now, stream), stream, None)
+
+    def _believed(self, message: Message | None, stream: Stream, frame: Frame | None) -> Message | None:
+        return message if self.word is None or message is None else self.word.admit(message, stream, frame)
 
     def _admits(self, stream: Stream, timestamp: int, opened: Opened, now: float) -> bool:
         """Whether a frame is new, and the node may look at it."""
@@ -126,8 +137,8 @@ class Peers:
         _, _, payload_type, payload, _ = opened
         return self.signed.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
 
-    def message(self, opened: Opened, now: float) -> Message | None:
-        """The message in a frame that is open, and new."""
+    def message(self, opened: Opened, now: float, stream: Stream = (0, 0, 0)) -> Message | None:
+        """The message in a frame that is open, and new. `stream`: whose it is, if it is signed."""
         system, component, payload_type, payload, target = opened
         if payload_type != self._payload_type:
             self.foreign += 1
@@ -140,9 +151,12 @@ class Peers:
         ):
             return None
         try:
-            return (
-                None if self.tags.introduced(payload, now) else self.tags.believed(decode(payload, now), payload, now)
-            )
+            if self.tags.introduced(payload, now):
+                return None
+            if self.word is not None and is_word(payload):
+                self.word.hear(payload, stream)
+                return None
+            return self.tags.believed(decode(payload, now), payload, now)
         except MalformedError as error:
             self._count(error, now)
             return None
@@ -175,6 +189,14 @@ class Peers:
         # Before the words that they prove.
         frames = frames_about_links(self.tags.introductions(now), self.writer, self._payload_type)
         return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self.tags))
+
+    def frames_of_turn(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
+        """The frames of a turn: with keys, what shows that bases are heard, and asks for it, is among them."""
+        if self.word is None:
+            return self.frames(messages, store, now)
+        payloads, messages = self.word.turn(messages)
+        about = frames_about_links(payloads, self.writer, self._payload_type, Urgency.DATA)
+        return self._claimed(about) + self.frames(messages, store, now)
 
     def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
         """The frames in which this node asks strange streams and nodes, and answers them, and those about a change of

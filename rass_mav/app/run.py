@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from rass_mav.agent.letters import Letters
     from rass_mav.agent.seals import DataKeys
     from rass_mav.keys.keyring import Keyring
+    from rass_mav.keys.word import GroundWord
 
     from .companion import Companion
 
@@ -74,11 +75,13 @@ class Runtime:
         self._letters: Letters | None = None
         self._seals: DataKeys | None = None
         self._tags: Callable[[Store, random.Random, float], NoTags] | None = None
+        self._word: GroundWord | None = None
         if keys is not None and config.keys is not None:
             # With PyNaCl, which a node without keys does not need.
             from rass_mav.agent.letters import Letters
             from rass_mav.agent.pairs import PairTags
             from rass_mav.agent.seals import DataKeys
+            from rass_mav.keys.word import GroundWord
 
             from .keyfiles import kept_letters
 
@@ -87,6 +90,7 @@ class Runtime:
             self._letters = Letters(keys, random.Random(secrets.randbits(128)), step_s, kept)
             self._tags = partial(PairTags, keys.own, self._letters.is_out)
             self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
+            self._word = GroundWord(keys)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._anew = False
@@ -165,7 +169,7 @@ class Runtime:
             rng = random.Random(secrets.randbits(128))
             agent = Agent(
                 settings, store, rng, now=clock.now(), forgiving=True, letters=self._letters, seals=self._seals,
-                tags=self._tags,
+                tags=self._tags, word=self._word,
             )  # fmt: skip
             self._watch_keys(agent, executor)
             if store.report.reason:

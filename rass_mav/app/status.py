@@ -82,6 +82,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
         ],
         "shared_system_ids": _shared_system_ids(driver),
         "words": agent.peers.tags.report(),
+        "ground_word": None if agent.peers.word is None else agent.peers.word.report(),
         "streams": None if agent.peers.signed is None else agent.peers.signed.streams.report(now),
         "store": _store(driver),
         "ledger": {**node.store.counters(), **node.figures()},

@@ -143,6 +143,8 @@ class Beacon(NamedTuple):
     """Answers of the last turn once more, for neighbours that have not heard them; only to data that are on disk."""
     moves: int = 0
     """Where the sender is and how it moves, 64 bits (`rass_mav.core.routes.contacts`); 0: not told."""
+    proof: bytes = b""
+    """What shows that the sender has heard of its route, 8 bytes; the agent adds and checks it. Empty: none."""
 
 
 BEACON_BASE = 1
@@ -428,6 +430,11 @@ def destination(message: Message) -> tuple[int, Urgency]:
         # Nodes besides the target wait for the answers on it.
         return BROADCAST, Urgency.ANSWER
     return BROADCAST if target is Target.EVERYBODY else message.target, urgency  # type: ignore[union-attr]
+
+
+def stated(message: Message) -> tuple[int, int, int] | None:
+    """Base, base life and serial of what a base states, and others relay unchanged; None: it is no such message."""
+    return message[:3] if type(message) in (Receipt, Digest) else None  # type: ignore[return-value]
 
 
 def sender_of(message: Message) -> int | None:

@@ -168,6 +168,8 @@ class NodeSettings:
     """Bases also report what has arrived lately in a few bits a datum; only where spares wait for receipts."""
     receipt_steps: int = 6
     """A node sends at most one receipt frame in this many steps, and a drone at most one digest."""
+    vouched: bool = False
+    """Statements of bases come here only if the ground has vouched for them, so origins deny nothing."""
     retry_steps: int = 1
     """Steps after which an unanswered hand-over is sent again."""
     measured: bool = True

@@ -43,6 +43,7 @@ from rass_mav.wire import decode
 from rass_mav.wire.challenge import is_challenge
 from rass_mav.wire.introduction import is_introduction
 from rass_mav.wire.letters import is_about_keys
+from rass_mav.wire.word import is_word
 
 # Longest line of orders, bytes.
 _MAX_ORDER = 4096
@@ -200,7 +201,8 @@ class Air(ABC, Generic[F]):
         if fields is None or fields[4] != self._payload_type:
             counted.malformed += 1
             return
-        if is_challenge(fields[5]) or is_introduction(fields[5]) or is_about_keys(fields[5]):
+        payload = fields[5]
+        if is_challenge(payload) or is_introduction(payload) or is_about_keys(payload) or is_word(payload):
             return
         try:
             message = decode(fields[5], 0.0)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rass_mav.agent.letters import Letters
     from rass_mav.keys.identity import Ground
     from rass_mav.keys.keyring import Keyring
+    from rass_mav.keys.word import GroundWord
 
 
 def ground_of(scenario: Scenario) -> Ground:
@@ -38,6 +39,8 @@ class SwarmKeys(NamedTuple):
     """For each node id, what it has for its links."""
     tags: Callable[[int], Callable[[Store, random.Random, float], NoTags]]
     """For each node id, what proves its words (`Agent`)."""
+    words: Sequence[GroundWord]
+    """For each node id, what it has of the ground's keys, and then what anybody has."""
 
 
 def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
@@ -47,17 +50,20 @@ def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
     ground = ground_of(scenario)
     from rass_mav.agent.letters import Letters
     from rass_mav.agent.pairs import PairTags
+    from rass_mav.keys.word import GroundWord
 
     def tags(node_id: int) -> Callable[[Store, random.Random, float], NoTags]:
         serial = 0 if node_id < scenario.bases else ground.serials.get(node_id, 1)
         own = letters[node_id if node_id < scenario.nodes else 0]
         return partial(PairTags, ground.node(node_id, serial), own.is_out)
 
+    keyrings = [keyring_of(ground, node_id) for node_id in range(scenario.nodes)]
     letters = [
-        Letters(keyring_of(ground, node_id), random.Random(f"{scenario.seed}:letters:{node_id}"), scenario.node.step_s)
-        for node_id in range(scenario.nodes)
+        Letters(keyring, random.Random(f"{scenario.seed}:letters:{node_id}"), scenario.node.step_s)
+        for node_id, keyring in enumerate(keyrings)
     ]
-    return SwarmKeys(letters, tags)
+    anybody = keyrings[-1]._replace(ground=None)
+    return SwarmKeys(letters, tags, [GroundWord(keyring) for keyring in (*keyrings, anybody)])
 
 
 def keyring_of(ground: Ground, node_id: int) -> Keyring:

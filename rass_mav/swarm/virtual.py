@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from math import inf
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
@@ -39,6 +39,9 @@ from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
+
+if TYPE_CHECKING:
+    pass
 
 S = TypeVar("S", bound="VirtualSwarm")
 
@@ -137,17 +140,12 @@ class VirtualSwarm(ABC):
             self.gates.append(self.make_gate(store))
             self.agents.append(
                 Agent(
-                    settings,
-                    store,
-                    rng,
-                    now=0.0,
-                    observer=observer,
-                    newborn=True,
-                    participant=participant,
+                    settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
                     letters=None if keys is None else keys.letters[settings.node_id],
                     tags=None if keys is None else keys.tags(settings.node_id),
+                    word=None if keys is None else keys.words[settings.node_id],
                 )
-            )
+            )  # fmt: skip
             self.air.start(settings.node_id, self.agents[-1], 0.0)
         self._answering = [inf] * len(agents)
         """When each node's answers were last due, seconds."""
@@ -381,6 +379,7 @@ class VirtualSwarm(ABC):
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
             letters=None if old.peers.signed is None else old.peers.signed.letters, tags=old.peers.tags.again,
+            word=None if old.peers.word is None else old.peers.word.keys,
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

@@ -74,6 +74,10 @@ MOTION = 3
 #: The block with the tags of the answers in the frame, in the same order.
 TAGS = 5
 _MOVES = struct.Struct("<Q")
+#: The block of a beacon with the element of its route in the base's hash chain.
+PROOF = 4
+#: Its bytes.
+PROOF_BYTES = 8
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _DISTANCE = struct.Struct("<HHB")
@@ -180,9 +184,11 @@ _DATA_HEAD = bytes([_head(DATA)])
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
-    rest = _BEACON.pack(_BEACON_HEAD, *m[:-2])
+    rest = _BEACON.pack(_BEACON_HEAD, *m[:-3])
     if m.moves:
         rest += _BLOCK.pack(MOTION, _MOVES.size) + _MOVES.pack(m.moves)
+    if m.proof:
+        rest += _BLOCK.pack(PROOF, PROOF_BYTES) + m.proof
     if m.answers:
         rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size, tags)[0]
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
@@ -417,7 +423,7 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon from everybody")
     blocks = _decode_blocks(rest, _BEACON.size, fields[0]) if len(rest) > _BEACON.size else _NO_BLOCKS
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves))
+    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves, blocks.proof))
 
 
 class _Blocks(NamedTuple):
@@ -425,6 +431,7 @@ class _Blocks(NamedTuple):
     distance: Distance | None = None
     """How a distant spare keeps away."""
     moves: int = 0
+    proof: bytes = b""
 
 
 _NO_BLOCKS = _Blocks()
@@ -432,7 +439,7 @@ _NO_BLOCKS = _Blocks()
 
 def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
     """The blocks from `at` to the end. Unknown ones are ignored."""
-    answers, distance, moves = _NO_BLOCKS
+    answers, distance, moves, proof = _NO_BLOCKS
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -444,8 +451,10 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
             distance = Distance._make(_DISTANCE.unpack_from(p, at))
         elif kind == MOTION and size >= _MOVES.size:
             (moves,) = _MOVES.unpack_from(p, at)
+        elif kind == PROOF and size >= PROOF_BYTES:
+            proof = p[at : at + PROOF_BYTES]
         at += size
-    return _Blocks(answers, distance, moves)
+    return _Blocks(answers, distance, moves, proof)
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:
@@ -474,8 +483,8 @@ def _decode_data(p: bytes, now: float) -> Data:
     spare = count >= _SPARE
     if at == len(p):
         return Data(sender, target, tuple(handovers), spare)
-    answers, distance, _ = _decode_blocks(p, at, sender)
-    return Data(sender, target, tuple(handovers), spare, distance if spare else None, answers)
+    blocks = _decode_blocks(p, at, sender)
+    return Data(sender, target, tuple(handovers), spare, blocks.distance if spare else None, blocks.answers)
 
 
 def _decode_offer(p: bytes, now: float) -> Offer:

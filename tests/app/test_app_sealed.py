@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from rass_mav.keys.files import GROUND_FILE, drone_file, drone_text, read_keys, write_over
-from rass_mav.keys.identity import NodeKeys
+from rass_mav.keys.files import GROUND_FILE, drone_file, drone_text, ground_text, read_keys, write_over
+from rass_mav.keys.identity import Ground
 
 from .app_nodes import RunningNode, command, free_ports, line_of
 
@@ -102,15 +102,15 @@ def test_only_the_ground_reads_what_drones_with_keys_create(tmp_path: Path, tidy
 
 
 def test_what_another_drone_makes_in_ones_name_does_not_arrive(tmp_path: Path, tidy: Tidy) -> None:
-    """Node 3 has the link key of this mission, but the secret of a drone of another one."""
+    """Node 3 has the link key of this mission and believes its ground, but the base cannot know its secret."""
     for name in ("mission", "other"):
         assert command(tmp_path, "keys", "new", name).returncode == 0
         assert command(tmp_path, "keys", "drone", "2", "3", "-d", name).returncode == 0
-    forger = tmp_path / "other" / drone_file(3)
-    keys, inside = read_keys(forger), read_keys(tmp_path / "mission" / drone_file(3))
-    assert isinstance(keys, NodeKeys)
-    assert isinstance(inside, NodeKeys)
-    write_over(forger, drone_text(replace(keys, link=inside.link)))
+    ground = read_keys(tmp_path / "mission" / GROUND_FILE)
+    assert isinstance(ground, Ground)
+    # A serial far from those that this ground has assigned.
+    write_over(tmp_path / "other" / GROUND_FILE, ground_text(replace(ground, serials={3: 50})))
+    write_over(tmp_path / "other" / drone_file(3), drone_text(ground.node(3, 50)))
     nodes = line_of(tmp_path, [1, 2, 3])
     for node, file in zip(nodes, ("mission/ground.keys", "mission/drone-2.keys", "other/drone-3.keys"), strict=True):
         with (tmp_path / node.config).open("a") as config:

@@ -56,6 +56,9 @@ SAMPLES: dict[str, Message] = {
     "beacon-request": Beacon(5, 0x00C0FFEE, 1, 2, 0, 0, 0, 255, 1, 43, 65535, 0, 0xBEEF, 0, 0),
     "beacon-slow": Beacon(3, 0xCAFEBABE, 514, 0, 1, 0x0BADF00D, 42, 2, 0, 0, 16384, 49, 0xBEEF, 1 << 23, 0, 90),
     "beacon-moving": AGAIN._replace(moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW)),
+    "beacon-proof": AGAIN._replace(
+        number=516, moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW), proof=bytes(range(0xA0, 0xA8))
+    ),
     "beacon-answers": AGAIN._replace(
         answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ()))
     ),
@@ -151,9 +154,10 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             u16,
             st.just(()),
             st.integers(0, (1 << 64) - 1),
+            st.sampled_from([b"", bytes(8), b"\xff" * 8]) | st.binary(min_size=8, max_size=8),
         ),
         # So many fit.
-        answers(3, 1),
+        answers(2, 1),
     ),
     Data: st.one_of(
         st.builds(

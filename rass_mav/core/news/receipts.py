@@ -70,6 +70,10 @@ class NoReceipts:
         """All that bases state has arrived, by (origin, epoch)."""
         return {}
 
+    def kept(self) -> set[tuple[int, int, int]]:
+        """Base, base life and serial of the statements that are known here, and may be relayed."""
+        return set()
+
     @property
     def digest(self) -> int:
         """For the beacon: equal digests mean equal knowledge. 0: do not compare."""
@@ -163,6 +167,9 @@ class Receipts(NoReceipts):
 
     def known(self) -> dict[Pair, Ranges]:
         return {pair: known for pair in self.statements.pairs() if (known := self.statements.sum(pair).arrived)}
+
+    def kept(self) -> set[tuple[int, int, int]]:
+        return {identity[:3] for identity in self.statements.of}
 
     @property
     def digest(self) -> int:

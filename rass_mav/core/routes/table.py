@@ -123,6 +123,10 @@ class RoutingTable:
         if not self.base or asked is None or newer(number, asked[1]):
             self._asked = (base, number, now + self.longest_s)
 
+    def forget(self, base: int, base_life: int) -> None:
+        """Compare the announcements of a base with none from before: so many have passed that 16 bits cannot tell."""
+        self._feasible.pop((base, base_life), None)
+
     @property
     def number(self) -> int:
         """At a base: the announcement number, 16 bits."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable
+from typing import Any
 
 from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
@@ -59,7 +60,7 @@ class Attacker:
     def beacon(self, template: Beacon, **changes: int) -> Beacon:
         """A beacon of its own, like another one except for some fields."""
         self._number = (self._number + 1) & 0xFFFF
-        own = {"sender": self.id, "life": self.id, "number": self._number, "flags": 0, "wanted_base": 0}
+        own: dict[str, Any] = {"sender": self.id, "life": self.id, "number": self._number, "flags": 0, "wanted_base": 0}
         return template._replace(answers=(), **{**own, "wanted_number": 0, **changes})
 
     def take(self, message: Message) -> Iterable[Said]:

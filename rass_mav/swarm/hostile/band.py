@@ -10,6 +10,8 @@ from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.peers import Opened, Peers, open_datagram
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.tags import OPEN
+from rass_mav.agent.word import Word
+from rass_mav.core.messages import Beacon
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
@@ -44,6 +46,8 @@ class _Member:
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
         attacker.prints = tags.prints
+        if signed is not None and keys is not None:
+            self._peers.word = Word(attacker.id, keys.words[-1], self._store, attacker.rng, None)
 
     def is_there(self, t: int) -> bool:
         section = self.section
@@ -51,6 +55,9 @@ class _Member:
 
     def frames(self, said: Iterable[Said], now: float) -> Iterator[bytes]:
         for message in said:
+            if self._peers.word is not None and isinstance(message, Beacon):
+                # With a better proof than that of the beacon it imitates, if it can.
+                message = self._peers.word.routes.shown(message)
             for payload in self._payloads(message, now):
                 if self.left <= 0:
                     return
@@ -68,7 +75,11 @@ class _Member:
 
     def answers(self, now: float) -> Iterator[bytes]:
         """If captured: answer them."""
-        for outgoing in self._peers.about_links(now, self._pace):
+        outgoings = self._peers.about_links(now, self._pace)
+        if self._peers.word is not None:
+            self._peers.word.released()
+            outgoings += frames_about_links(self._peers.word.turn(())[0], self._writer, self._payload_type)
+        for outgoing in outgoings:
             yield self._peers.leaving(outgoing).frame
 
 

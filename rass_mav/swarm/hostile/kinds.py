@@ -17,12 +17,14 @@ from rass_mav.core.messages import (
     LossNoteEntry,
     Message,
     Offer,
+    Receipt,
     ReceiptEntry,
 )
 from rass_mav.core.news.checksums import make_digest, make_receipt, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.wire.codec import VERSION
+from rass_mav.wire.word import Anchor, Ask, Voucher, body_of, encode_ask
 
 from .attacker import MAX_REMEMBERED, Attacker, Said
 
@@ -252,6 +254,54 @@ class BitFlipper(Attacker):
         return (bytes(flipped),)
 
 
+class RouteForger(Attacker):
+    """Shows elements of hash chains that it has heard with routes that they do not fit: shorter, later, or its own."""
+
+    EACH_TURN = 4
+
+    def begin(self) -> None:
+        self._heard: list[Beacon] = []
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        if isinstance(message, Beacon) and message.proof:
+            self._heard.append(message)
+            self._heard.sort(key=lambda beacon: beacon.hops)
+            # The shortest ways, old or new, and some others.
+            del self._heard[MAX_REMEMBERED:]
+        return ()
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base, best = self.base(), {"potential": 1 if self.costs else POTENTIAL_BASE - 1, "free": 0xFFFE, "risk": 0}
+        if base is None or not self._heard:
+            return
+        for _ in range(self.EACH_TURN):
+            old = self.rng.choice(self._heard)
+            # One hop less, and a later number.
+            yield self.beacon(old, hops=max(0, old.hops - 1), flags=BEACON_BASE if old.hops == 1 else 0, **best)
+            yield self.beacon(old, route_number=base.route_number + self.rng.randint(1, 3) & 0xFFFF, **best)
+            yield self.beacon(old, hops=0, flags=BEACON_BASE, base=self.id, base_life=self.id, **best)
+            yield self.beacon(old, hops=0, flags=BEACON_BASE, **best)
+
+
+class WordForger(ReceiptForger):
+    """Forges receipts, and signatures of the ground for them and for hash chains. It asks for all that it knows."""
+
+    def turn(self, now: float) -> Iterable[Said]:
+        base, rng = self.base(), self.rng
+        if base is None:
+            return
+        source = (base.base, base.base_life)
+        for receipt in super().turn(now):
+            assert isinstance(receipt, Receipt)
+            yield receipt
+            hashes = (rng.randbytes(8),)
+            yield body_of(Voucher(*source, receipt.serial, rng.getrandbits(32), hashes)) + rng.randbytes(64)
+            yield body_of(Voucher(*source, rng.randrange(100), 0, hashes)) + rng.randbytes(64)
+            yield body_of(Anchor(*source, rng.randrange(100), base.route_number, hashes[0])) + rng.randbytes(64)
+            yield encode_ask(Ask((source,), tuple((*source, rng.randrange(100)) for _ in range(9))))
+
+
 #: By the names that `hostile: [{kind: ...}]` uses.
 KINDS: dict[str, type[Attacker]] = {
     "sinkhole": Sinkhole,
@@ -268,6 +318,8 @@ KINDS: dict[str, type[Attacker]] = {
     "junk-custody": JunkCustody,
     "flooder": Flooder,
     "bit-flipper": BitFlipper,
+    "route-forger": RouteForger,
+    "word-forger": WordForger,
 }
 
 

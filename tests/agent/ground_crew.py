@@ -1,0 +1,74 @@
+"""Agents with a mission's keys, whose bases speak for the ground."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.outgoing import frames_about_links
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.word import Word
+from rass_mav.config.loading import convert
+from rass_mav.core.news.receipts import Receipts
+from rass_mav.core.store import Store
+from rass_mav.keys.identity import Ground
+from rass_mav.keys.keyring import Keyring
+from rass_mav.keys.secret import Secret
+from rass_mav.keys.word import GroundWord
+from rass_mav.store.memory import MemoryStore
+
+from .conversation import SECTIONS
+from .crew import KEYS, Crew
+
+GROUND = Ground(Secret(bytes(range(32))))
+BASE_WORD = GroundWord(Keyring(GROUND.node(1), GROUND))
+DRONE_WORD = GroundWord(Keyring(GROUND.node(7, 2), None))
+
+
+def member(
+    node_id: int, store: Store | None = None, *, base: bool = False, now: float = 0.0, forgiving: bool = False,
+    **sections: Any,
+) -> Agent:  # fmt: skip
+    """An agent that takes only the ground's word about bases."""
+    raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
+    raw |= {name: sections.get(name, {}) for name in SECTIONS}
+    raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
+    store = MemoryStore(1000 + node_id) if store is None else store
+    rng = random.Random(f"{node_id}:{now}")
+    word = BASE_WORD if base else DRONE_WORD
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=KEYS, word=word)
+
+
+class GroundCrew(Crew):
+    """A base, 1, and drones from 2 on, all in range of each other."""
+
+    def __init__(self, drones: int, *more: Agent, **sections: Any) -> None:
+        ids = range(1, drones + 2)
+        super().__init__(*(member(node_id, base=node_id == 1, **sections) for node_id in ids), *more)
+
+    def restart(self, position: int, **changed: Any) -> None:
+        old = self.agents[position]
+        self.agents[position] = member(
+            old.settings.node_id, changed.get("store", old.store), base=old.settings.base, now=self.now
+        )
+
+    def send(self, position: int, payload: bytes) -> None:
+        """A payload in a frame of this agent, which is in wrong hands, reaches all others."""
+        peers = self.agents[position].peers
+        [outgoing] = frames_about_links([payload], peers.writer, 33200)
+        frame = peers.leaving(outgoing).frame
+        for other, agent in enumerate(self.agents):
+            if other != position:
+                agent.peer_bytes(frame, self.now)
+
+    def known(self, position: int) -> set[tuple[int, int, int, int]]:
+        """The statements that an agent knows."""
+        receipts = self.agents[position].node.receipts
+        assert isinstance(receipts, Receipts)
+        return set(receipts.statements.of)
+
+
+def word_of(agent: Agent) -> Word:
+    assert agent.peers.word is not None
+    return agent.peers.word

@@ -1,0 +1,329 @@
+"""Statements for which the ground has vouched: core hears these and no others, and they reach everybody."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.peers import open_datagram
+from rass_mav.agent.vouchers import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, Vouchers, hash_of
+from rass_mav.agent.word import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Word
+from rass_mav.core.messages import Digest, Given, Message, Receipt, ReceiptEntry
+from rass_mav.core.news.checksums import make_digest, make_given, make_receipt
+from rass_mav.store.memory import MemoryStore
+from rass_mav.wire import encode
+from rass_mav.wire.word import VOUCHER, Ask, Signed, Voucher, body_of, decode_word, encode_ask, is_word
+
+from .ground_crew import BASE_WORD, DRONE_WORD, GroundCrew, member, word_of
+from .picture import picture
+
+LIFE = 1001
+STREAM = (9, 191, 0)
+
+
+def receipt(serial: int, *numbers: int, base: int = 1, life: int = LIFE) -> Receipt:
+    entries = [ReceiptEntry(2, 1002, number, 1, 0, False) for number in numbers or (0,)]
+    return make_receipt(base, life, serial, entries)
+
+
+def payload(message: Message) -> bytes:
+    return encode(message, 0.0)[0]
+
+
+def vouched(*messages: Receipt | Digest, salt: int = 7) -> Signed:
+    """With the signature of the ground."""
+    base, life, first = messages[0][:3]
+    body = body_of(Voucher(base, life, first, salt, tuple(hash_of(payload(m), salt) for m in messages)))
+    signed = decode_word(body + BASE_WORD.vouch(body))
+    assert isinstance(signed, Signed)
+    return signed
+
+
+def drone() -> Word:
+    return Word(7, DRONE_WORD, MemoryStore(7), random.Random(7), None)
+
+
+def heard(word: Word, message: Message) -> bool:
+    return word.admit(message, STREAM, None) is not None
+
+
+# -- one node ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("message", [receipt(5), make_digest(1, LIFE, 5, 8, (3, 4))])
+def test_a_statement_waits_for_its_voucher(message: Receipt | Digest) -> None:
+    word = drone()
+    assert not heard(word, message)
+    assert not heard(word, message)
+    word.hear(vouched(message).payload, STREAM)
+    [held] = word.released()
+    assert (held.message, held.times) == (message, 2)
+    assert heard(word, message)
+    assert (word.verified, word.vouchers.held) == (1, 0)
+    # It is known by its hashes from now on.
+    word.hear(vouched(message).payload, STREAM)
+    assert word.released() == []
+    assert word.verified == 1
+
+
+def test_a_voucher_may_come_first_and_is_for_its_statements_only() -> None:
+    word = drone()
+    first, second = receipt(5, 1), receipt(6, 2)
+    word.hear(vouched(first, second).payload, STREAM)
+    assert word.released() == []
+    assert heard(word, second)
+    assert heard(word, first)
+    for other in (receipt(5, 2), receipt(6, 1), make_digest(1, LIFE, 5, 8, (3, 4))):
+        assert not heard(word, other)
+    assert word.vouchers.forged == 3
+    for other in (receipt(4, 1), receipt(7, 2), receipt(5, 1, base=2), receipt(5, 1, life=2)):
+        assert not heard(word, other)
+    assert word.vouchers.held == 4
+
+
+def test_the_true_one_of_two_is_heard() -> None:
+    word = drone()
+    forged, true = receipt(5, 0, 1, 2), receipt(5, 0)
+    assert not heard(word, forged)
+    assert not heard(word, true)
+    word.hear(vouched(true).payload, STREAM)
+    assert [held.message for held in word.released()] == [true]
+    assert word.vouchers.forged == 1
+
+
+def test_what_waits_and_what_is_verified_is_bounded() -> None:
+    word = drone()
+    true = [receipt(serial) for serial in range(20)]
+    for message in true:
+        assert word.admit(message, (1, 1, 1), None) is None
+    for serial in range(3000):
+        word.admit(receipt(1000 + serial % 700, serial), STREAM, None)
+        junk = body_of(Voucher(1, LIFE, serial, 0, (bytes(8),)))
+        word.hear(junk + bytes(64), (serial % 90, 191, serial % 7))
+    assert word.vouchers.held == MAX_HELD
+    assert sum(map(len, word._queue.values())) <= MAX_STREAMS * MAX_OF_STREAM
+    assert all(not heard(word, message) for message in true)
+    assert {wait.held[0].message for wait in word.vouchers._waiting.values()} >= set(true), "of another stream"
+    word.released()
+    assert word.verified == MAX_VERIFIED
+
+
+def test_junk_of_one_drone_does_not_keep_out_what_others_send() -> None:
+    word, waits = drone(), []
+    for serial in range(40):
+        for _ in range(100):
+            word.hear(body_of(Voucher(1, LIFE, 1000, 0, (bytes(8),))) + random.randbytes(64), STREAM)
+        message = receipt(serial)
+        word.admit(message, (1, 1, 1), None)
+        word.hear(vouched(message).payload, (1, 1, 1))
+        waits.append([held.message for held in word.released()] == [message])
+    assert all(waits)
+
+
+def test_nobody_is_answered_who_asks_too_often() -> None:
+    word = drone()
+    for serial in range(0, 200):
+        word.vouchers.learn(vouched(receipt(serial)), set)
+    for _ in range(10):
+        word.turn(())
+    sent = 0
+    for _ in range(30):
+        for serial in range(0, 190, 9):
+            word.hear(encode_ask(Ask((), tuple((1, LIFE, serial + i) for i in range(9)))), STREAM)
+        assert len(word.vouchers._asked_for) <= MAX_ASKED_FOR
+        sent += len(word.turn(())[0])
+    assert 20 < sent <= 2 * 30
+
+
+def test_a_voucher_is_asked_for_a_few_times() -> None:
+    word = drone()
+    assert not heard(word, receipt(5))
+    asked = [turn for turn in range(300) for p in word.turn(())[0] if p == encode_ask(Ask((), ((1, LIFE, 5),)))]
+    assert len(asked) == 4
+    assert word.vouchers.held == 0
+
+
+def test_what_is_known_is_bounded_and_what_lives_stays() -> None:
+    vouchers = Vouchers((7, 7), DRONE_WORD, random.Random(1))
+    lives = {(1, LIFE, serial) for serial in range(0, MAX_KNOWN + 500, 10)}
+    for serial in range(MAX_KNOWN + 500):
+        body = body_of(Voucher(1, LIFE, serial, 0, (bytes(8),)))
+        signed = decode_word(body + bytes(64))
+        assert isinstance(signed, Signed)
+        vouchers.learn(signed, lambda: lives)
+    assert len(vouchers._known) <= MAX_KNOWN
+    assert lives <= vouchers._known.keys()
+    assert sum(statement not in lives for statement in vouchers._known) >= LATEST // 2
+
+
+# -- between nodes -----------------------------------------------------------------------------------------------------
+
+
+def flying(drones: int = 2, **sections: object) -> GroundCrew:
+    crew = GroundCrew(drones, **sections)
+    crew.steps(10)
+    return crew
+
+
+def measures(crew: GroundCrew, count: int = 3) -> None:
+    for agent in crew.agents[1:]:
+        for _ in range(count):
+            agent.measure(crew.now)
+
+
+def test_receipts_arrive_and_end_spares() -> None:
+    crew = flying()
+    measures(crew)
+    crew.steps(40)
+    assert crew.known(0) == crew.known(1) == crew.known(2) != set()
+    for agent in crew.agents[1:]:
+        assert len(list(agent.store.ids())) <= 1
+
+
+def test_a_drone_that_starts_again_learns_all_statements_with_their_vouchers() -> None:
+    crew = flying()
+    for _ in range(6):
+        measures(crew)
+        crew.steps(12)
+    crew.steps(30)
+    crew.restart(1)
+    crew.steps(150)
+    assert crew.known(1) == crew.known(2) == crew.known(0) != set()
+
+
+def test_a_base_that_starts_again_is_believed() -> None:
+    crew = flying()
+    for _ in range(3):
+        measures(crew)
+        crew.steps(20)
+        crew.restart(0)
+        crew.steps(15)
+        route = crew.agents[1].node.routing.route
+        assert route is not None
+        assert (route.base, route.hops) == (1, 1)
+    measures(crew)
+    crew.steps(100)
+    assert crew.known(0) == crew.known(1) == crew.known(2) != set()
+    assert len(list(crew.agents[1].store.ids())) <= 1
+
+
+def test_an_open_base_is_not_believed() -> None:
+    crew = flying()
+    known = crew.known(1) | crew.known(2)
+    crew.agents[0].peers.word = None
+    crew.steps(40)
+    for agent in crew.agents[1:]:
+        assert agent.node.routing.route is None
+    measures(crew)
+    crew.steps(40)
+    assert crew.known(1) | crew.known(2) <= known
+    assert len(list(crew.agents[1].store.ids())) >= 3
+
+
+def state(agent: Agent) -> object:
+    """What a false word may not change."""
+    return picture([agent.node.routing.route, agent.node.receipts, agent.node.holdings, agent.store, agent.node.alarms])
+
+
+def forgeries(crew: GroundCrew) -> dict[str, Callable[[random.Random], bytes]]:
+    """What the last agent sends, which is in wrong hands; each with its own chance."""
+    base, life = 1, crew.agents[0].store.life
+    ids = [id for agent in crew.agents for id in agent.store.ids()]
+    entries = [ReceiptEntry(*id, 1, 0, False) for id in ids[:5]]
+
+    def false_receipt(rng: random.Random) -> Receipt:
+        return make_receipt(base, life, rng.randrange(64), entries)
+
+    def signed(body: bytes, rng: random.Random) -> bytes:
+        return body + rng.randbytes(64)
+
+    return {
+        "receipt": lambda rng: payload(false_receipt(rng)),
+        "lost": lambda rng: payload(make_receipt(base, life, rng.randrange(64), [entries[0]._replace(lost=True)])),
+        "digest": lambda rng: payload(make_digest(base, life, rng.randrange(64), 8, (1, 5, 77))),
+        "given": lambda rng: payload(make_given(2, crew.agents[1].store.epoch, 0)),
+        "voucher": lambda rng: signed(
+            body_of(Voucher(base, life, rng.randrange(64), 1, (hash_of(payload(false_receipt(rng)), 1),))), rng
+        ),
+    }
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(seed=st.integers(0, 2**32), kinds=st.lists(st.integers(0, 4), min_size=1, max_size=12))
+def test_no_forged_word_changes_a_node(seed: int, kinds: list[int]) -> None:
+    rng = random.Random(seed)
+    crew = flying(3)
+    measures(crew)
+    crew.steps(2)
+    makers = list(forgeries(crew).values())
+    assert any(agent.node.receipts.kept() or list(agent.store.ids()) for agent in crew.agents)
+    before = [state(agent) for agent in crew.agents[:-1]]
+    for kind in kinds:
+        crew.send(3, makers[kind](rng))
+    for agent in crew.agents[:-1]:
+        assert word_of(agent).released() == []
+    assert [state(agent) for agent in crew.agents[:-1]] == before
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_no_true_word_that_is_changed_or_cut_off_changes_a_node(data: st.DataObject) -> None:
+    crew = flying(3)
+    measures(crew)
+    # The drones miss what the base says of it, and the thief does not.
+    true: list[bytes] = []
+    for _ in range(12):
+        crew.now += 1.0
+        true += [crew.agents[0].peers.leaving(outgoing).frame for outgoing in crew.agents[0].step(crew.now)]
+    words = [o[3] for frame in true if (o := open_datagram(frame)) is not None and is_word(o[3])]
+    words += [vouched(receipt(90, 0)).payload]
+    chosen = bytearray(data.draw(st.sampled_from(words)))
+    if data.draw(st.booleans()):
+        bit = data.draw(st.integers(16, 8 * len(chosen) - 1))
+        chosen[bit >> 3] ^= 1 << (bit & 7)
+    else:
+        del chosen[data.draw(st.integers(2, len(chosen) - 1)) :]
+    agent = crew.agents[1]
+    before, word = state(agent), word_of(agent)
+    known = len(word.vouchers._known), {source: list(base.chains) for source, base in word.routes._bases.items()}
+    crew.send(3, bytes(chosen))
+    if chosen[1] == VOUCHER:
+        crew.send(3, payload(receipt(90, 0)))
+    assert word.released() == []
+    assert state(agent) == before
+    assert known == (
+        len(word.vouchers._known),
+        {source: list(base.chains) for source, base in word.routes._bases.items()},
+    )
+
+
+def test_a_vouched_statement_that_hits_a_fault_ends_no_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The frame waits with it, so that the guard drops it like any other."""
+    agent = member(3, forgiving=True)
+    crew = GroundCrew(1, agent)
+    crew.steps(12)
+    crew.send(1, payload(receipt(90)))
+    crew.send(1, vouched(receipt(90)).payload)
+
+    def fault(message: Message, now: float) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(type(agent.node), "receive", fault)
+    agent.step(crew.now + 1.0)
+    assert agent.guard.faults == 1
+
+
+def test_nothing_of_given_is_left() -> None:
+    crew = flying()
+    measures(crew)
+    crew.steps(40)
+    base = crew.agents[0]
+    message = make_receipt(1, base.store.life, 77, [ReceiptEntry(2, crew.agents[1].store.epoch, 0, 900, 0, False)])
+    # The ground says so, although the drone has not made as many: it believes it, and denies nothing.
+    crew.agents[1].node.receive(message, crew.now)
+    assert all(not isinstance(m, Given) for _ in range(30) for m in crew.agents[1].node.step(crew.now))
