@@ -42,7 +42,8 @@ class _Member:
         self._writer = FrameWriter(attacker.id % 255 + 1, 191)
         signed = None
         if section.captured and keys is not None:
-            signed = Signed.begin(keys, self._writer, MemoryStore(attacker.id), attacker.rng, step_s)
+            store = MemoryStore(attacker.id)
+            signed = Signed.begin(attacker.id, keys, self._writer, store, attacker.rng, step_s)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed)
         if signed is not None and word is not None:
             self._peers.word = Word(attacker.id, word, MemoryStore(attacker.id), attacker.rng, None)
