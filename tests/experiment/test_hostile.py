@@ -38,7 +38,8 @@ def test_what_a_sinkhole_takes_is_healed_from_spares_and_told_where_there_are_no
     for attacker in ("nobody", "sinkhole"):
         assert float(found[attacker, "mirrors"]["delivered_mean"]) >= 0.99
     healed, lost = found["sinkhole", "mirrors"], found["sinkhole", "one-copy"]
-    assert float(healed["late_mean"]) > 0.1
+    # The thief is found out before it leaves.
+    assert 0.0 < float(healed["late_mean"]) < 0.1
     # Some spare may have had to go for want of room.
     assert float(healed["healed_mean"]) >= 0.9 * float(healed["late_mean"])
     assert float(lost["unfounded_mean"]) > 0.1
