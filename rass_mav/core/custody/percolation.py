@@ -70,8 +70,6 @@ class Percolation:
         for holding, target in self._keeper.spares.detours():
             if self._pace.left > 0 and (holding.size <= inline or self._transfers.free(target)):
                 self._hand_over(holding, target, now, out)
-        for target in self._keeper.takers.probes(self._routing.neighbours.values()):
-            self._probe(target, now, out)
         self.forward(potential, now, out)
 
     def forward(self, potential: int, now: float, out: list[Message]) -> None:
@@ -80,6 +78,9 @@ class Percolation:
         if self.due <= now:
             self._retry(now, out)
         if pace.left > 0 and self._routing.neighbours:
+            if self._keeper.takers.doubting:
+                for target in self._keeper.takers.probes(self._routing.neighbours.values()):
+                    self._probe(target, now, out)
             if pace.left > pace.kept:
                 self._percolate(potential, now, out)
             self._keeper.spares.spread(now, out)

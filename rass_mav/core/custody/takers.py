@@ -74,7 +74,11 @@ MAX_GIVERS = 8
 class NoTakers:
     """For a node that does not hear what arrives: it judges nobody."""
 
-    __slots__ = ()
+    __slots__ = ("doubting",)
+
+    def __init__(self) -> None:
+        self.doubting = False
+        """Whether any neighbour is doubted."""
 
     def gave(self, id: DatumId, giver: int | None, to: int, *, again: bool) -> None:
         """A neighbour has taken custody of a datum. `giver`: the node that this one had it from; None: it is its own.
@@ -173,6 +177,7 @@ class Takers(NoTakers):
     __slots__ = ("_deviation", "_gap", "_heard", "_of", "_takers", "_takes", "_turn")
 
     def __init__(self) -> None:
+        super().__init__()
         self._takers: dict[int, Taker] = {}
         """By node id, the latest used last."""
         self._of: dict[DatumId, int] = {}
@@ -291,6 +296,7 @@ class Takers(NoTakers):
                 self._begin_again()
             self._gap = 0
         ticks = not self._gap and self._turn - self._heard < NEWS_TURNS
+        self.doubting = False
         for to, taker in self._takers.items():
             neighbour = neighbours.get(to)
             if neighbour is None:
@@ -307,6 +313,7 @@ class Takers(NoTakers):
                     self._judge(taker, given)
             p = taker.delivers
             neighbour.doubted = taker.doubted
+            self.doubting |= taker.doubted
             neighbour.odds = 1.0 if p > FINE and not taker.doubted else 1.0 / max(p, LEAST)
 
     def _wait(self, hops: int) -> float:

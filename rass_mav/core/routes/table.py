@@ -175,7 +175,9 @@ class RoutingTable:
         farthest = self._max_hops - 1
         best: Neighbour | None = None
         best_behind = 0
-        best_metric = elsewhere = elsewhere_doubted = rank.no_way
+        best_metric = rank.no_way
+        # By neighbours that are not doubted, and by those that are.
+        elsewhere = [rank.no_way, rank.no_way]
         # About the base that the last neighbour announced; in most cases the next one announces the same.
         base = base_life = -1
         own: tuple[int, int] | None = None
@@ -207,10 +209,8 @@ class RoutingTable:
             if neighbour.odds > 1.0 and tag is not None:
                 # Feasible is what it announces; what counts from here on is what it delivers.
                 metric = self._expected(metric, neighbour.odds)
-            if other and neighbour.doubted:
-                elsewhere_doubted = min(elsewhere_doubted, metric)
-            elif other:
-                elsewhere = min(elsewhere, metric)
+            if other:
+                elsewhere[neighbour.doubted] = min(elsewhere[neighbour.doubted], metric)
             elif best is None or metric <= best_metric or best_behind:
                 behind = rank.behind(neighbour, now)
                 if (
@@ -229,14 +229,14 @@ class RoutingTable:
         if nearest == NO_ROUTE:
             nearest = nearest_doubted
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
-        if best is None:
-            return None, best_metric
-        if best.doubted:
-            # Any base that others lead to is better; else bases compete as ever.
-            changes = elsewhere != rank.no_way or elsewhere_doubted + rank.change_over <= best_metric
-        else:
-            changes = elsewhere + rank.change_over <= best_metric
-        return (None if changes else best), best_metric
+        return (None if best is None or self._changes(best, best_metric, *elsewhere) else best), best_metric
+
+    def _changes(self, best: Neighbour, metric: int, elsewhere: int, doubted: int) -> bool:
+        """Whether to change to another base. `elsewhere`, `doubted`: the best metrics of ways there, by neighbours that
+        are not doubted, and by those that are: such a way is not worth leaving one that is not."""
+        if best.doubted and elsewhere != self.rank.no_way:
+            return True
+        return (doubted if best.doubted else elsewhere) + self.rank.change_over <= metric
 
     def _expected(self, metric: int, odds: float) -> int:
         """The metric of a way by a neighbour that does not deliver all it takes: the last hop has to be repeated."""
