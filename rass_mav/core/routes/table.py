@@ -215,12 +215,8 @@ class RoutingTable:
                 behind = rank.behind(neighbour, now)
                 if (
                     best is None
-                    or behind < best_behind
-                    or (
-                        behind == best_behind
-                        and metric <= best_metric
-                        and (metric < best_metric or self._preferred(neighbour, best))
-                    )
+                    or (behind, metric) < (best_behind, best_metric)
+                    or ((behind, metric) == (best_behind, best_metric) and self._preferred(neighbour, best))
                 ):
                     best, best_behind, best_metric = neighbour, behind, metric
                     if tag is None and not behind:
