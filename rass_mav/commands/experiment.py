@@ -107,7 +107,7 @@ def register(subparsers: Subparsers) -> None:
 
     hostile = _add(
         names, "hostile", _hostile, "attackers beside honest nodes: without keys, with keys, with the link key",
-        "rass-mav experiment hostile --out results --runs 3 --policy survival",
+        "rass-mav experiment hostile --out results --runs 3",
     )  # fmt: skip
     _add_names(hostile, "--attacker", "hostile:ATTACKERS", "which attackers, all by default", nargs="+")
 
