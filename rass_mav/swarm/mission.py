@@ -16,6 +16,7 @@ from rass_mav.swarm.scenario import Scenario
 
 if TYPE_CHECKING:
     from rass_mav.agent.letters import Letters
+    from rass_mav.agent.seals import DataKeys
     from rass_mav.keys.identity import Ground
     from rass_mav.keys.keyring import Keyring
     from rass_mav.keys.word import GroundWord
@@ -39,6 +40,8 @@ class SwarmKeys(NamedTuple):
     """For each node id, what it has for its links."""
     tags: Callable[[int], Callable[[Store, random.Random, float], NoTags]]
     """For each node id, what proves its words (`Agent`)."""
+    seals: Sequence[DataKeys]
+    """For each node id, what its keys do to data."""
     words: Sequence[GroundWord]
     """For each node id, what it has of the ground's keys, and then what anybody has."""
 
@@ -50,6 +53,7 @@ def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
     ground = ground_of(scenario)
     from rass_mav.agent.letters import Letters
     from rass_mav.agent.pairs import PairTags
+    from rass_mav.agent.seals import DataKeys
     from rass_mav.keys.word import GroundWord
 
     def tags(node_id: int) -> Callable[[Store, random.Random, float], NoTags]:
@@ -63,7 +67,12 @@ def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
         for node_id, keyring in enumerate(keyrings)
     ]
     anybody = keyrings[-1]._replace(ground=None)
-    return SwarmKeys(letters, tags, [GroundWord(keyring) for keyring in (*keyrings, anybody)])
+    return SwarmKeys(
+        letters,
+        tags,
+        [DataKeys(keyring) for keyring in keyrings],
+        [GroundWord(keyring) for keyring in (*keyrings, anybody)],
+    )
 
 
 def keyring_of(ground: Ground, node_id: int) -> Keyring:

@@ -143,6 +143,7 @@ class VirtualSwarm(ABC):
                     settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
                     letters=None if keys is None else keys.letters[settings.node_id],
                     tags=None if keys is None else keys.tags(settings.node_id),
+                    seals=None if keys is None else keys.seals[settings.node_id],
                     word=None if keys is None else keys.words[settings.node_id],
                 )
             )  # fmt: skip
