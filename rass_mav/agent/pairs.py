@@ -90,9 +90,6 @@ class PairTags(NoTags):
         self._now = 0.0
         self._unknown = self._forged = self._early = self._again = 0
 
-    def again(self, store: Store, rng: random.Random, step_s: float) -> PairTags:
-        return PairTags(self._keys, self._is_out, store, rng, step_s)
-
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:

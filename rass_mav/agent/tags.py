@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from typing import Any, ClassVar
 
 from rass_mav.core.fingerprints import Fingerprints
@@ -18,10 +17,6 @@ class NoTags:
 
     prints: ClassVar[Fingerprints] = Fingerprints()
     """What answers to hand-overs confirm."""
-
-    def again(self, store: Store, rng: random.Random, step_s: float) -> NoTags:
-        """The same for the next life of this node, when it has started again. `step_s`: length of a step, seconds."""
-        return self
 
     def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
         """The TUNNEL payloads of a message of this node."""

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
@@ -39,9 +39,6 @@ from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
-
-if TYPE_CHECKING:
-    pass
 
 S = TypeVar("S", bound="VirtualSwarm")
 
@@ -102,6 +99,7 @@ class VirtualSwarm(ABC):
         self.step_s = agents[0].step_s
         """Length of a step, seconds."""
         self._timeline = Timeline()
+        self._keys = keys
         self.air: Air
         """What carries the nodes' frames."""
         # One generator for each purpose: the draws of one part do not disturb the others. Seeding with a text is the
@@ -141,10 +139,7 @@ class VirtualSwarm(ABC):
             self.agents.append(
                 Agent(
                     settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
-                    letters=None if keys is None else keys.letters[settings.node_id],
-                    tags=None if keys is None else keys.tags(settings.node_id),
-                    seals=None if keys is None else keys.seals[settings.node_id],
-                    word=None if keys is None else keys.words[settings.node_id],
+                    **self._secrets(settings.node_id),
                 )
             )  # fmt: skip
             self.air.start(settings.node_id, self.agents[-1], 0.0)
@@ -374,13 +369,24 @@ class VirtualSwarm(ABC):
         # A new generator, so that no message of the old life is repeated by accident.
         return random.Random(f"{self.seed}:node:{node_id}:off:{t}")
 
+    def _secrets(self, node_id: int) -> dict[str, Any]:
+        """The arguments of a node's `Agent` that are about keys; they outlive the agent."""
+        keys = self._keys
+        if keys is None:
+            return {}
+        return {
+            "letters": keys.letters[node_id],
+            "tags": keys.tags(node_id),
+            "seals": keys.seals[node_id],
+            "word": keys.words[node_id],
+        }
+
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
-            letters=None if old.peers.signed is None else old.peers.signed.letters, tags=old.peers.tags.again,
-            word=None if old.peers.word is None else old.peers.word.keys,
+            **self._secrets(node_id),
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

@@ -20,7 +20,7 @@ _LINK_KEY = 8
 #: So many neighbours and origins fit one frame; of more, the next hop and the best heard, and those with
 #: most data.
 MOST_NEIGHBOURS = 10
-MOST_ORIGINS = 10
+MOST_ORIGINS = 9
 _MOST_BYTES = _HEAD.size + 2 + MOST_NEIGHBOURS * _NEIGHBOUR.size + MOST_ORIGINS * _ORIGIN.size + _NUMBER.size
 _MOST_LAT, _MOST_LON = 900_000_000, 1_800_000_000
 _UNKNOWN_16, _UNKNOWN_8 = 0xFFFF, 0xFF

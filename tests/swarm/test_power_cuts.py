@@ -63,6 +63,7 @@ def assert_survived(world: World, power: Power) -> None:
     found: dict[DatumId, bytes] = {}
     for computer in power.computers:
         computer.disk.error_rate = 0.0
+        computer.disk.read_only = computer.disk.full = False
         computer.shut_down()
         store = computer.open()
         for id in store.ids():
