@@ -98,7 +98,11 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
     """All fields of a message as the dissector names them. `created` is an age on the wire."""
     kind = type(record).__name__
     for name, value in zip(record._fields, record, strict=True):
-        if (kind, name) == ("Chunk", "target") or value is None or (name in ("moves", "proof", "backers") and not value):
+        if (
+            (kind, name) == ("Chunk", "target")
+            or value is None
+            or (name in ("moves", "proof", "backers") and not value)
+        ):
             continue  # not on the wire
         if name == "created":
             yield "age", round((now - value) * 1000)
