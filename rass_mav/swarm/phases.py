@@ -1,4 +1,4 @@
-"""When in a step each node of the mock swarm has its turn."""
+"""When in a step each node of the mock swarm has its turn, and when radiation strikes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from rass_mav.agent.turns import MOST_JITTER, jitter
 class Phases:
     """The nodes' computers are switched on at any time, so their turns are not at the same time."""
 
-    def __init__(self, nodes: int, *, apart: bool, seed: int) -> None:
-        """`apart`: each node has its turns at a moment of its own; False: at the beginning of a step."""
+    def __init__(self, nodes: int, *, apart: bool, strikes: int, seed: int) -> None:
+        """`apart`: each node has its turns at a moment of its own; False: at the beginning of a step. `strikes`: how
+        often in a step data are struck."""
+        self.strikes = [part / strikes for part in range(strikes)]
+        """How long after the beginning of a step data are struck, in steps."""
         draw = random.Random(f"{seed}:phases").random
         self._phases = [draw() if apart else None for _ in range(nodes)]
         self._rng = random.Random(f"{seed}:jitter")

@@ -153,9 +153,8 @@ class VirtualSwarm(ABC):
         )  if hostile else None  # fmt: skip
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
-        self._strikes = strikes
         self._strike_rng = random.Random(f"{seed}:strikes")
-        self._phases = Phases(len(agents), apart=phases, seed=seed)
+        self._phases = Phases(len(agents), apart=phases, strikes=strikes, seed=seed)
 
     @property
     @abstractmethod
@@ -199,8 +198,8 @@ class VirtualSwarm(ABC):
                 self._come_back(node_id, t)
         self._surround(t, now)
         self.air.rearrange()
-        for part in range(self._strikes):
-            timeline.at(now + step_s * part / self._strikes, Order.STRIKE, self._irradiate)
+        for strike in self._phases.strikes:
+            timeline.at(now + step_s * strike, Order.STRIKE, self._irradiate)
         if self.power is not None:
             for node_id in self.power.begin_step(t, off):
                 self._fail(node_id, None)
@@ -236,10 +235,10 @@ class VirtualSwarm(ABC):
 
     def _irradiate(self, now: float) -> None:
         """Corruption strikes the data in the drones' stores, and what waits in their radios."""
-        part = 1.0 / self._strikes
+        part = 1.0 / len(self._phases.strikes)
         struck = {}
         for node, probability, rng, page_bytes in self._dangers():
-            if self._strikes > 1:
+            if len(self._phases.strikes) > 1:
                 probability = 1.0 - (1.0 - probability) ** part
             struck[node] = probability
             self._strike(node, probability, rng or self._strike_rng, page_bytes)
