@@ -58,7 +58,8 @@ def _agent_settings(side: str, scrub_items: int | None) -> Any:
     ).agent_settings()
 
 
-def _open(directory: Path, side: str) -> Any:
+def opened(directory: Path, side: str) -> Any:
+    """The store of a side."""
     from rass_mav.store import SqliteStore
 
     return SqliteStore.open(directory / f"{side}.db", node_id=7, draw_epoch=lambda: SIDES[side])
@@ -68,14 +69,14 @@ def fill(directory: Path, count: int) -> None:
     """Put `count` new data into the drone's store."""
     from rass_mav.core.datum import DatumId, make_datum
 
-    with _open(directory, "drone") as store:
+    with opened(directory, "drone") as store:
         generator = random.Random(1)
         for _ in range(count):
             id = DatumId(SIDES["drone"], store.epoch, store.next_sequence())
             store.put(make_datum(id, 0, 0.0, generator.randbytes(PAYLOAD_BYTES)))
 
 
-async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, float]:
+async def _hand_over(directory: Path, scrub_items: int | None, secrets: dict[str, dict[str, Any]]) -> dict[str, float]:
     from rass_mav.agent.agent import Agent
     from rass_mav.app.clock import Clock
     from rass_mav.app.driver import Driver
@@ -99,14 +100,14 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
     clock, hub, watch = Clock(), LoopbackHub(), Watch()
     links = {side: hub.endpoint(side) for side in SIDES}
     hub.connect(*links.values())
-    with _open(directory, "drone") as drone, _open(directory, "base") as base:
+    with opened(directory, "drone") as drone, opened(directory, "base") as base:
         stores = {"drone": drone, "base": base}
         with ThreadPoolExecutor(1, "drone") as first, ThreadPoolExecutor(1, "base") as second:
             drivers = {}
             for (side, link), executor in zip(links.items(), (first, second), strict=True):
                 agent = Agent(
                     _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
-                    observer=watch if side == "drone" else None, newborn=True,
+                    observer=watch if side == "drone" else None, newborn=True, **secrets.get(side, {}),
                 )  # fmt: skip
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
             held = drivers["drone"].agent.node.holdings.custody
@@ -132,9 +133,14 @@ async def _hand_over(directory: Path, scrub_items: int | None) -> dict[str, floa
     }
 
 
-def hand_over(directory: Path, scrub_items: int | None) -> dict[str, float]:
-    """Hand over everything in the drone's store in `directory`. Figures are for one datum, except `per_s`."""
-    return asyncio.run(_hand_over(directory, scrub_items))
+def hand_over(
+    directory: Path, scrub_items: int | None, secrets: dict[str, dict[str, Any]] | None = None
+) -> dict[str, float]:
+    """Hand over everything in the drone's store in `directory`. Figures are for one datum, except `per_s`.
+
+    `secrets`: arguments of the `Agent` of each side that are about keys; None: there are none.
+    """
+    return asyncio.run(_hand_over(directory, scrub_items, secrets or {}))
 
 
 def sync_seconds(directory: Path, rounds: int = 50) -> float:
@@ -218,7 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--scrub", type=int, default=0, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.traced:
-        with _open(options.traced, "drone") as store:
+        with opened(options.traced, "drone") as store:
             count = len(list(store.ids()))
         hand_over(options.traced, options.scrub or None)
         print(count)

@@ -63,7 +63,8 @@ def _free_ports(count: int) -> list[int]:
     return ports
 
 
-def _config() -> dict[str, Any]:
+def config() -> dict[str, Any]:
+    """Of a drone with a UDP link and an autopilot port."""
     link, peer, autopilot = _free_ports(3)
     return {
         "node": {"id": 1, "step_s": STEP_S},
@@ -75,7 +76,7 @@ def _config() -> dict[str, Any]:
 def _serial_config(ports: Sequence[str]) -> dict[str, Any]:
     autopilot, radio, counter = ports
     return {
-        **_config(),
+        **config(),
         "autopilot": {"url": f"serial:{autopilot}:921600"},
         "links": [{"type": "serial", "device": f"{radio},57600"}],
         "sensor": {"type": "mightyohm", "port": counter},
@@ -112,7 +113,7 @@ def measure(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
         with tempfile.TemporaryDirectory() as name:
             directory = Path(name)
             # JSON is YAML too.
-            (directory / "drone.yaml").write_text(json.dumps(_config()))
+            (directory / "drone.yaml").write_text(json.dumps(config()))
             (directory / "serial.yaml").write_text(json.dumps(_serial_config(ports)))
             run = [sys.executable, "-m", "rass_mav", "run", "--json"]
             nodes = {"node": [*run, "drone.yaml"], "serial node": [*run, "serial.yaml"]}

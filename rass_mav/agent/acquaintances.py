@@ -165,14 +165,15 @@ class Acquaintances:
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def heard(self, node_id: int, now: float) -> None:
-        """A beacon in the name of a node."""
+    def heard(self, node_id: int, now: float) -> Acquaintance:
+        """A beacon in the name of a node. Returns what is known of it."""
         known = self._known.get(node_id)
         if known is None:
             known = self._known[node_id] = self._room_for_another()
         known.heard = now
         if known.doubted and now >= known.ask_at:
             self._asks[node_id] = None
+        return known
 
     def _room_for_another(self) -> Acquaintance:
         known = self._known
