@@ -128,10 +128,13 @@ class PairTags(NoTags):
 
     def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
         self._now = now
-        if type(message) is Beacon and message.sender != self._own:
-            if self.acquaintances.heard(message.sender, now).place is None:
-                # Its answers would not be believed yet: what is handed over to it would be sent again.
-                return None
+        if (
+            type(message) is Beacon
+            and message.sender != self._own
+            and self.acquaintances.heard(message.sender, now).place is None
+        ):
+            # Its answers would not be believed yet: what is handed over to it would be sent again.
+            return None
         return believed(message, payload, self._own, self)
 
     def fingerprint(self, number: int) -> int | None:
