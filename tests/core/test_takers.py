@@ -352,7 +352,7 @@ class World:
 
     def __init__(self) -> None:
         self.node = make_node(OWN)
-        self.takers = Takers()
+        self.takers = Takers(lambda pair: True)
         self.now = 0.0
 
     def step(self, hops: dict[int, int]) -> None:
@@ -395,7 +395,7 @@ def test_whatever_happens_the_tables_agree_and_are_bounded(seed: int) -> None:
 
 
 def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() -> None:
-    takers = Takers()
+    takers = Takers(lambda pair: True)
     for sequence in range(10):
         takers.gave(DatumId(1, 1, sequence), None, 7, again=False)
     for sequence in range(2 * MAX_GIVEN):

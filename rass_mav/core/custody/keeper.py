@@ -50,7 +50,7 @@ class Keeper:
         self.observer = observer
         self.spares = NoSpares()
         """Spare copies; the object that keeps them for this node sets itself here."""
-        self.takers = Takers() if notes.told and settings.acknowledged else NoTakers()
+        self.takers = Takers(receipts.arrives) if notes.told and settings.acknowledged else NoTakers()
         """Who took data from here, and whether they were delivered."""
         self.arrived: Container[DatumId] = receipts
         """What has reached a base, as far as this node has heard. It ends spare copies, and nothing else."""

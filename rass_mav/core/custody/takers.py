@@ -15,14 +15,14 @@ Blame must hit the right one:
   drops data learns before others doubt the drone.
 - Time counts only while this node and the taker have a route, the taker is heard, and news of arrivals comes in. So
   nobody is blamed on an island, or where receipts are off.
-- The data of each giver count alike, own data as those of one giver. So whoever hands over junk that no base confirms
-  cannot discredit the node that takes it from here.
+- The data of each giver count alike, own data as those of one giver. Others' data count against a taker only if data of
+  their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
 - A late confirmation takes back the blame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from rass_mav.core.datum import DatumId
@@ -174,10 +174,12 @@ class Taker:
 class Takers(NoTakers):
     """What one node knows of those that take data from it."""
 
-    __slots__ = ("_deviation", "_gap", "_heard", "_of", "_takers", "_takes", "_turn")
+    __slots__ = ("_arrives", "_deviation", "_gap", "_heard", "_of", "_takers", "_takes", "_turn")
 
-    def __init__(self) -> None:
+    def __init__(self, arrives: Callable[[Pair], bool]) -> None:
+        """`arrives`: whether any datum of an (origin, epoch) has arrived."""
         super().__init__()
+        self._arrives = arrives
         self._takers: dict[int, Taker] = {}
         """By node id, the latest used last."""
         self._of: dict[DatumId, int] = {}
@@ -264,10 +266,13 @@ class Takers(NoTakers):
     def _failed(self, id: DatumId) -> None:
         found = self._forget(id)
         if found is not None and not found[2]:
-            self._judge(found[0], found[1])
+            self._judge(id, found[0], found[1])
 
-    def _judge(self, taker: Taker, given: Given) -> None:
+    def _judge(self, id: DatumId, taker: Taker, given: Given) -> None:
         """A datum was not delivered."""
+        if given.giver is not None and not self._arrives(id[:2]):
+            # It may be junk, which no base ever confirms.
+            return
         if given.again and not taker.doubted:
             # Another taker did not deliver it either: the cause may be the datum.
             return
@@ -310,7 +315,7 @@ class Takers(NoTakers):
                     if given.since >= before:
                         break
                     taker.late[id] = taker.open.pop(id)
-                    self._judge(taker, given)
+                    self._judge(id, taker, given)
             p = taker.delivers
             neighbour.doubted = taker.doubted
             self.doubting |= taker.doubted

@@ -66,6 +66,10 @@ class NoReceipts:
         """Whether a datum was reported lost to a base, and no base is known to have it."""
         return False
 
+    def arrives(self, pair: Pair) -> bool:
+        """Whether any datum of an (origin, epoch) has arrived."""
+        return False
+
     def known(self) -> dict[Pair, Ranges]:
         """All that bases state has arrived, by (origin, epoch)."""
         return {}
@@ -164,6 +168,9 @@ class Receipts(NoReceipts):
     def told_lost(self, id: DatumId) -> bool:
         known = self.statements.sum((id.origin, id.epoch))
         return id.sequence in known.lost and id.sequence not in known.arrived
+
+    def arrives(self, pair: Pair) -> bool:
+        return bool(self.statements.sum(pair).arrived)
 
     def known(self) -> dict[Pair, Ranges]:
         return {pair: known for pair in self.statements.pairs() if (known := self.statements.sum(pair).arrived)}
