@@ -6,6 +6,7 @@ import gc
 import logging
 import signal
 from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 from coverage import Coverage
@@ -13,6 +14,7 @@ from hypothesis import settings
 
 from rass_mav.mavlink.dialect import common
 
+from .app.app_nodes import RunningNode, Tidy
 from .extent import EXAMPLES, SOAK_EXAMPLES
 from .skips import pytest_make_collect_report as pytest_make_collect_report
 from .skips import pytest_runtest_makereport as pytest_runtest_makereport
@@ -60,3 +62,15 @@ def _dialect_as_it_was() -> Iterator[None]:
     yield
     if not common.enums:
         common.enums.update(_TEXTS)
+
+
+@pytest.fixture
+def tidy() -> Iterator[Tidy]:
+    """Ends real nodes that a failing test has left running."""
+    with ExitStack() as stack:
+
+        def remember(node: RunningNode) -> RunningNode:
+            stack.callback(node.end)
+            return node
+
+        yield remember

@@ -216,3 +216,7 @@ def line_of(directory: Path, ids: list[int], **sections: Any) -> list[RunningNod
         role = {"role": "base" if index == 0 else "drone"}
         nodes.append(RunningNode(directory, node_id, node=role, links=[link], **sections))
     return nodes
+
+
+#: Takes a node, and ends it after the test.
+Tidy = Callable[[RunningNode], RunningNode]

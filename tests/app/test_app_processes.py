@@ -10,8 +10,6 @@ import socket
 import stat
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -23,25 +21,10 @@ from rass_mav.mavlink.reader import FrameReader
 from tests.patience import PATIENCE_S
 from tests.telemetry import global_position_int, named_value_float
 
-from .app_nodes import RunningNode, command, environment, free_ports, line_of, process, said_by
+from .app_nodes import RunningNode, Tidy, command, environment, free_ports, line_of, process, said_by
 
 STATUSTEXT = 253
 HEARTBEAT = 0
-
-
-@pytest.fixture
-def tidy() -> Iterator[Callable[[RunningNode], RunningNode]]:
-    """Ends what a failing test has left running."""
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
-
-
-Tidy = Callable[[RunningNode], RunningNode]
 
 
 def put(node: RunningNode, payload: bytes) -> str:

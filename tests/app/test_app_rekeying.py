@@ -5,31 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from rass_mav.app.keyfiles import letters_path
 from rass_mav.keys.files import GROUND_FILE, drone_file
 
-from .app_nodes import RunningNode, command, free_ports
-
-Tidy = Callable[[RunningNode], RunningNode]
-
-
-@pytest.fixture
-def tidy() -> Iterator[Tidy]:
-    """Ends what a failing test has left running."""
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
+from .app_nodes import RunningNode, Tidy, command, free_ports
 
 
 def mission(directory: Path, *drones: int) -> None:

@@ -5,33 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from rass_mav.keys.files import GROUND_FILE, drone_file, drone_text, ground_text, read_keys, write_over
 from rass_mav.keys.identity import Ground
 
-from .app_nodes import RunningNode, command, free_ports, line_of
+from .app_nodes import RunningNode, Tidy, command, free_ports, line_of
 
-Tidy = Callable[[RunningNode], RunningNode]
 SECRET = b"the source is in the third house"
-
-
-@pytest.fixture
-def tidy() -> Iterator[Callable[[RunningNode], RunningNode]]:
-    """Ends what a failing test has left running."""
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
 
 
 def on_disk(directory: Path) -> bytes:

@@ -21,10 +21,8 @@ from rass_mav.app.companion import Companion
 from rass_mav.app.config import RunConfig
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
-from tests.app.app_nodes import RunningNode, command, line_of
+from tests.app.app_nodes import RunningNode, Tidy, command, line_of
 from tests.patience import PATIENCE_S
-
-from .conftest import Tidy
 
 pytest.importorskip("prometheus_client", reason="prometheus-client is not installed")
 

@@ -23,12 +23,10 @@ from rass_mav.mission.archive import Archive
 from rass_mav.mission.entry import Entry
 from rass_mav.mission.opening import Opens
 from rass_mav.store.lock import Lock
-from tests.app.app_nodes import RunningNode, command
+from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.mission.missions import HERE, Base
 from tests.mission.sealed_data import OPENS, sealed
 from tests.patience import PATIENCE_S
-
-from .conftest import Tidy
 
 #: Appends what it gets to a file, in one write, and its environment to another.
 TELL = ["sh", "-c", 'echo "$RASS_ID $RASS_DRONE $RASS_KIND" >> told.txt; cat >> told.jsonl']

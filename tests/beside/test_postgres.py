@@ -27,14 +27,13 @@ from rass_mav.mission.opening import Opens
 from rass_mav.mission.report import Report
 from rass_mav.page.model import Mission
 from rass_mav.store import SqliteStore
-from tests.app.app_nodes import RunningNode, command
+from tests.app.app_nodes import RunningNode, Tidy, command
 from tests.environment import unmeasured
 from tests.mission.mission_stores import NOW, measured, mission, put, stored
 from tests.mission.sealed_data import OPENS, PHOTO, sealed
 from tests.patience import PATIENCE_S
 from tests.store.store_helpers import commit
 
-from .conftest import Tidy
 from .databases import Server, psycopg, rows, server
 
 # After `databases`, which skips the file where the package is missing.

@@ -8,7 +8,6 @@ import select
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -19,27 +18,12 @@ import serial
 from rass_mav.cli import main
 from rass_mav.doctor import node, service, watch
 from rass_mav.mavlink.frames import FrameWriter
-from tests.app.app_nodes import RunningNode, command, free_ports
+from tests.app.app_nodes import RunningNode, Tidy, command, free_ports
 from tests.mock_vehicle import INT8, INT16, REAL32, MockVehicle
 from tests.ptys import SerialDevice
 from tests.wire.version_1 import VERSION_1
 
 Capture = pytest.CaptureFixture[str]
-
-
-@pytest.fixture
-def tidy() -> Iterator[Callable[[RunningNode], RunningNode]]:
-    """Ends what a test has left running."""
-    with ExitStack() as stack:
-
-        def remember(node: RunningNode) -> RunningNode:
-            stack.callback(node.end)
-            return node
-
-        yield remember
-
-
-Tidy = Callable[[RunningNode], RunningNode]
 
 
 def examined(path: Path, capsys: Capture, code: int) -> dict[str, dict[str, Any]]:
