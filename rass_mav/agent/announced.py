@@ -72,7 +72,10 @@ class _Base:
 
     def chain_of(self, number: int) -> Chain | None:
         """The newest chain that has an announcement number."""
-        return next((chain for chain in reversed(self.chains.values()) if chain.index(number) is not None), None)
+        for chain in reversed(self.chains.values()):
+            if chain.index(number) is not None:
+                return chain
+        return None
 
 
 class _Relay:
@@ -143,7 +146,7 @@ class Announced:
         if beacon.hops:
             flags &= ~BEACON_BASE
             potential = _bounded(beacon, node.policy)
-        if (flags, potential, wanted) != (beacon.flags, beacon.potential, beacon.wanted_number):
+        if potential != beacon.potential or wanted != beacon.wanted_number or flags != beacon.flags:
             beacon = beacon._replace(flags=flags, potential=potential, wanted_number=wanted)
         return beacon
 

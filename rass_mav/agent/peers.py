@@ -22,7 +22,7 @@ from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, is_data, target_of
-from rass_mav.wire.codec import VERSION, ForeignError
+from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
 from rass_mav.wire.word import is_word
 
 log = logging.getLogger(__name__)
@@ -111,7 +111,7 @@ class Peers:
         opened = (*tunnel, target_of(tunnel.payload))
         if not self._admits(frame.stream, frame.timestamp, opened, now):
             return None
-        return self._believed(self.message(opened, now, frame.stream), frame.stream, frame)
+        return self._believed(self.message(opened, now, frame.stream), tunnel.payload, frame.stream, frame)
 
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
         """The same for the datagram that `open_datagram` has opened."""
@@ -125,17 +125,16 @@ class Peers:
             stream = stamp[0]
             if not self._admits(*stamp, opened, now):
                 return None
-        return self._believed(self.message(opened, now, stream), stream, None)
+        return self._believed(self.message(opened, now, stream), opened[3], stream, None)
 
-    def _believed(self, message: Message | None, stream: Stream, frame: Frame | None) -> Message | None:
-        return message if self.word is None or message is None else self.word.admit(message, stream, frame)
+    def _believed(self, message: Message | None, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
+        return message if self.word is None or message is None else self.word.admit(message, payload, stream, frame)
 
     def _admits(self, stream: Stream, timestamp: int, opened: Opened, now: float) -> bool:
         """Whether a frame is new, and the node may look at it."""
-        if self.signed is None:
-            return True
-        _, _, payload_type, payload, _ = opened
-        return self.signed.admit(stream, timestamp, payload if payload_type == self._payload_type else b"", now)
+        return self.signed is None or self.signed.admit(
+            stream, timestamp, opened[3] if opened[2] == self._payload_type else b"", now
+        )
 
     def message(self, opened: Opened, now: float, stream: Stream = (0, 0, 0)) -> Message | None:
         """The message in a frame that is open, and new. `stream`: whose it is, if it is signed."""
@@ -151,11 +150,12 @@ class Peers:
         ):
             return None
         try:
-            if self.tags.introduced(payload, now):
-                return None
-            if self.word is not None and is_word(payload):
-                self.word.hear(payload, stream)
-                return None
+            if payload[:1] == MORE_HEAD:
+                if self.tags.introduced(payload, now):
+                    return None
+                if self.word is not None and is_word(payload):
+                    self.word.hear(payload, stream)
+                    return None
             return self.tags.believed(decode(payload, now), payload, now)
         except MalformedError as error:
             self._count(error, now)

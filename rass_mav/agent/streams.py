@@ -166,7 +166,7 @@ class Streams:
             if challenge is not None:
                 self._answer(stream, state, timestamp, challenge)
             return False
-        if stream[:2] == (self._writer.system_id, self._writer.component_id):
+        if stream[0] == self._writer.system_id and stream[1] == self._writer.component_id:
             return self._hear_twin(payload, now)
         return True
 

@@ -136,9 +136,10 @@ class Vouchers:
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def admits(self, statement: Statement, message: Message, stream: Stream, frame: Frame | None) -> bool:
+    def admits(
+        self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
+    ) -> bool:
         """Whether core may hear a statement. If nobody knows yet, it waits."""
-        payload = encode(message, 0.0)[0]
         known = self._known.get(statement)
         if known is not None:
             if hash_of(payload, known.salt) == known.hash:

@@ -73,12 +73,16 @@ class Word:
     def _is_news(self, signed: Signed) -> bool:
         return (self.vouchers if signed.kind == VOUCHER else self.routes).is_news(signed)
 
-    def admit(self, message: Message, stream: Stream, frame: Frame | None) -> Message | None:
-        """A message as core should hear it; None: not now. `frame`: in which it came, if somebody needs that later."""
+    def admit(self, message: Message, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
+        """A message as core should hear it; None: not now.
+
+        :param payload: the TUNNEL payload from which it was decoded.
+        :param frame: in which it came, if somebody needs that later.
+        """
         if type(message) is Beacon:
             return self.routes.heard(message, stream, self.node)
         statement = stated(message)
-        if statement is None or self.vouchers.admits(statement, message, stream, frame):
+        if statement is None or self.vouchers.admits(statement, message, payload, stream, frame):
             return message
         return None
 

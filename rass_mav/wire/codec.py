@@ -179,6 +179,8 @@ def answer_said(m: Committed) -> bytes:
     return _answer_bytes(m) + b"".join(strong)
 
 
+#: First byte of all messages whose type is in the second one.
+MORE_HEAD = bytes([_head(MORE)])
 _BEACON_HEAD = _head(BEACON)
 _DATA_HEAD = bytes([_head(DATA)])
 

@@ -15,6 +15,7 @@ from rass_mav.agent.vouchers import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, 
 from rass_mav.agent.word import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Word
 from rass_mav.core.messages import Digest, Given, Message, Receipt, ReceiptEntry
 from rass_mav.core.news.checksums import make_digest, make_given, make_receipt
+from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import encode
 from rass_mav.wire.word import VOUCHER, Ask, Signed, Voucher, body_of, decode_word, encode_ask, is_word
@@ -48,8 +49,8 @@ def drone() -> Word:
     return Word(7, DRONE_WORD, MemoryStore(7), random.Random(7), None)
 
 
-def heard(word: Word, message: Message) -> bool:
-    return word.admit(message, STREAM, None) is not None
+def heard(word: Word, message: Message, stream: Stream = STREAM) -> bool:
+    return word.admit(message, payload(message), stream, None) is not None
 
 
 # -- one node ----------------------------------------------------------------------------------------------------------
@@ -100,9 +101,9 @@ def test_what_waits_and_what_is_verified_is_bounded() -> None:
     word = drone()
     true = [receipt(serial) for serial in range(20)]
     for message in true:
-        assert word.admit(message, (1, 1, 1), None) is None
+        assert not heard(word, message, (1, 1, 1))
     for serial in range(3000):
-        word.admit(receipt(1000 + serial % 700, serial), STREAM, None)
+        heard(word, receipt(1000 + serial % 700, serial))
         junk = body_of(Voucher(1, LIFE, serial, 0, (bytes(8),)))
         word.hear(junk + bytes(64), (serial % 90, 191, serial % 7))
     assert word.vouchers.held == MAX_HELD
@@ -119,7 +120,7 @@ def test_junk_of_one_drone_does_not_keep_out_what_others_send() -> None:
         for _ in range(100):
             word.hear(body_of(Voucher(1, LIFE, 1000, 0, (bytes(8),))) + random.randbytes(64), STREAM)
         message = receipt(serial)
-        word.admit(message, (1, 1, 1), None)
+        heard(word, message, (1, 1, 1))
         word.hear(vouched(message).payload, (1, 1, 1))
         waits.append([held.message for held in word.released()] == [message])
     assert all(waits)
