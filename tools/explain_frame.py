@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import argparse
 import re
+import struct
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, Kind
 from rass_mav.core.messages import (
@@ -22,20 +23,34 @@ from rass_mav.core.messages import (
     BROADCAST,
     NO_ROUTE,
     UNBOUNDED_FREE,
+    Beacon,
+    Committed,
+    Data,
     Distance,
-    Message,
+    PassedOn,
     Word,
+    Words,
 )
 from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
+from rass_mav.core.seals import SEALED
 from rass_mav.errors import MalformedError
+from rass_mav.keys.letters import Letter
+from rass_mav.keys.sealing import SEAL_SIZE
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
 from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 from rass_mav.mavlink.tunnel import decode_tunnel
 from rass_mav.wire import decode
+from rass_mav.wire.challenge import CHALLENGE, Challenge, decode_challenge
+from rass_mav.wire.codec import ANSWERS, DISTANCE, MORE, MOTION, PROOF, TAGS, VERSION
 from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS
+from rass_mav.wire.introduction import INTRODUCTION, Introduction, decode_introduction
+from rass_mav.wire.letters import LETTER, ROLL, Roll, decode_roll, enclosed
 from rass_mav.wire.measurement import decode_measurement
+from rass_mav.wire.nodestatus import decode_status
+from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
+from rass_mav.wire.word import ANCHOR, ASK, VOUCHER, Anchor, Ask, Signed, Voucher, decode_word
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200
