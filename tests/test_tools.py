@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,17 @@ from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
 from rass_mav.wire.codec import FORMATS
 from rass_mav.wire.measurement import Measurement, encode_measurement
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.keys.test_words import SEVEN
+from tests.wire.kinds import beside, examples, type_of
 from tools import emulated_pi
 from tools.explain_frame import UnreadableError, explain_frames, explain_payload, from_hex, main
 
 ROOT = Path(__file__).parents[1]
-PROTOCOL = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").split("## Golden vectors")[1]
-GOLDEN = {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f]+)` \|", PROTOCOL, re.M)}
+EXAMPLES = examples()
+BESIDE = beside()
+#: Messages between nodes; the others are about links and keys, or show what the ground has signed.
+GOLDEN = {name: payload for name, payload in EXAMPLES.items() if type_of(payload) not in BESIDE}
 ACCEPT = GOLDEN["accept"]
 
 
@@ -53,10 +59,95 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
     assert message is not None
     assert text[0].startswith(name.split("-")[0].capitalize())
     assert f"type {FORMATS[type(message)].number}, version 2" in text[0]
-    absent = {("chunk", "target")} | {("data", f) for f in ("distance",) if getattr(message, f, None) is None}
+    absent = {("chunk", "target"), ("passed", "backers")}
+    absent |= {("data", f) for f in ("distance",) if getattr(message, f, None) is None}
     on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) not in absent]
+    if name.endswith("-tagged"):
+        on_the_wire += ["tags"] if hasattr(message, "committed") or hasattr(message, "answers") else ["place", "tags"]
     shown = [line.split()[0] for line in text[1:] if line.startswith("  ") and line[2] != " "]
     assert shown == ["age" if f == "created" else f for f in on_the_wire]
+
+
+@pytest.mark.parametrize("name", EXAMPLES.keys() - GOLDEN.keys())
+def test_every_example_of_what_is_beside_the_messages_is_explained(name: str) -> None:
+    payload = EXAMPLES[name]
+    head = next(explain_payload(payload))
+    assert head.startswith(f"{BESIDE[payload[1]]} (type {payload[1]}, version 2), ")
+    assert BESIDE[payload[1]].lower() == name.split("-")[0]
+    with pytest.raises(UnreadableError):
+        list(explain_payload(payload[:-1]))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_no_byte_is_left_out(name: str) -> None:
+    payload = EXAMPLES[name]
+    text = list(explain_payload(payload))
+    for at in range(len(payload)):
+        other = payload[:at] + bytes([payload[at] ^ 1]) + payload[at + 1 :]
+        with suppress(UnreadableError):
+            assert list(explain_payload(other)) != text
+
+
+def test_what_is_beside_the_messages_is_told_field_by_field() -> None:
+    found = list(explain_payload(EXAMPLES["challenge-both"]))
+    assert "      highest timestamp    16777216  (seen)" in found
+    assert "  nonce                    1122334455667788  (to be sent back)" in found
+    assert "    nonce                  99aabbccddeeff00" in found
+    found = list(explain_payload(EXAMPLES["introduction-certificate"]))
+    public = SEVEN.certificate.public.hex()
+    assert [line.split()[-1] for line in found if line.startswith("    public key")] == [public]
+    assert "  place                    0a0b0c0d00000005  (the sender's last one)" in found
+    assert "    tag                    0001020304050607" in found
+    found = list(explain_payload(EXAMPLES["introduction-question"]))
+    assert [line.split()[-1] for line in found if line.startswith("    node id")] == ["7", "8"]
+    voucher = fields(explain_payload(EXAMPLES["voucher"]))
+    assert voucher["first"] == "513  (serials of the statements: up to 514)"
+    assert (voucher["salt"], voucher["hash"]) == ("01020304", "3fba8eaaa09ca7aa")
+    anchor = fields(explain_payload(EXAMPLES["anchor"]))
+    assert (anchor["first"].split()[0], anchor["anchor"]) == ("40", "a0a1a2a3a4a5a6a7")
+    assert anchor["signature"].startswith(EXAMPLES["anchor"][-64:].hex())
+    ask = list(explain_payload(EXAMPLES["ask"]))
+    assert [line.split()[-1] for line in ask if line.startswith("    serial")] == ["513", "515"]
+    letter = fields(explain_payload(EXAMPLES["letter"]))
+    assert (letter["number"], letter["node id"]) == ("2  (of the link key)", "7  (of the drone)")
+    assert letter["sealed key"].startswith(EXAMPLES["letter"][13:61].hex())
+    revoked = fields(explain_payload(EXAMPLES["letter-revoked"]))
+    assert revoked["flags"] == "1  (revoked)"
+    assert "sealed key" not in revoked
+    roll = list(explain_payload(EXAMPLES["roll-named"]))
+    assert roll[-1].endswith("3  (serial 1 of 7 bits, revoked)")
+    assert "none is named" in fields(explain_payload(EXAMPLES["roll"]))["last"]
+
+
+def test_tags_are_told_with_whom_they_are_for() -> None:
+    answers = fields(explain_payload(EXAMPLES["data-answers-tagged"]))
+    assert answers["tag"] == "d6a91f1ca57aae4f  (for node 3)"
+    assert fields(explain_payload(EXAMPLES["committed-tagged"]))["tag"] == answers["tag"]
+    words = fields(explain_payload(EXAMPLES["words-tagged"]))
+    assert (words["place"].split()[0], words["tag"]) == ("00000005", "aa8cfddfdf199445  (for node 3)")
+    told = [line for line in explain_payload(EXAMPLES["passed-on-tagged"]) if line.startswith("    tag")]
+    assert [line.split("  (")[1] for line in told] == ["for node 3)", "for node 9)"]
+
+
+def test_blocks_of_later_versions_are_shown_as_they_are() -> None:
+    found = fields(explain_payload(EXAMPLES["data-answers-tagged"] + b"\x09\x02ab"))
+    assert (found["block"], found["content"]) == ("9  (of a later version)", "6162")
+    assert "block" not in fields(explain_payload(EXAMPLES["data-answers-tagged"]))
+
+
+def test_sealed_data_and_statuses_are_taken_apart() -> None:
+    found = fields(explain_payload(EXAMPLES["data-sealed"]))
+    assert found["kind"] == "129  (sealed, measurement)"
+    assert found["sealed"] == "10 bytes  (contents, encrypted)"
+    assert found["seal"].startswith(EXAMPLES["data-sealed"][-16:].hex())
+    status = NodeStatus(5, 2, 3, None, 0.25, None, 80, (47.5, 8.25), {8: 1.0}, {7: 2}, next_hop=8, link_key=2)
+    datum = make_datum(DatumId(7, 0xABCD, 4), Kind.STATUS, -3.0, encode_status(status))
+    (wire,) = encode(Data(7, 8, (Handover(1, datum),)), 0.0)
+    found = fields(explain_payload(wire))
+    assert [found[name] for name in ("held", "free", "hops", "battery", "place")] == [
+        "5", "no limit", "no route", "80", "(47.5, 8.25)"
+    ]  # fmt: skip
+    assert (found["node 8"], found["node 7"], found["link_key"]) == ("1.000 of its beacons", "2 data", "2")
 
 
 def test_a_whole_frame() -> None:
@@ -110,6 +201,7 @@ def test_a_signed_frame() -> None:
     found = explained(data)
     assert found["incompatibility flags"] == "0x01  (signed)"
     assert found["signature link id"] == "3"
+    assert found["signature timestamp"].startswith("1000000  (counts the frames of the stream")
     assert found["signature"].startswith(data[-6:].hex())
     assert found["handle"] == "a1b2"
 

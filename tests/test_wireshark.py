@@ -28,21 +28,30 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.marks import pack_marks
-from rass_mav.errors import MalformedError
+from rass_mav.core.seals import SEALED
+from rass_mav.keys.letters import Letter
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
+from rass_mav.wire.challenge import Challenge
+from rass_mav.wire.introduction import Introduction
+from rass_mav.wire.letters import Roll
 from rass_mav.wire.measurement import Measurement, encode_measurement
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from rass_mav.wire.word import Ask, Signed, Voucher
 from tests.patience import PATIENCE_S
+from tests.wire.kinds import beside, blocks, examples, type_of
+from tools.explain_frame import _BESIDE, UnreadableError, explain_payload
 
 TSHARK = shutil.which("tshark")
 pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed (Debian: apt install tshark)")
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "tools" / "rass.lua"
-PROTOCOL = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").split("## Golden vectors")[1]
-GOLDEN = {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f]+)` \|", PROTOCOL, re.M)}
+EXAMPLES = examples()
+#: Messages between nodes; the others are about links and keys, or show what the ground has signed.
+GOLDEN = {name: payload for name, payload in EXAMPLES.items() if type_of(payload) not in beside()}
 
 #: The port that the script knows; on others it finds our frames by their content.
 PORT = 14600
@@ -125,8 +134,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
                 yield from [("block", 2), ("block_size", 5)]
             yield from said(value, now)
         elif name == "payload":
-            yield "size", len(value)
-            yield name, value
+            yield from said_of_a_payload(value, record.kind)
         elif name == "bitmap":
             size = (value.bit_length() + 7) // 8
             yield "bitmap_size" if kind == "Sack" else "entry_size", size
@@ -134,6 +142,13 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
                 yield name if kind == "Sack" else "entry_bitmap", value.to_bytes(size, "little")
         else:
             yield NAMES.get(f"{kind}.{name}", name), value
+
+
+def said_of_a_payload(payload: bytes, kind: int) -> Iterator[tuple[str, int | bytes]]:
+    yield "size", len(payload)
+    yield "payload", payload
+    if kind & SEALED:
+        yield from [("sealed", payload[:-16]), ("seal", payload[-16:])]
 
 
 def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
@@ -151,8 +166,68 @@ def said_in_a_block(name: str, value: Any) -> Iterator[tuple[str, int | bytes]]:
             yield from list(said(each))[1:]
 
 
+def said_beside(record: Any) -> Iterator[tuple[str, int | bytes]]:
+    """All fields of a payload that is no message between nodes."""
+    if isinstance(record, Signed):
+        content, _, signature = record[1:]
+        yield from [("base", content.base), ("base_life", content.base_life)]
+        if isinstance(content, Voucher):
+            yield from [("first_serial", content.first), ("salt", content.salt), ("count", len(content.hashes))]
+            yield from [("hash", one) for one in content.hashes]
+        else:
+            yield from [("chain", content.serial), ("first_number", content.first)]
+            yield "anchor", content.element
+        yield "signature", signature
+    elif isinstance(record, Ask):
+        yield from [("bases", len(record.bases)), ("statements", len(record.statements))]
+        for row in (*record.bases, *record.statements):
+            yield from list(zip(("base", "base_life", "serial"), row, strict=False))
+    elif isinstance(record, Challenge):
+        yield from [("asked", len(record.asked)), ("answered", len(record.answered))]
+        for stream, highest in record.asked:
+            names = ("stream.system", "stream.component", "stream.link", "stream.highest")
+            yield from list(zip(names, (*stream, highest), strict=True))
+        yield from [("nonce", nonce) for nonce in (*([record.nonce] if record.asked else []), *record.answered)]
+    elif isinstance(record, Introduction):
+        yield from [("sender", record.sender), ("introduction.flags", bool(record.certificate) + 2 * record.wants)]
+        yield from [("introduction.flags.certificate", bool(record.certificate))]
+        yield from [("introduction.flags.wanted", record.wants)]
+        yield from [("asked", len(record.asked)), ("proofs", len(record.proofs))]
+        if record.certificate:
+            node_id, serial, public, signature = struct.unpack("<HI32s64s", record.certificate)
+            yield from [("node_id", node_id), ("node_serial", serial)]
+            yield from [("public_key", public), ("signature", signature)]
+        yield from [("nonce", record.nonce)] * bool(record.asked)
+        yield from [("node_id", node_id) for node_id in record.asked]
+        yield from [("place", record.place)] * bool(record.proofs)
+        for node_id, tag in record.proofs:
+            yield "node_id", node_id
+            yield "tag", tag
+    elif isinstance(record, Letter):
+        yield from [("letter.flags", not record.sealed), ("link_key", record.number)]
+        yield from [("node_id", record.node_id), ("node_serial", record.serial)]
+        yield from [("sealed_key", record.sealed)] * bool(record.sealed)
+        yield "signature", record.signature
+    else:
+        assert isinstance(record, Roll)
+        yield from [("node_id", record.node_id), ("node_serial", record.serial), ("link_key", record.number)]
+        yield from [("letters", record.digest), ("first_node", record.first), ("last_node", record.last)]
+        yield "count", len(record.named)
+        for node_id, mark in record.named.items():
+            yield from [("node_id", node_id), ("row.serial", mark >> 1), ("row.revoked", mark & 1)]
+
+
+_BYTES = {
+    f"rass.{name}"
+    for name in (
+        "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "sealed", "seal", "tag", "public_key",
+        "signature", "hash", "anchor", "sealed_key",
+    )
+}  # fmt: skip
+
+
 def read(name: str, text: str) -> int | bytes:
-    if name in ("rass.payload", "rass.data", "rass.bitmap", "rass.entry_bitmap", "rass.block_content", "rass.proof"):
+    if name in _BYTES:
         return bytes.fromhex(text.replace(":", ""))
     if text in ("True", "False"):
         return int(text == "True")
@@ -160,14 +235,23 @@ def read(name: str, text: str) -> int | bytes:
 
 
 def assert_shows(fields: Shown, message: Message) -> None:
+    # The tags are no part of the message.
+    blocks = zip(fields.get("rass.block", []), fields.get("rass.block_size", []), strict=True)
+    kept = [block for block in blocks if block[0] != "5"]
+    if kept:
+        fields = fields | {"rass.block": [kind for kind, _ in kept], "rass.block_size": [size for _, size in kept]}
+    hidden = r"version|type|flags\.|flags_tree|beacon_crc|measurement|status\.|tag$|place$|node_id$"
+    assert_equal(fields, said(message), hidden)
+
+
+def assert_equal(fields: Shown, told: Iterator[tuple[str, int | bytes]], hidden: str) -> None:
     expected: dict[str, list[int | bytes]] = {}
-    for name, value in said(message):
+    for name, value in told:
         expected.setdefault(f"rass.{name}", []).append(value)
     ours = {
         name: values
         for name, values in fields.items()
-        if name.startswith("rass.")
-        and not re.match(r"rass\.(version|type|flags\.|flags_tree|beacon_crc|measurement)", name)
+        if name.startswith("rass.") and not re.match(rf"rass\.({hidden})", name)
     }
     assert {name: [read(name, value) for value in values] for name, values in ours.items()} == expected
 
@@ -186,6 +270,61 @@ def decoded(payload: bytes) -> Message:
 def golden(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Shown]:
     found = shown(tmp_path_factory.mktemp("golden"), [frame(payload) for payload in GOLDEN.values()])
     return dict(zip(GOLDEN, found, strict=True))
+
+
+@pytest.fixture(scope="module")
+def shown_beside(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Shown]:
+    names = EXAMPLES.keys() - GOLDEN.keys()
+    found = shown(tmp_path_factory.mktemp("beside"), [frame(EXAMPLES[name]) for name in names])
+    return dict(zip(names, found, strict=True))
+
+
+@pytest.mark.parametrize("name", EXAMPLES.keys() - GOLDEN.keys())
+def test_every_field_of_what_is_beside_the_messages_is_shown(name: str, shown_beside: dict[str, Shown]) -> None:
+    fields = shown_beside[name]
+    assert fields["rass.type_more"] == [str(EXAMPLES[name][1])]
+    assert "rass.malformed" not in fields
+    assert_equal(fields, said_beside(_BESIDE[EXAMPLES[name][1]].read(EXAMPLES[name])), "version|type|.*_tree")
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("committed-tagged", {"tag": ["d6a91f1ca57aae4f"]}),
+        ("data-answers-tagged", {"tag": ["d6a91f1ca57aae4f"], "block": ["1", "5"]}),
+        ("words-tagged", {"place": ["5"], "tag": ["aa8cfddfdf199445"]}),
+        ("passed-on-tagged", {
+            "place": ["5"], "node_id": ["3", "9"], "tag": ["92a79cae65f4cb1a", "0e105ea823516905"],
+        }),
+    ],
+)  # fmt: skip
+def test_tags_are_shown_with_whom_they_are_for(name: str, told: dict[str, list[str]], golden: dict[str, Shown]) -> None:
+    found = {field: golden[name].get(f"rass.{field}", []) for field in told}
+    found["tag"] = [tag.replace(":", "") for tag in found["tag"]]
+    if "place" in found:
+        found["place"] = [str(int(place, 0)) for place in found["place"]]
+    assert found == told
+
+
+def test_statuses_are_taken_apart(tmp_path: Path) -> None:
+    status = NodeStatus(5, 2, 3, None, 0.25, None, 80, (47.5, -8.25), {8: 1.0, 9: 0.0}, {7: 2}, True, 8, 0x10001)
+    payloads = [encode_status(status), encode_status(status)[:-1], encode_status(status._replace(link_key=None))]
+    data = [make_datum(DatumId(7, 0xABCD, 4), Kind.STATUS, -3.0, payload) for payload in payloads]
+    sent = [encode(Data(7, 8, (Handover(1, datum),)), 0.0)[0] for datum in data]
+    found = shown(tmp_path, [frame(part) for part in sent])
+    for fields, part in zip(found, sent, strict=True):
+        assert_shows(fields, decoded(part))
+    whole, cut, less = (
+        {name[12:]: [int(value, 0) for value in values] for name, values in fields.items() if "status" in name}
+        for fields in found
+    )
+    assert whole == {
+        "version": [1], "flags": [15], "held": [5], "alone": [2], "spares": [3], "free": [65535], "risk": [16384],
+        "hops": [255], "battery": [80], "latitude": [475000000], "longitude": [-82500000], "neighbours": [2],
+        "neighbour": [8, 9], "share": [255, 0], "origins": [1], "origin": [7], "created": [2], "link_key": [0x10001],
+    }  # fmt: skip
+    assert cut == {name: value for name, value in whole.items() if name != "link_key"}
+    assert less == {**cut, "flags": [7]}
 
 
 @pytest.mark.parametrize("name", GOLDEN)
@@ -266,6 +405,7 @@ def test_a_swarm_with_its_own_payload_type(tmp_path: Path) -> None:
 
 def test_blocks_of_later_versions_are_shown_as_they_are(tmp_path: Path) -> None:
     payload = GOLDEN["data"] + b"\x09\x02ab" + GOLDEN["data-answers"][len(GOLDEN["data"]) :] + b"\x0a\0"
+    assert not {9, 10} & blocks().keys()
     (fields,) = shown(tmp_path, [frame(payload)])
     assert fields["rass.block"] == ["9", "1", "10"]
     assert fields["rass.block_content"] == ["61:62"]
@@ -277,8 +417,22 @@ def test_blocks_of_later_versions_are_shown_as_they_are(tmp_path: Path) -> None:
 
 
 def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:
-    """Every way to cut off every golden vector, other versions and types, a wrong checksum."""
-    cut = [payload[:size] for payload in GOLDEN.values() for size in range(1, len(payload))]
+    """Every way to cut off every example, too many of something, other versions and types, a wrong checksum."""
+    cut = [payload[:size] for payload in EXAMPLES.values() for size in range(1, len(payload))]
+    # Each count and each flag of what is beside the messages, one too high and much too high.
+    for name, places in (
+        ("challenge-both", (2, 3)),
+        ("introduction-question", (2, 4, 5, 6)),
+        ("voucher", (16,)),
+        ("introduction-certificate", (4, 5, 6)),
+        ("ask", (2, 3)),
+        ("letter", (2,)),
+        ("roll", (20,)),
+    ):
+        for at in places:
+            long = EXAMPLES[name].ljust(128, b"\0")
+            cut += [long[:at] + bytes([value]) + long[at + 1 :] for value in (0, 1, 2, 4, 5, 6, 8, 9, 10, 35, 36, 255)]
+    cut += [EXAMPLES["introduction-question"][:2] + b"\xff\xff" + EXAMPLES["introduction-question"][4:]]
     flipped = bytearray(GOLDEN["beacon-slow"])
     flipped[29] ^= 1
     cut.append(bytes(flipped))
@@ -288,12 +442,12 @@ def test_damage_is_said_and_nothing_breaks(tmp_path: Path) -> None:
     *short, version, kind, checksum = shown(tmp_path, [*map(frame, cut + strange), bytes(damaged)])
     for payload, fields in zip(cut, short, strict=True):
         try:
-            message = decode(payload, 0.0)
-        except MalformedError:
+            list(explain_payload(payload))
+        except UnreadableError:
             assert "rass.malformed" in fields, payload.hex()
         else:
-            assert message is not None
             assert "rass.malformed" not in fields, payload.hex()
+        assert "rass.foreign" not in fields
     assert "rass.foreign" in version
     assert "rass.foreign" in kind
     assert checksum["rass_mavlink.checksum_good"] == ["0"]

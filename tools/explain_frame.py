@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import argparse
 import re
+import struct
 import sys
-from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from itertools import zip_longest
+from typing import Any, NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, Kind
 from rass_mav.core.messages import (
@@ -22,20 +24,34 @@ from rass_mav.core.messages import (
     BROADCAST,
     NO_ROUTE,
     UNBOUNDED_FREE,
+    Beacon,
+    Committed,
+    Data,
     Distance,
-    Message,
+    PassedOn,
     Word,
+    Words,
 )
 from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
+from rass_mav.core.seals import SEALED
 from rass_mav.errors import MalformedError
+from rass_mav.keys.letters import Letter
+from rass_mav.keys.sealing import SEAL_SIZE
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
 from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 from rass_mav.mavlink.tunnel import decode_tunnel
 from rass_mav.wire import decode
+from rass_mav.wire.challenge import CHALLENGE, Challenge, decode_challenge
+from rass_mav.wire.codec import ANSWERS, DISTANCE, MORE, MOTION, PROOF, TAG_BYTES, TAGS, VERSION
 from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS
+from rass_mav.wire.introduction import INTRODUCTION, Introduction, decode_introduction
+from rass_mav.wire.letters import LETTER, ROLL, Roll, decode_roll, enclosed
 from rass_mav.wire.measurement import decode_measurement
+from rass_mav.wire.nodestatus import decode_status
+from rass_mav.wire.tags import blocks_in, end_of_fields, tags_in, told_in
+from rass_mav.wire.word import ANCHOR, ASK, VOUCHER, Ask, Signed, Voucher, decode_word
 
 #: payload_type of our TUNNEL messages unless a node is told otherwise.
 PAYLOAD_TYPE = 33200
@@ -58,6 +74,8 @@ _WORDS = {
     Word.HERE: "a good copy is here",
     Word.ENCLOSED: "all my neighbours hear you, choose another backer",
 }
+#: What a node knows besides the bytes.
+_NOT_ON_THE_WIRE = {("Chunk", "target"), ("PassedOn", "backers")}
 #: Fields of 32 bits that are drawn at random or are checksums: read in hex. And handles.
 _HEX = {
     "epoch": 8,
@@ -70,6 +88,18 @@ _HEX = {
     "policy": 4,
     "moves": 16,
 }
+
+
+_TIMESTAMP = "counts the frames of the stream, which is system id, component id and link id"
+#: In rass_mav.wire.codec: what blocks hold that are shown with the fields of their message, or after them.
+_BLOCKS = {
+    ANSWERS: "answers",
+    DISTANCE: "a distant spare",
+    MOTION: "motion",
+    PROOF: "proof of the route",
+    TAGS: "tags of the answers",
+}
+_CERTIFICATE = struct.Struct("<HI32s64s")
 
 
 class UnreadableError(Exception):
@@ -148,7 +178,7 @@ def _explain_frame(data: bytes, payload_type: int) -> Generator[str, None, int]:
         signature = data[end + 2 : length]
         ticks = int.from_bytes(signature[1:7], "little")
         yield line("signature link id", signature[0])
-        yield line("signature timestamp", ticks, f"{ticks / 1e5:.5f} s since 2015-01-01 UTC")
+        yield line("signature timestamp", ticks, _TIMESTAMP if message_id == TUNNEL_ID else _clock(ticks))
         yield line("signature", signature[7:].hex(), "not checked: that needs the key")
     if checksum != expected:
         raise UnreadableError("the checksum is wrong: the bytes are damaged, or the sender knows another dialect")
@@ -161,6 +191,10 @@ def _explain_frame(data: bytes, payload_type: int) -> Generator[str, None, int]:
         for name, value in _in_order(definition, definition.unpacker.unpack_from(whole)):
             yield line(name, _shown(value))
     return length
+
+
+def _clock(ticks: int) -> str:
+    return f"{ticks / 1e5:.5f} s since 2015-01-01 UTC"
 
 
 def _in_order(definition: Any, values: tuple[Any, ...]) -> Iterator[tuple[str, Any]]:
@@ -193,27 +227,184 @@ def _explain_tunnel(wire: bytes, payload_type: int) -> Iterator[str]:
 
 def explain_payload(payload: bytes) -> Iterator[str]:
     """Lines about a TUNNEL payload of ours (docs/protocol.md). Raises `UnreadableError`."""
+    beside = _BESIDE.get(payload[1]) if payload[:1] == _MORE_HEAD and len(payload) > 1 else None
     try:
         # At time 0, so that the moment of creation is minus the age.
-        message = decode(payload, 0.0)
+        record: Any = decode(payload, 0.0) if beside is None else beside.read(payload)
     except MalformedError as error:
         raise UnreadableError(f"no rass_mav message: {error}") from None
-    assert message is not None
-    number = FORMATS_OF_OURS[type(message)].number
-    yield f"{_title(message)} (type {number}, version {payload[0] >> 4}), {len(payload)} bytes"
-    yield from _fields(message, 1)
+    number = FORMATS_OF_OURS[type(record)].number if beside is None else payload[1]
+    title = _title(record) if beside is None else beside.title
+    yield f"{title} (type {number}, version {payload[0] >> 4}), {len(payload)} bytes"
+    if beside is None:
+        yield from _fields(record, 1)
+        yield from _behind(record, payload)
+    else:
+        yield from beside.explain(record)
 
 
-def _title(message: Message) -> str:
+def _title(message: object) -> str:
     words: str = re.sub(r"(?<=[a-z])([A-Z])", r" \1", type(message).__name__).lower()
     return words.capitalize()
+
+
+def _behind(message: Any, payload: bytes) -> Iterator[str]:
+    """What follows the fields: the place and the tags that show other nodes who says it, and unknown blocks."""
+    if isinstance(message, PassedOn | Words):
+        place, tag_of = told_in(message, payload)
+        if place is not None:
+            yield line("place", f"{place:08x}", "low half of the count of the sender's words")
+            yield from _tags([(tag.hex(), f"for node {node_id}") for node_id, tag in tag_of.items()])
+    elif isinstance(message, Committed):
+        tag = payload[end_of_fields(message) :]
+        if tag:
+            yield from _tags([(tag[:TAG_BYTES].hex(), f"for node {message.target}")])
+    elif isinstance(message, Beacon | Data):
+        start = end_of_fields(message)
+        tags_of = zip_longest(tags_in(payload, start), message.answers)
+        told = [
+            (tag.hex(), f"for node {answer.target}" if answer else "of no answer") for tag, answer in tags_of if tag
+        ]
+        if told:
+            yield from _tags(told)
+        for kind, content in blocks_in(payload, start):
+            if kind not in _BLOCKS:
+                yield line("block", kind, "of a later version")
+                yield line("content", content.hex(), depth=2)
+
+
+def _tags(tags: list[tuple[str, str]]) -> Iterator[str]:
+    yield line("tags", len(tags), "not checked: that needs the keys")
+    for tag, whose in tags:
+        yield line("tag", tag, whose, depth=2)
+
+
+# -- what nodes with keys say about links and keys ---------------------------------------------------------------------
+
+
+def _challenge(challenge: Challenge) -> Iterator[str]:
+    yield line("asked", len(challenge.asked), "streams that are challenged")
+    for (system, component, link), highest in challenge.asked:
+        yield "    Stream"
+        yield line("system id", system, depth=3)
+        yield line("component id", component, depth=3)
+        yield line("link id", link, depth=3)
+        yield line("highest timestamp", highest, "seen", depth=3)
+    if challenge.asked:
+        yield line("nonce", f"{challenge.nonce:016x}", "to be sent back")
+    yield line("answered", len(challenge.answered), "nonces that are sent back")
+    for nonce in challenge.answered:
+        yield line("nonce", f"{nonce:016x}", depth=2)
+
+
+def _introduction(m: Introduction) -> Iterator[str]:
+    yield line("sender", m.sender)
+    yield line("certificate", "yes" if m.certificate else "no")
+    if m.certificate:
+        node_id, serial, public, signature = _CERTIFICATE.unpack(m.certificate)
+        yield line("node id", node_id, depth=2)
+        yield line("serial", serial, "a base" if not serial else "", depth=2)
+        yield line("public key", public.hex(), depth=2)
+        yield line("signature", signature.hex(), _UNCHECKED, depth=2)
+    yield line("asked", len(m.asked), "nodes that should prove that they are there")
+    for node_id in m.asked:
+        yield line("node id", node_id, depth=2)
+    yield line("wanted", "yes" if m.wants else "no", "the certificates of those who are asked")
+    if m.asked:
+        yield line("nonce", f"{m.nonce:016x}", "to be proved")
+    if m.proofs:
+        yield line("place", f"{m.place:016x}", "the sender's last one")
+    yield line("proofs", len(m.proofs))
+    for node_id, tag in m.proofs:
+        yield line("node id", node_id, depth=2)
+        yield line("tag", tag.hex(), depth=2)
+
+
+def _signed(signed: Signed | Ask) -> Iterator[str]:
+    assert isinstance(signed, Signed)
+    content = signed.content
+    yield line("base", content.base)
+    yield line("base_life", f"{content.base_life:08x}")
+    if isinstance(content, Voucher):
+        last = (content.first + len(content.hashes) - 1) & 0xFFFFFFFF
+        yield line("first", content.first, f"serials of the statements: up to {last}")
+        yield line("salt", f"{content.salt:08x}")
+        yield line("hashes", len(content.hashes), "one for each statement")
+        for one in content.hashes:
+            yield line("hash", one.hex(), depth=2)
+    else:
+        yield line("serial", content.serial, "of the chain")
+        yield line("first", content.first, "announcement number of the chain")
+        yield line("anchor", content.element.hex())
+    yield line("signature", signed.signature.hex(), _UNCHECKED)
+
+
+def _ask(ask: Signed | Ask) -> Iterator[str]:
+    assert isinstance(ask, Ask)
+    yield line("bases", len(ask.bases), "whose anchors are lacking")
+    for base, life in ask.bases:
+        yield line("base", base, depth=2)
+        yield line("base_life", f"{life:08x}", depth=2)
+    yield line("statements", len(ask.statements), "whose vouchers are lacking")
+    for base, life, serial in ask.statements:
+        yield line("base", base, depth=2)
+        yield line("base_life", f"{life:08x}", depth=2)
+        yield line("serial", serial, depth=2)
+
+
+def _letter(letter: Letter) -> Iterator[str]:
+    yield line("flags", int(not letter.sealed), "with a key" if letter.sealed else "revoked")
+    yield line("number", letter.number, "of the link key")
+    yield line("node id", letter.node_id, "of the drone")
+    yield line("serial", letter.serial, "of the drone")
+    if letter.sealed:
+        yield line("sealed key", letter.sealed.hex(), "for the drone alone")
+    yield line("signature", letter.signature.hex(), _UNCHECKED)
+
+
+def _roll(roll: Roll) -> Iterator[str]:
+    yield line("node id", roll.node_id, "of the sender")
+    yield line("serial", roll.serial, "a base" if not roll.serial else "of the sender")
+    yield line("number", roll.number, "of the sender's link key")
+    yield line("digest", f"{roll.digest:08x}", "of its letters about this key" if roll.digest else "it has no letters")
+    yield line("first", roll.first)
+    yield line("last", roll.last, "none is named" if roll.first > roll.last else "")
+    yield line("count", len(roll.named), "letters that are named")
+    for node_id, mark in roll.named.items():
+        yield line("node id", node_id, depth=2)
+        yield line("mark", mark, f"serial {mark >> 1} of 7 bits, {'revoked' if mark & 1 else 'with a key'}", depth=2)
+
+
+class _Beside(NamedTuple):
+    """A kind of payload that is no message of core."""
+
+    title: str
+    read: Callable[[bytes], Any]
+    explain: Callable[[Any], Iterator[str]]
+
+
+_MORE_HEAD = bytes([VERSION << 4 | MORE])
+_UNCHECKED = "by the ground; not checked: that needs its public key"
+#: By the type in their second byte.
+_BESIDE = {
+    CHALLENGE: _Beside("Challenge", decode_challenge, _challenge),
+    INTRODUCTION: _Beside("Introduction", decode_introduction, _introduction),
+    VOUCHER: _Beside("Voucher", decode_word, _signed),
+    ANCHOR: _Beside("Anchor", decode_word, _signed),
+    ASK: _Beside("Ask", decode_word, _ask),
+    LETTER: _Beside("Letter", lambda payload: Letter.unpack(enclosed(payload)), _letter),
+    ROLL: _Beside("Roll", decode_roll, _roll),
+}
+
+
+# -- the fields of messages --------------------------------------------------------------------------------------------
 
 
 def _fields(record: Any, depth: int) -> Iterator[str]:
     """Every field of a message or a part of one."""
     for name, value in zip(record._fields, record, strict=True):
-        if name == "target" and type(record).__name__ == "Chunk":
-            continue  # not on the wire
+        if (type(record).__name__, name) in _NOT_ON_THE_WIRE:
+            continue
         yield from _field(record, name, value, depth)
 
 
@@ -223,8 +414,12 @@ def _field(record: Any, name: str, value: Any, depth: int) -> Iterator[str]:
     elif isinstance(value, Datum):
         yield line(name, "", depth=depth).rstrip()
         yield from _fields(value, depth + 1)
-        if value.kind == Kind.MEASUREMENT and value.intact:
-            yield from _measurement(value.payload, depth + 1)
+        contents = _CONTENTS.get(value.kind)
+        if contents and value.intact:
+            yield from contents(value.payload, depth + 1)
+        elif value.kind & SEALED and len(value.payload) >= SEAL_SIZE:
+            yield line("sealed", f"{len(value.payload) - SEAL_SIZE} bytes", "contents, encrypted", depth=depth + 1)
+            yield line("seal", value.payload[-SEAL_SIZE:].hex(), "tag; not checked: that needs keys", depth=depth + 1)
     elif isinstance(value, Distance):
         yield line(name, "", "distant spares", depth=depth)
         yield from _fields(value, depth + 1)
@@ -259,6 +454,12 @@ def _is_hex(record: Any, name: str) -> bool:
 def _flags(flags: int) -> str:
     words = {BEACON_BASE: "base", BEACON_WANTED: "wants a newer announcement"}
     return ", ".join(word for bit, word in words.items() if flags & bit) or "none"
+
+
+def _kind(kind: int) -> str:
+    plain = kind & ~SEALED
+    name = Kind(plain).name.lower() if plain in list(Kind) else "unknown"
+    return f"sealed, {name}" if kind & SEALED else name
 
 
 def _potential(value: int) -> str:
@@ -302,7 +503,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "free": lambda _, value: "no bound" if value == UNBOUNDED_FREE else "items",
     "potential": lambda _, value: _potential(value),
     "at_least": lambda _, value: "it may be older" if value else "it is as old as that",
-    "kind": lambda _, value: Kind(value).name.lower() if value in list(Kind) else "unknown",
+    "kind": lambda _, value: _kind(value),
     "Datum.crc": lambda datum, _: "good" if datum.intact else "BAD: the datum is damaged",
     "reason": lambda _, value: _LOSS_REASONS.get(value, "unknown"),
     "spare": lambda data, value: "custody is offered" if not value else "custody is elsewhere",
@@ -344,6 +545,29 @@ def _measurement(payload: bytes, depth: int) -> Iterator[str]:
     for name, value in zip(measurement._fields, measurement, strict=True):
         shown = "unknown" if value is None else f"{value:.7g}" if name in ("reading", "risk") else str(value)
         yield line(name, shown, units.get(name, ""), depth=depth + 1)
+
+
+def _status(payload: bytes, depth: int) -> Iterator[str]:
+    try:
+        status = decode_status(payload)
+    except MalformedError as error:
+        yield line("status", "unreadable", str(error).partition(":")[0], depth=depth)
+        return
+    yield line("status", "", depth=depth).rstrip()
+    for name, value in zip(status._fields, status, strict=True):
+        if isinstance(value, Mapping):
+            yield line(name, len(value), depth=depth + 1)
+            for node_id, one in value.items():
+                shown = f"{one:.3f} of its beacons" if name == "neighbours" else f"{one} data"
+                yield line(f"node {node_id}", shown, depth=depth + 2)
+        else:
+            plain = f"{value:.3f}" if name == "risk" else str(value)
+            yield line(name, _UNTOLD.get(name, "unknown") if value is None else plain, depth=depth + 1)
+
+
+_UNTOLD = {"free": "no limit", "hops": "no route"}
+#: What is in the payloads of data, by their kind.
+_CONTENTS: dict[int, Callable[[bytes, int], Iterator[str]]] = {Kind.MEASUREMENT: _measurement, Kind.STATUS: _status}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

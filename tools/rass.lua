@@ -1,5 +1,5 @@
 -- Wireshark dissector for rass_mav: MAVLink 2 frames in UDP, TUNNEL (message 385) in them, and in it every field of our
--- own messages (docs/protocol.md). How to use it: tools/README.md.
+-- own payloads (docs/protocol.md). How to use it: tools/README.md.
 --
 -- Written for Lua 5.2 (Wireshark 4.0 and 4.2) and Lua 5.4 (from 4.4 on): no bit library, no integer division.
 
@@ -17,7 +17,10 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 -- Fields --------------------------------------------------------------------------------------------------------------
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
-    "Query", "Passed on", "Words", "Given", "more", "Digest" }
+    "Query", "Passed on", "Words", "Given", "more", "Digest", [248] = "Roll", [249] = "Letter", [251] = "Ask",
+    [252] = "Anchor", [253] = "Voucher", [254] = "Introduction", [255] = "Challenge" }
+local BLOCKS = { [1] = "answers", [2] = "a distant spare", [3] = "motion", [4] = "proof of the route",
+    [5] = "tags of the answers" }
 local VERSION = 2
 local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status", [128] = "sealed bytes",
     [129] = "sealed measurement", [130] = "sealed file", [131] = "sealed status" }
@@ -26,6 +29,9 @@ local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "d
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
 local UNITS = { "uSv/h", "cpm", "cps", "counts" }
 local TARGETS = { [65535] = "everybody" }
+local LETTERS = { [0] = "with a key", [1] = "revoked" }
+local SEAL_SIZE = 16 -- bytes of the tag behind sealed contents
+local TAG_SIZE = 8
 
 local f = {}
 local function field(key, make, abbreviation, ...)
@@ -42,7 +48,7 @@ field("message_id", ProtoField.uint24, "rass_mavlink.message_id", "Message id")
 field("checksum", ProtoField.uint16, "rass_mavlink.checksum", "Checksum", base.HEX)
 field("good", ProtoField.bool, "rass_mavlink.checksum_good", "Checksum good")
 field("link_id", ProtoField.uint8, "rass_mavlink.signature_link", "Signature: link id")
-field("ticks", ProtoField.uint64, "rass_mavlink.signature_timestamp", "Signature: 10 us since 2015-01-01 UTC")
+field("ticks", ProtoField.uint64, "rass_mavlink.signature_timestamp", "Signature: timestamp, which counts the frames of the stream")
 field("signature", ProtoField.bytes, "rass_mavlink.signature", "Signature")
 field("payload_type", ProtoField.uint16, "rass_mavlink.payload_type", "TUNNEL payload type")
 field("target_system", ProtoField.uint8, "rass_mavlink.target_system", "TUNNEL target system")
@@ -104,7 +110,7 @@ field("data", ProtoField.bytes, "rass.data", "Data of the chunk")
 field("bitmap_size", ProtoField.uint8, "rass.bitmap_size", "Bytes of bitmap")
 field("bitmap", ProtoField.bytes, "rass.bitmap", "Bitmap")
 field("committed", ProtoField.uint8, "rass.committed", "Committed pairs")
-field("block", ProtoField.uint8, "rass.block", "Kind of block")
+field("block", ProtoField.uint8, "rass.block", "Kind of block", base.DEC, BLOCKS)
 field("block_size", ProtoField.uint8, "rass.block_size", "Bytes in the block")
 field("block_content", ProtoField.bytes, "rass.block_content", "Content of the block")
 field("refused", ProtoField.uint8, "rass.refused", "Refused numbers")
@@ -132,6 +138,59 @@ field("m_reading", ProtoField.float, "rass.measurement.reading", "Reading, the s
 field("m_risk", ProtoField.uint16, "rass.measurement.risk", "Risk (65535 is 1)")
 field("m_unit", ProtoField.uint8, "rass.measurement.unit", "Unit of the reading", base.DEC, UNITS)
 field("m_error", ProtoField.uint16, "rass.measurement.error", "Error of the position at most, dm")
+field("sealed", ProtoField.bytes, "rass.sealed", "Sealed contents")
+field("seal", ProtoField.bytes, "rass.seal", "Tag of the sealed contents")
+field("tag", ProtoField.bytes, "rass.tag", "Tag: who says it, not checked")
+field("place", ProtoField.uint64, "rass.place", "Place among the words of the sender", base.HEX)
+field("nonce", ProtoField.uint64, "rass.nonce", "Nonce", base.HEX)
+field("asked", ProtoField.uint8, "rass.asked", "Asked")
+field("answered", ProtoField.uint8, "rass.answered", "Nonces that are sent back")
+field("system_id", ProtoField.uint8, "rass.stream.system", "Stream: system id")
+field("component_id", ProtoField.uint8, "rass.stream.component", "Stream: component id")
+field("link_id", ProtoField.uint8, "rass.stream.link", "Stream: link id")
+field("highest", ProtoField.uint64, "rass.stream.highest", "Stream: highest timestamp seen")
+field("i_flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
+field("i_certificate", ProtoField.bool, "rass.introduction.flags.certificate", "A certificate follows", 8, nil, 1)
+field("i_wanted", ProtoField.bool, "rass.introduction.flags.wanted", "Who is asked should send theirs", 8, nil, 2)
+field("proofs", ProtoField.uint8, "rass.proofs", "Proofs")
+field("node_id", ProtoField.uint16, "rass.node_id", "Node id")
+field("node_serial", ProtoField.uint32, "rass.node_serial", "Serial of the node (0: a base)")
+field("public_key", ProtoField.bytes, "rass.public_key", "Public key")
+field("signature", ProtoField.bytes, "rass.signature", "Signature by the ground, not checked")
+field("first_serial", ProtoField.uint32, "rass.first_serial", "Serial of the first statement")
+field("salt", ProtoField.uint32, "rass.salt", "Salt", base.HEX)
+field("hash", ProtoField.bytes, "rass.hash", "Hash of a statement")
+field("chain", ProtoField.uint32, "rass.chain", "Serial of the chain")
+field("first_number", ProtoField.uint16, "rass.first_number", "First announcement number of the chain")
+field("anchor", ProtoField.bytes, "rass.anchor", "Anchor")
+field("bases", ProtoField.uint8, "rass.bases", "Bases whose anchors are lacking")
+field("statements", ProtoField.uint8, "rass.statements", "Statements whose vouchers are lacking")
+field("letter_flags", ProtoField.uint8, "rass.letter.flags", "Flags", base.DEC, LETTERS)
+field("link_key", ProtoField.uint32, "rass.link_key", "Number of the link key")
+field("sealed_key", ProtoField.bytes, "rass.sealed_key", "Sealed key")
+field("letters", ProtoField.uint32, "rass.letters", "Digest of the letters (0: none)", base.HEX)
+field("first_node", ProtoField.uint16, "rass.first_node", "First")
+field("last_node", ProtoField.uint16, "rass.last_node", "Last (below the first: none is named)")
+field("row_serial", ProtoField.uint8, "rass.row.serial", "Low 7 bits of the serial", base.DEC, nil, 0xfe)
+field("row_revoked", ProtoField.bool, "rass.row.revoked", "Revoked", 8, nil, 1)
+field("s_version", ProtoField.uint8, "rass.status.version", "Version")
+field("s_flags", ProtoField.uint8, "rass.status.flags", "Flags", base.HEX)
+field("s_held", ProtoField.uint16, "rass.status.held", "Data in custody")
+field("s_alone", ProtoField.uint16, "rass.status.alone", "Of which no other node keeps a copy")
+field("s_spares", ProtoField.uint16, "rass.status.spares", "Copies kept for others")
+field("s_free", ProtoField.uint16, "rass.status.free", "Data for which there is space (65535: no limit)")
+field("s_risk", ProtoField.uint16, "rass.status.risk", "Risk (65535 is 1)")
+field("s_hops", ProtoField.uint8, "rass.status.hops", "Hops to a base (255: no route)")
+field("s_battery", ProtoField.uint8, "rass.status.battery", "Battery, percent (above 100: unknown)")
+field("s_latitude", ProtoField.int32, "rass.status.latitude", "Latitude, 1e-7 degrees")
+field("s_longitude", ProtoField.int32, "rass.status.longitude", "Longitude, 1e-7 degrees")
+field("s_neighbours", ProtoField.uint8, "rass.status.neighbours", "Neighbours")
+field("s_neighbour", ProtoField.uint16, "rass.status.neighbour", "Neighbour")
+field("s_share", ProtoField.uint8, "rass.status.share", "Share of its beacons that are heard (255 is 1)")
+field("s_origins", ProtoField.uint8, "rass.status.origins", "Origins")
+field("s_origin", ProtoField.uint16, "rass.status.origin", "Origin")
+field("s_created", ProtoField.uint16, "rass.status.created", "Of the data without a copy it created")
+field("s_link_key", ProtoField.uint32, "rass.status.link_key", "Number of the link key")
 rass.fields = f
 
 local malformed = ProtoExpert.new("rass.malformed", "Cut off, fields contradict each other, or a wrong checksum",
@@ -235,6 +294,15 @@ function Reader:number(key, size)
     return range:le_uint()
 end
 
+-- A little-endian number of more than four bytes into the tree.
+function Reader:wide(key, size)
+    self.tree:add_le(f[key], self:need(size))
+end
+
+function Reader:left()
+    return self.tvb:len() - self.at
+end
+
 function Reader:bytes(key, size)
     local range = self:need(size)
     if size > 0 then self.tree:add(f[key], range) end
@@ -280,6 +348,38 @@ local function measurement(r, range)
     if size >= 22 then inner:add_le(f.m_error, range(20 + unit, 2)) end
 end
 
+-- What a node says about itself. What does not fit is left out.
+local function status(r, range)
+    local at, inner = 0, r.tree:add(rass, range, "Status")
+    local function take(key, size)
+        if at + size > range:len() then error(CUT, 0) end
+        local part = range(at, size)
+        inner:add_le(f[key], part)
+        at = at + size
+        return part:le_uint()
+    end
+    local function rows(count, first, size, second, other)
+        for _ = 1, count do
+            take(first, size)
+            take(second, other)
+        end
+    end
+    if range(0, 1):uint() ~= 1 then return end
+    local whole, result = pcall(function()
+        take("s_version", 1)
+        local flags = take("s_flags", 1)
+        for _, key in ipairs({ "s_held", "s_alone", "s_spares", "s_free", "s_risk" }) do take(key, 2) end
+        take("s_hops", 1)
+        take("s_battery", 1)
+        take("s_latitude", 4)
+        take("s_longitude", 4)
+        rows(take("s_neighbours", 1), "s_neighbour", 2, "s_share", 1)
+        rows(take("s_origins", 1), "s_origin", 2, "s_created", 2)
+        if math.floor(flags / 8) % 2 == 1 then take("s_link_key", 4) end
+    end)
+    if not whole and result ~= CUT then error(result, 0) end
+end
+
 local function age(r)
     local range = r:need(4)
     r.tree:add_le(f.age, range)
@@ -297,6 +397,11 @@ local function whole_datum(r)
     if size == 0 then error(CUT, 0) end
     local payload = r:bytes("payload", size)
     if kind == 1 then measurement(r, payload) end
+    if kind == 3 then status(r, payload) end
+    if kind >= 128 and size >= SEAL_SIZE then
+        if size > SEAL_SIZE then r.tree:add(f.sealed, payload(0, size - SEAL_SIZE)) end
+        r.tree:add(f.seal, payload(size - SEAL_SIZE, SEAL_SIZE))
+    end
     return title
 end
 
@@ -320,37 +425,62 @@ local function answer(r)
     return committed, refused
 end
 
+-- What a block holds, by its kind; `last`: where it ends. Smaller ones than `SMALLEST` are of no use.
+local BLOCK = {}
+local SMALLEST = { [2] = 5, [3] = 8, [4] = 8 }
+
+BLOCK[1] = function(r, last)
+    while r.at < last do
+        r:branch("Answer", function()
+            r:number("target", 2)
+            answer(r)
+        end)
+    end
+    if r.at > last then error(CUT, 0) end
+end
+
+BLOCK[2] = function(r)
+    r:number("near", 2)
+    r:number("custodian", 2)
+    r:number("further", 1)
+end
+
+BLOCK[3] = function(r) r:wide("moves", 8) end
+
+BLOCK[4] = function(r) r:bytes("proof", 8) end
+
+BLOCK[5] = function(r, last)
+    while r.at + TAG_SIZE <= last do r:bytes("tag", TAG_SIZE) end
+end
+
 -- What follows the fields of a beacon and the hand-overs of data, up to the end.
 local function blocks(r)
-    while r.at < r.tvb:len() do
+    while r:left() > 0 do
         r:branch("Block", function()
             local kind = r:number("block", 1)
             local size = r:number("block_size", 1)
             local last = r.at + size
             if last > r.tvb:len() then error(CUT, 0) end
-            if kind == 2 and size >= 5 then
-                r:number("near", 2)
-                r:number("custodian", 2)
-                r:number("further", 1)
-                size = size - 5
-            elseif kind == 3 and size >= 8 then
-                r.tree:add_le(f.moves, r:need(8))
-                size = size - 8
-            elseif kind == 4 and size >= 8 then
-                r:bytes("proof", 8)
-                size = size - 8
-            end
-            if kind ~= 1 then
-                if size > 0 then r:bytes("block_content", size) end
-                return
-            end
-            while r.at < last do
-                r:branch("Answer", function()
-                    r:number("target", 2)
-                    answer(r)
-                end)
-            end
-            if r.at > last then error(CUT, 0) end
+            if BLOCK[kind] and size >= (SMALLEST[kind] or 0) then BLOCK[kind](r, last) end
+            if r.at < last then r:bytes("block_content", last - r.at) end
+        end)
+    end
+end
+
+-- The tag behind an answer or a word, if there is one.
+local function tag(r)
+    if r:left() > 0 then r:bytes("tag", math.min(r:left(), TAG_SIZE)) end
+end
+
+-- The place of a word, and its tags: to everybody, each has the node id of the receiver before it.
+local function place_and_tags(r, target)
+    if r:left() < 4 then return end
+    r:wide("place", 4)
+    if target ~= 65535 then return tag(r) end
+    while r:left() >= 2 + TAG_SIZE do
+        r:branch("Receiver", function()
+            r:number("node_id", 2)
+            r:bytes("tag", TAG_SIZE)
         end)
     end
 end
@@ -383,11 +513,11 @@ READ[1] = function(r)
     return string.format("%d: %s, risk %.3f", sender, way, risk / 65535)
 end
 
--- Sender and target; returns the beginning of the line in the packet list.
+-- Sender and target; returns the beginning of the line in the packet list, and the target.
 local function to_one(r)
     local sender = r:number("sender", 2)
     local target = r:number("target", 2)
-    return string.format("%d -> %s", sender, TARGETS[target] or tostring(target))
+    return string.format("%d -> %s", sender, TARGETS[target] or tostring(target)), target
 end
 
 READ[2] = function(r)
@@ -448,6 +578,7 @@ end
 READ[7] = function(r)
     local info = to_one(r)
     local committed, refused = answer(r)
+    tag(r)
     return string.format("%s, %d committed, %d refused", info, committed, refused)
 end
 
@@ -530,18 +661,20 @@ READ[11] = function(r)
 end
 
 READ[12] = function(r)
-    local info = to_one(r)
+    local info, target = to_one(r)
     times(r, r:number("count", 1), "Datum", function() info = info .. " " .. datum_id(r) end)
+    place_and_tags(r, target)
     return info
 end
 
 READ[13] = function(r)
-    local info = to_one(r)
+    local info, target = to_one(r)
     times(r, r:number("count", 1), "Datum", function()
         local id = datum_id(r)
         local word = r:number("word", 1)
         info = string.format("%s %s %s", info, WORDS[word] or tostring(word), id)
     end)
+    place_and_tags(r, target)
     return info
 end
 
@@ -582,6 +715,127 @@ READ[16] = function(r)
         r.tree:add(f.mark, packed, mark)
     end
     return string.format("base %d, %d data of late", from, count)
+end
+
+-- What nodes with keys say about links and keys, and what the ground has signed. -------------------------------------
+
+local SIGNATURE = 64
+
+READ[255] = function(r)
+    local asked = r:number("asked", 1)
+    local answered = r:number("answered", 1)
+    if asked > 8 or answered > 5 then error(CUT, 0) end
+    times(r, asked, "Stream", function()
+        r:number("system_id", 1)
+        r:number("component_id", 1)
+        r:number("link_id", 1)
+        r:wide("highest", 6)
+    end)
+    if asked > 0 then r:wide("nonce", 8) end
+    for _ = 1, answered do r:wide("nonce", 8) end
+    return string.format("asks %d streams, answers %d", asked, answered)
+end
+
+READ[254] = function(r)
+    local sender = r:number("sender", 2)
+    local flags = r:need(1)
+    local branch = r.tree:add(f.i_flags, flags)
+    branch:add(f.i_certificate, flags)
+    branch:add(f.i_wanted, flags)
+    local shows = flags:uint() % 2 == 1
+    local asked = r:number("asked", 1)
+    local proofs = r:number("proofs", 1)
+    local most_asked, most_proofs = shows and 5 or 8, shows and 1 or 8
+    if sender == 65535 or asked > most_asked or proofs > most_proofs or (shows and asked > 0 and proofs > 0) then
+        error(CUT, 0)
+    end
+    if shows then
+        r:branch("Certificate", function()
+            r:number("node_id", 2)
+            r:number("node_serial", 4)
+            r:bytes("public_key", 32)
+            r:bytes("signature", SIGNATURE)
+        end)
+    end
+    if asked > 0 then
+        r:wide("nonce", 8)
+        for _ = 1, asked do r:number("node_id", 2) end
+    end
+    if proofs > 0 then
+        r:wide("place", 8)
+        times(r, proofs, "Proof", function()
+            r:number("node_id", 2)
+            r:bytes("tag", TAG_SIZE)
+        end)
+    end
+    return string.format("%d%s, asks %d nodes, %d proofs", sender, shows and " shows its certificate" or "", asked, proofs)
+end
+
+READ[253] = function(r)
+    local from = r:number("base", 2)
+    r:number("base_life", 4)
+    local first = r:number("first_serial", 4)
+    r:number("salt", 4)
+    local count = r:number("count", 1)
+    if count == 0 or count > 5 then error(CUT, 0) end
+    for _ = 1, count do r:bytes("hash", 8) end
+    r:bytes("signature", SIGNATURE)
+    return string.format("base %d, %d statements from %d on", from, count, first)
+end
+
+READ[252] = function(r)
+    local from = r:number("base", 2)
+    r:number("base_life", 4)
+    local chain = r:number("chain", 4)
+    local first = r:number("first_number", 2)
+    r:bytes("anchor", 8)
+    r:bytes("signature", SIGNATURE)
+    return string.format("base %d, chain %d from number %d on", from, chain, first)
+end
+
+READ[251] = function(r)
+    local bases = r:number("bases", 1)
+    local statements = r:number("statements", 1)
+    if bases > 4 or statements > 9 then error(CUT, 0) end
+    times(r, bases, "Base", function()
+        r:number("base", 2)
+        r:number("base_life", 4)
+    end)
+    times(r, statements, "Statement", function()
+        r:number("base", 2)
+        r:number("base_life", 4)
+        r:number("serial", 4)
+    end)
+    return string.format("lacks %d anchors, %d vouchers", bases, statements)
+end
+
+READ[249] = function(r)
+    local flags = r:number("letter_flags", 1)
+    if flags > 1 then error(CUT, 0) end
+    local number = r:number("link_key", 4)
+    local drone = r:number("node_id", 2)
+    r:number("node_serial", 4)
+    if flags == 0 then r:bytes("sealed_key", 48) end
+    r:bytes("signature", SIGNATURE)
+    return string.format("link key %d, drone %d %s", number, drone, LETTERS[flags])
+end
+
+READ[248] = function(r)
+    local from = r:number("node_id", 2)
+    r:number("node_serial", 4)
+    local number = r:number("link_key", 4)
+    r:number("letters", 4)
+    r:number("first_node", 2)
+    r:number("last_node", 2)
+    local count = r:number("count", 1)
+    if count > 35 then error(CUT, 0) end
+    times(r, count, "Letter", function()
+        r:number("node_id", 2)
+        local mark = r:need(1)
+        r.tree:add(f.row_serial, mark)
+        r.tree:add(f.row_revoked, mark)
+    end)
+    return string.format("%d has link key %d, names %d letters", from, number, count)
 end
 
 function rass.dissector(tvb, pinfo, root)

@@ -5,6 +5,7 @@ docs/protocol.md ("Words between two nodes") has the rules. The codec writes tag
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import zip_longest
 from struct import Struct
 from typing import NamedTuple, Protocol
@@ -18,7 +19,7 @@ _BEACON_BYTES = 43
 _DATA_HEAD, _DATUM_HEAD = 6, 25
 _SENDER_BYTES, _ANSWER_HEAD, _DONE_BYTES, _NUMBER_BYTES = 3, 4, 8, 4
 _ROWS_HEAD = 6
-_ROW_BYTES = {PASSED_ON: 10, WORDS: 11}
+_ID_BYTES, _ENTRY_BYTES = 10, 11
 _BACKER = Struct(f"<H{TAG_BYTES}s")
 _PLACE = Struct("<I")
 
@@ -60,7 +61,7 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
         else:
             # Answers to others end nothing here.
             return message
-        tags = _tags_in(payload, _end_of_fields(message))
+        tags = tags_in(payload, end_of_fields(message))
         kept = [
             answer
             for answer, tag in zip_longest(message.answers, tags[: len(message.answers)], fillvalue=b"")
@@ -68,34 +69,47 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
         ]
         return message._replace(answers=tuple(kept))
     if type(message) is Committed:
-        end = _SENDER_BYTES + _ANSWER_HEAD + _DONE_BYTES * len(message.committed)
-        end += _NUMBER_BYTES * len(message.refused)
+        end = end_of_fields(message)
         return message if _is_answered(message, payload[end : end + TAG_BYTES], checks) else None
     if type(message) is PassedOn:
-        return message if _is_told(message, PASSED_ON, len(message.ids), payload, own, checks) else None
+        return message if _is_told(message, PASSED_ON, payload, own, checks) else None
     if type(message) is Words:
         if message.target == BROADCAST:
             # Everybody may ask everybody.
             return message._replace(entries=tuple([entry for entry in message.entries if entry.word == Word.WANTED]))
-        return message if _is_told(message, WORDS, len(message.entries), payload, own, checks) else None
+        return message if _is_told(message, WORDS, payload, own, checks) else None
     return message
 
 
-def _end_of_fields(message: Beacon | Data) -> int:
+def end_of_fields(message: Beacon | Data | Committed | PassedOn | Words) -> int:
+    """Where in its payload the blocks of a message begin, or its place and its tags."""
     if isinstance(message, Beacon):
         return _BEACON_BYTES
-    return _DATA_HEAD + sum(_DATUM_HEAD + len(datum.payload) for _, datum in message.handovers)
+    if isinstance(message, Data):
+        return _DATA_HEAD + sum(_DATUM_HEAD + len(datum.payload) for _, datum in message.handovers)
+    if isinstance(message, Committed):
+        numbers = _DONE_BYTES * len(message.committed) + _NUMBER_BYTES * len(message.refused)
+        return _SENDER_BYTES + _ANSWER_HEAD + numbers
+    if isinstance(message, PassedOn):
+        return _ROWS_HEAD + _ID_BYTES * len(message.ids)
+    return _ROWS_HEAD + _ENTRY_BYTES * len(message.entries)
 
 
-def _tags_in(payload: bytes, at: int) -> list[bytes]:
-    """The tags in the blocks of a payload that the codec has read."""
-    tags = []
+def blocks_in(payload: bytes, at: int) -> Iterator[tuple[int, bytes]]:
+    """The kinds and contents of the blocks of a payload that the codec has read, from `at` to the end."""
     while at < len(payload):
         kind, size = payload[at], payload[at + 1]
         at += 2
-        if kind == TAGS:
-            tags += [payload[i : i + TAG_BYTES] for i in range(at, at + size, TAG_BYTES)]
+        yield kind, payload[at : at + size]
         at += size
+
+
+def tags_in(payload: bytes, at: int) -> list[bytes]:
+    """The tags of the answers in a payload that the codec has read, whose blocks begin at `at`."""
+    tags = []
+    for kind, content in blocks_in(payload, at):
+        if kind == TAGS:
+            tags += [content[i : i + TAG_BYTES] for i in range(0, len(content), TAG_BYTES)]
     return tags
 
 
@@ -110,16 +124,29 @@ def _is_answered(answer: Committed, tag: bytes, checks: Checks) -> bool:
     return checks.is_said(Said(answer.sender, COMMITTED, answer_said(answer._replace(committed=tuple(confirmed))), tag))
 
 
-def _is_told(message: PassedOn | Words, type_: int, rows: int, payload: bytes, own: int, checks: Checks) -> bool:
-    end = _ROWS_HEAD + rows * _ROW_BYTES[type_]
+def _is_told(message: PassedOn | Words, type_: int, payload: bytes, own: int, checks: Checks) -> bool:
+    end = end_of_fields(message)
+    place, tags = told_in(message, payload)
+    if place is None:
+        return checks.is_said(Said(message.sender, type_, payload[:end], b"", 0))
+    tag = tags.get(own, b"")
+    if message.target == BROADCAST and not tag:
+        # It is for others.
+        return False
+    return checks.is_said(Said(message.sender, type_, payload[:end], tag, place))
+
+
+def told_in(message: PassedOn | Words, payload: bytes) -> tuple[int | None, dict[int, bytes]]:
+    """A word's place, 32 bits, and its tags by the node id of the receiver. None: it has no place, and no tags."""
+    end = end_of_fields(message)
     place, tags = payload[end : end + PLACE_BYTES], payload[end + PLACE_BYTES :]
     if len(place) < PLACE_BYTES:
-        return checks.is_said(Said(message.sender, type_, payload[:end], b"", 0))
-    tag = tags[:TAG_BYTES]
-    if message.target == BROADCAST:
-        named = (_BACKER.unpack_from(tags, at) for at in range(0, len(tags) - _BACKER.size + 1, _BACKER.size))
-        tag = next((tag for node_id, tag in named if node_id == own), b"")
-        if not tag:
-            # It is for others.
-            return False
-    return checks.is_said(Said(message.sender, type_, payload[:end], tag, *_PLACE.unpack(place)))
+        return None, {}
+    if message.target != BROADCAST:
+        return _PLACE.unpack(place)[0], {message.target: tags[:TAG_BYTES]}
+    named: dict[int, bytes] = {}
+    for at in range(0, len(tags) - _BACKER.size + 1, _BACKER.size):
+        node_id, tag = _BACKER.unpack_from(tags, at)
+        # The first one counts.
+        named.setdefault(node_id, tag)
+    return _PLACE.unpack(place)[0], named

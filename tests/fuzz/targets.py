@@ -22,7 +22,7 @@ from rass_mav.sensor.kinds import KINDS
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 
-from . import agents, disk, nodes
+from . import agents, captured, disk, nodes
 
 #: A directory in memory, where there is such a place: a store waits for its disk.
 _MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
@@ -66,6 +66,11 @@ def conversation(data: bytes) -> None:
 def agent(data: bytes) -> None:
     """What an autopilot, a ground station and a neighbour say to an agent, in whole frames."""
     agents.play(data)
+
+
+def keyed(data: bytes) -> None:
+    """Two drones and a base with all their keys, among strangers and with a captured drone."""
+    captured.play(data)
 
 
 def tlog(data: bytes) -> None:
@@ -124,5 +129,5 @@ def control(data: bytes) -> None:
             pass
 
 
-_ALL = (frames, payloads, conversation, agent, tlog, bgeigie, sensors, settings, store, control)
+_ALL = (frames, payloads, conversation, agent, keyed, tlog, bgeigie, sensors, settings, store, control)
 TARGETS: dict[str, Callable[[bytes], None]] = {target.__name__: target for target in _ALL}

@@ -197,6 +197,14 @@ def test_kml_has_a_placemark_for_each_place(tmp_path: Path) -> None:
     assert [styles[(style or "#")[1:]] for style in used] == ["ff8c9121", "ff540144", "ff25e7fd"]
 
 
+def test_kml_sends_nobody_to_the_network(tmp_path: Path) -> None:
+    """A viewer fetches what a file names, and a crew in the field has no network."""
+    text = exported(tmp_path, "kml", mission())[0].read_text(encoding="utf-8")
+    assert re.findall(r"[\w+.-]*:?//[^\"'<>\s]*", text) == [KML["k"]]
+    tags = {element.tag.split("}")[1] for element in ElementTree.fromstring(text.encode()).iter()}
+    assert not tags & {"Icon", "href", "NetworkLink", "Link", "GroundOverlay", "description"}
+
+
 @pytest.mark.parametrize(("risk", "step"), [(0.0, 0), (0.19, 0), (0.2, 1), (0.79, 3), (0.8, 4), (1.0, 4)])
 def test_a_fifth_of_the_risk_has_a_colour(risk: float, step: int) -> None:
     assert step_of(risk) == step

@@ -10,6 +10,7 @@ import pytest
 
 from rass_mav.agent import lane
 from rass_mav.core import node, replica
+from rass_mav.core.datum import Kind
 from rass_mav.core.messages import KINDS, Message, Target, Urgency, Word
 from rass_mav.link.airtime import MAX_WAITING
 from rass_mav.mavlink.frames import FrameWriter
@@ -21,6 +22,7 @@ from rass_mav.wire.codec import FORMATS
 from tests.core.build import make_node, make_replica
 from tools import explain_frame
 
+from .kinds import beside, blocks, examples, modules, page, type_of
 from .samples import HELLO, NOW, SAMPLES, SEALED_READING, by_type
 
 ROOT = Path(__file__).parents[2]
@@ -28,6 +30,7 @@ UNION = set(typing.get_args(Message))
 TITLES = {
     number: re.sub(r"(?<=[a-z])([A-Z])", r" \1", kind.__name__).capitalize() for kind, (number, *_) in FORMATS.items()
 }
+BESIDE = beside()
 EVERYONE = pytest.mark.parametrize("name", SAMPLES)
 
 
@@ -92,13 +95,38 @@ def test_the_explainer_knows_every_kind_and_word(name: str) -> None:
     assert explain_frame._WORDS.keys() == set(Word)
 
 
+def test_the_page_and_the_code_have_the_same_kinds_of_payloads_and_blocks() -> None:
+    on_the_page = {int(number) for number in re.findall(r"^\| 1 \| u8 \| type \| (\d+) \|$", page(), re.M)}
+    assert on_the_page == BESIDE.keys() | {number for number in TITLES if number > 15}
+    # Whatever a module of the wire takes for its own.
+    doors = [getattr(module, name) for module in modules() for name in vars(module) if name.startswith("is_")]
+    taken = {second for second in range(256) if any(door(bytes((0x2F, second, *bytes(126)))) for door in doors)}
+    assert taken == BESIDE.keys()
+    shown = {type_of(payload) for payload in examples().values()}
+    assert shown == BESIDE.keys() | TITLES.keys()
+    [row] = re.findall(r"^\| 0 \| u8 \| kind \| (.*) \|$", page(), re.M)
+    assert set(re.findall(r"\b(\d): ", row)) == {str(number) for number in blocks()}
+
+
+def test_the_explainer_knows_all_that_travels() -> None:
+    assert {number: kind.title for number, kind in explain_frame._BESIDE.items()} == BESIDE
+    assert explain_frame._BLOCKS.keys() == blocks().keys()
+    assert explain_frame._CONTENTS.keys() == {Kind.MEASUREMENT, Kind.STATUS}
+
+
 def test_the_dissector_knows_every_kind_and_word() -> None:
     text = (ROOT / "tools" / "rass.lua").read_text(encoding="utf-8")
     [types] = re.findall(r"local TYPES = \{(.*?)\}", text, re.S)
-    assert dict(enumerate(re.findall(r'"(.*?)"', types), 1)) == {**TITLES, 15: "more"}
-    assert {int(number) for number in re.findall(r"^READ\[(\d+)\] = function", text, re.M)} == TITLES.keys()
+    numbered = {int(number): title for number, title in re.findall(r'\[(\d+)\] = "(.*?)"', types)}
+    plain = re.findall(r'"(.*?)"', re.sub(r'\[\d+\] = ".*?"', "", types))
+    assert {**dict(enumerate(plain, 1)), **numbered} == {**TITLES, **BESIDE, 15: "more"}
+    read = {int(number) for number in re.findall(r"^READ\[(\d+)\] = function", text, re.M)}
+    assert read == TITLES.keys() | BESIDE.keys()
     [words] = re.findall(r"local WORDS = \{(.*?)\}", text)
     assert dict(re.findall(r'\[(\d)\] = "(\w+)"', words)) == {str(int(word)): word.name.lower() for word in Word}
+    [known] = re.findall(r"local BLOCKS = \{(.*?)\}", text, re.S)
+    assert {int(number) for number in re.findall(r"\[(\d+)\] =", known)} == blocks().keys()
+    assert {int(number) for number in re.findall(r"^BLOCK\[(\d+)\] = function", text, re.M)} == blocks().keys()
 
 
 def rests(message: Message) -> str:
@@ -108,7 +136,7 @@ def rests(message: Message) -> str:
 
 
 def test_the_page_says_of_every_kind_what_the_code_says() -> None:
-    text = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").split("## Messages")[1]
+    text = page().split("## Messages")[1]
     rows = re.findall(r"^\| (\d+) \| ([\w ]+) \| (\w+) \| (\w+) \| ([\w ]+) \|$", text, re.M)
     assert {int(number): title for number, title in re.findall(r"^### (\d+) ([\w ]*\w)", text, re.M)} == TITLES
     assert {int(number): title for number, title, *_ in rows} == TITLES

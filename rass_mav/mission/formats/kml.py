@@ -21,8 +21,8 @@ _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <kml xmlns="http://www.opengis.net/kml/2.2">
 <Document>
 """
-_STYLE = """<Style id="risk{}"><IconStyle><color>ff{:02x}{:02x}{:02x}</color><scale>0.6</scale><Icon>\
-<href>http://maps.google.com/mapfiles/kml/shapes/shaded_dot.png</href></Icon></IconStyle>\
+# It names no picture, which a viewer would fetch from the network: viewers have markers of their own.
+_STYLE = """<Style id="risk{}"><IconStyle><color>ff{:02x}{:02x}{:02x}</color><scale>0.6</scale></IconStyle>\
 <LabelStyle><scale>0</scale></LabelStyle></Style>
 """
 _TAIL = "</Document>\n</kml>\n"

@@ -1,0 +1,55 @@
+"""All that travels in a TUNNEL: what the code knows, and what docs/protocol.md shows."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from pathlib import Path
+
+from rass_mav import wire
+from rass_mav.wire import codec
+
+_PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
+
+
+def beside() -> dict[int, str]:
+    """The payloads that are no messages of core: type in the second byte, and title.
+
+    Every module of `rass_mav.wire` beside the codec that has heads with a second byte (`MORE`) names its types by
+    constants of one word, and all other constants by several.
+    """
+    found = {}
+    for module in modules():
+        if hasattr(module, "MORE") and module is not codec:
+            names = [name for name in vars(module) if name.isupper() and name.isalpha() and name not in vars(codec)]
+            found.update({getattr(module, name): name.capitalize() for name in names})
+    return found
+
+
+def modules() -> list[object]:
+    """Of `rass_mav.wire`."""
+    return [importlib.import_module(f"{wire.__name__}.{info.name}") for info in pkgutil.iter_modules(wire.__path__)]
+
+
+def blocks() -> dict[int, str]:
+    """The kinds of blocks that the codec knows, and their names in it."""
+    text = Path(codec.__file__).read_text(encoding="utf-8")
+    found = re.findall(r"^#: The block .*\n([A-Z]+) = (\d+)$", text, re.M)
+    return {int(number): name for name, number in found}
+
+
+def page() -> str:
+    """docs/protocol.md."""
+    return _PAGE.read_text(encoding="utf-8")
+
+
+def examples() -> dict[str, bytes]:
+    """Every payload that the page shows, by its name there."""
+    return {m[1]: bytes.fromhex(m[2]) for m in re.finditer(r"^\| `([a-z-]+)` \| `([0-9a-f]+)` \|", page(), re.M)}
+
+
+def type_of(payload: bytes) -> int:
+    """The type of a payload of this version."""
+    low = payload[0] & 15
+    return payload[1] if low == codec.MORE else low
