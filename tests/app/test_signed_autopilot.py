@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import socket
 from pathlib import Path
@@ -13,6 +14,7 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.app.config import load_config
 from rass_mav.app.signing import KeptTimestamp, last_timestamp, sign, signed_from, signing_key
+from rass_mav.commands.report import status_lines
 from rass_mav.errors import ConfigError
 from rass_mav.keys.autopilot import autopilot_key
 from rass_mav.keys.keyring import Keyring
@@ -194,7 +196,10 @@ def test_a_node_and_its_autopilot_over_restarts_of_both(
             for _ in range(3):
                 stranger.sendto(says(pymav.sender(1, 1), ELSEWHERE), ("127.0.0.1", port))
         node.until(lambda: node.status()["vehicle"]["signing"]["unsigned"] >= refused["unsigned"] + 3)
-        assert round(node.status()["position"]["longitude"], 4) == 20.0
+        status = node.status()
+        assert round(status["position"]["longitude"], 4) == 20.0
+        [line] = [line for line in status_lines(status) if line.startswith("link udpin:")]
+        assert re.search(r"out; signed, ignored \d+ unsigned", line)
     assert passphrase not in node.log()
     assert node.signal(signal.SIGTERM) == 0
     assert last_timestamp(tmp_path / "n7.db") >= before
