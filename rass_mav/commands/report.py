@@ -46,7 +46,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
             f"dropped {link['dropped_in']} in, {link['dropped_out']} out"
             + _ways(link.get("interfaces", ()))
-            + _signatures(link.get("signing"))
+            + _port_signatures(link.get("signing"))
         )
         if link["trouble"]:
             yield f"WARNING: link {link['name']}: {link['trouble']}"
@@ -76,7 +76,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
 
 
-def _signatures(refused: dict[str, int] | None) -> str:
+def _port_signatures(refused: dict[str, int] | None) -> str:
     """About the port of an autopilot with MAVLink signing. None: it is another link."""
     if refused is None:
         return ""
