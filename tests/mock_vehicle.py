@@ -37,8 +37,11 @@ class MockVehicle:
         """Value and MAV_PARAM_TYPE."""
         self.refusing: dict[str, int | None] = {}
         """Names that cannot be set: the MAV_PARAM_ERROR that it says, None: it says the old value only."""
-        self.signing = False
-        """It signs what it sends, and passes over what is not signed."""
+        self.takes_keys = True
+        """Whether it obeys SETUP_SIGNING."""
+        self.answers_questions = True
+        self.radio = False
+        """Whether a telemetry radio is on the way."""
         self.armed = False
         self.beats = True
         self.position: tuple[float, float] | None = (48.8584, 2.2945)
@@ -52,6 +55,28 @@ class MockVehicle:
         self._mav = common.MAVLink(None, system_id, 1)
         self._mav.robust_parsing = True
         self._stop_read, self._stop_write = os.pipe()
+
+    @property
+    def key(self) -> bytes | None:
+        """With it, it signs what it sends, and passes over what is not signed or old, as pymavlink does."""
+        key: bytes | None = self._mav.signing.secret_key
+        return key
+
+    @key.setter
+    def key(self, key: bytes | None) -> None:
+        self._mav.signing.secret_key = key
+        self._mav.signing.sign_outgoing = key is not None
+
+    @property
+    def timestamp(self) -> int:
+        """Of its next frame."""
+        timestamp: int = self._mav.signing.timestamp
+        return timestamp
+
+    def reboot(self, timestamp: int) -> None:
+        """It forgets whom it has heard, and goes on a minute above a timestamp that it has saved, as ArduPilot does."""
+        self._mav.signing.stream_timestamps = {}
+        self._mav.signing.timestamp = timestamp + 60 * 100_000
 
     @contextmanager
     def on_udp(self, port: int) -> Iterator[MockVehicle]:
@@ -85,9 +110,6 @@ class MockVehicle:
 
         def say(message: Any) -> None:
             self._mav.srcSystem = self.system_id
-            # With a key pymavlink takes nothing unsigned in.
-            self._mav.signing.secret_key = bytes(range(32)) if self.signing else None
-            self._mav.signing.sign_outgoing = self.signing
             try:
                 send(bytes(message.pack(self._mav)))
             except (ConnectionRefusedError, BlockingIOError):
@@ -123,13 +145,19 @@ class MockVehicle:
         yield common.MAVLink_global_position_int_message(
             boot_ms, round(latitude * 1e7), round(longitude * 1e7), 1000, 0, 0, 0, 0, 0
         )
+        if self.radio:
+            yield common.MAVLink_radio_status_message(200, 200, 90, 30, 30, 0, 0)
         if self.reading is not None:
             yield common.MAVLink_named_value_float_message(boot_ms, b"RAD", self.reading)
 
     def _answers(self, message: Any) -> Iterator[Any]:
         kind = message.get_type()
-        if getattr(message, "target_system", self.system_id) != self.system_id:
+        if getattr(message, "target_system", self.system_id) != self.system_id or not self.answers_questions:
             return
+        if kind == "SETUP_SIGNING" and self.takes_keys and not self.armed:
+            key, timestamp = bytes(message.secret_key), message.initial_timestamp
+            self.key = key if any(key) or timestamp else None
+            self._mav.signing.timestamp = timestamp + 60 * 100_000
         if kind == "COMMAND_LONG" and message.command == 512 and message.param1 == 148:
             if self.capabilities is not None:
                 number = int.from_bytes([*self.version, 255], "big")

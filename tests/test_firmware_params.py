@@ -117,7 +117,7 @@ def test_px4_speaks_mavlink_to_a_companion_on_telem2() -> None:
 #: What signing changes, file by file: name -> value without and with it.
 CHANGES: dict[Path, dict[str, tuple[float | None, float]]] = {
     OLD: {"SERIAL2_OPTIONS": (0.0, 1 << 10)},
-    NEW: {"MAV3_OPTIONS": (0.0, 1 << 0 | 1 << 1), "MAV2_OPTIONS": (None, 0.0)},
+    NEW: {"MAV3_OPTIONS": (0.0, 1 << 1), "MAV2_OPTIONS": (None, 0.0)},
     PX4: {"MAV_0_FORWARD": (1.0, 0.0), "MAV_1_FORWARD": (1.0, 0.0)},
 }
 

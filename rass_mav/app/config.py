@@ -57,6 +57,8 @@ class AutopilotSection(Section):
     """`serial:device:baud`, `udpin:host:port`, `udpout:host:port` or `tcp:host:port`; null: there is none."""
     messages: dict[str, Annotated[float, Meta(ge=0.02, le=60)]] = field(default_factory=lambda: dict(DEFAULT_MESSAGES))
     """Messages that the node requests from the autopilot, by name, with the seconds between two; {}: none."""
+    signing: bool = False
+    """Whether the autopilot has MAVLink signing with this drone's key (`rass-mav params signing`)."""
 
 
 class GroundSection(GroundSettings):
@@ -188,6 +190,8 @@ class RunConfig(Section):
             if url is not None:
                 with mistakes.gathering(key):
                     parse_vehicle_url(url)
+        if self.autopilot.signing:
+            self._look_over_signing(mistakes)
         if not self.autopilot.messages.keys() <= DEFAULT_MESSAGES.keys():
             from rass_mav.agent.rates import message_ids  # with all message definitions, which a client does not need
 
@@ -213,6 +217,23 @@ class RunConfig(Section):
             socket = str(self.socket_path)
             if len(socket.encode()) > MAX_SOCKET_PATH:
                 mistakes.add("control.socket", f"expected a path of at most {MAX_SOCKET_PATH} bytes, got {socket!r}")
+
+    def _look_over_signing(self, mistakes: Mistakes) -> None:
+        key = "autopilot.signing"
+        if self.base and mistakes.sound("node.role"):
+            mistakes.add(key, "only a drone can have this key")
+        elif self.keys is None and mistakes.sound("keys"):
+            mistakes.add(key, "needs keys.file, the drone's file of keys (rass-mav keys drone)")
+        elif self.autopilot.url is None and mistakes.sound("autopilot.url"):
+            mistakes.add(key, "needs autopilot.url")
+        for index, link in enumerate(self.links):
+            if link.kind.through and mistakes.sound(f"links[{index}].type", key):
+                # It drops what has another key, and has room for 16 signed senders.
+                mistakes.add(
+                    key,
+                    f"such an autopilot does not forward the swarm's frames: give links[{index}] a radio of its own "
+                    "at this computer (type udp or serial), or turn signing off (rass-mav params signing --off)",
+                )
 
     def _look_over_outlets(self, mistakes: Mistakes) -> None:
         if not self.base and mistakes.sound("node.role"):

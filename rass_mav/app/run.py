@@ -43,8 +43,10 @@ if TYPE_CHECKING:
     from rass_mav.agent.seals import DataKeys
     from rass_mav.keys.keyring import Keyring
     from rass_mav.keys.word import GroundWord
+    from rass_mav.mavlink.signing import SigningKey
 
     from .companion import Companion
+    from .signing import KeptTimestamp
 
 log = logging.getLogger(__name__)
 
@@ -76,6 +78,8 @@ class Runtime:
         self._seals: DataKeys | None = None
         self._tags: Callable[[Store, random.Random, float], NoTags] | None = None
         self._word: GroundWord | None = None
+        self._autopilot_key: SigningKey | None = None
+        self._timestamps: KeptTimestamp | None = None
         if keys is not None and config.keys is not None:
             # With PyNaCl, which a node without keys does not need.
             from rass_mav.agent.letters import Letters
@@ -91,6 +95,10 @@ class Runtime:
             self._tags = partial(PairTags, keys.own, self._letters.is_out)
             self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
             self._word = GroundWord(keys)
+            if config.autopilot.signing:
+                from .signing import signing_key
+
+                self._autopilot_key = signing_key(keys)
         self._notifier = Notifier.of(os.environ, os.getpid())
         self._stopped = False
         self._anew = False
@@ -172,6 +180,7 @@ class Runtime:
                 tags=self._tags, word=self._word,
             )  # fmt: skip
             self._watch_keys(agent, executor)
+            vehicle = self._sign(agent, vehicle)
             if store.report.reason:
                 log.error("%s: %s", config.store_path, store.report.reason)
             for remark in store.report.remarks:
@@ -211,9 +220,25 @@ class Runtime:
             except BaseException:
                 # Save what can be saved, whatever the error.
                 clock.note()
-                store.close()
+                self._close(store)
                 raise
-            store.close()
+            self._close(store)
+
+    def _sign(self, agent: Agent, vehicle: VehiclePort | None) -> VehiclePort | None:
+        """The autopilot's port, with signatures if it has MAVLink signing."""
+        if vehicle is None or self._autopilot_key is None:
+            return vehicle
+        from .signing import KeptTimestamp, sign, signed_from
+
+        signing = signed_from(agent.store, self._autopilot_key)
+        self._timestamps = KeptTimestamp(agent.store, signing)
+        agent.services.append(self._timestamps)
+        return sign(agent, vehicle, signing)
+
+    def _close(self, store: SqliteStore) -> None:
+        if self._timestamps is not None:
+            self._timestamps.note()
+        store.close()
 
     def _watch_keys(self, agent: Agent, executor: Executor) -> None:
         """Take the file of keys again when it changes, and keep letters."""

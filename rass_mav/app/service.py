@@ -43,6 +43,14 @@ class PlannedFile(NamedTuple):
     content: str
 
 
+class PlannedKeys(NamedTuple):
+    """A file of keys to copy, for the node's user alone."""
+
+    source: Path
+    path: str
+    """Absolute, on the running system."""
+
+
 class Plan(NamedTuple):
     """How to install the service, or remove it."""
 
@@ -57,6 +65,8 @@ class Plan(NamedTuple):
     """Commands to run in this order on the running system, after files are written and before others are removed."""
     after: tuple[tuple[str, ...], ...] = ()
     """Commands to run after files are removed."""
+    keys: PlannedKeys | None = None
+    """What nobody else may read, and nothing shows."""
 
 
 def unit_path(name: str) -> str:
@@ -109,13 +119,18 @@ def plan_install(
         PlannedFile(unit_path(name), _filled("node.service", values)),
     )
     unit = f"{name}.service"
+    keys = None
+    if config.keys is not None and Path(config.keys.file).name == config.keys.file:
+        # A path that is not absolute starts from the service's own folder.
+        keys = PlannedKeys(Path(config.keys.file), f"{own}/{config.keys.file}")
     commands = (
         ("systemd-sysusers", f"{name}.conf"),
+        *([] if keys is None else [("chown", "-h", f"{user}:", keys.path)]),
         ("systemctl", "daemon-reload"),
         ("systemctl", "enable", unit),
         ("systemctl", "restart", unit),
     )
-    return Plan(name, files, ((f"{_WANTS}/{unit}", unit_path(name)),), (), commands)
+    return Plan(name, files, ((f"{_WANTS}/{unit}", unit_path(name)),), (), commands, keys=keys)
 
 
 def _serial_names(config: RunConfig) -> list[str]:
@@ -186,11 +201,35 @@ def _below(path: str, *folders: str) -> bool:
     return any(each.is_relative_to(folder) for each in leads_to for folder in folders)
 
 
-def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:
+def keys_to_copy(config: RunConfig, plan: Plan, root: Path | None, *, replace: bool = False) -> str | None:
+    """The contents of the file of keys that is copied; None: none is, because it is in its place, or not wanted.
+
+    Raises `ServiceError` if the node would not find its keys, and `KeysError` if it must not use them.
+    """
+    if config.keys is None or Path(config.keys.file).is_absolute():
+        return None
+    own = place(root, f"/var/lib/{plan.name}")
+    there = own / config.keys.file
+    if plan.keys is None or not plan.keys.source.exists():
+        if there.exists():
+            return None
+        raise ServiceError(
+            f"keys.file: there is no {config.keys.file} here or in {own}: run this where the drone's file of keys is, "
+            "under its plain name"
+        )
+    config.open_keys()
+    content = plan.keys.source.read_text(encoding="utf-8")
+    if not replace and there.exists() and there.read_text(encoding="utf-8", errors="replace") != content:
+        raise ServiceError(f"{there}: exists with other contents: remove one of the two files, or use --replace")
+    return content
+
+
+def carry_out(plan: Plan, root: Path | None, *, replace: bool = False, keys: str | None = None) -> None:
     """Carry out a plan. Raises `ServiceError`, and writes nothing, if there is a configuration with other contents.
 
     :param root: folder below which the files are written, without running commands; None: the running system.
     :param replace: replace a configuration that has other contents.
+    :param keys: the contents of the file of keys (`keys_to_copy`).
     """
     try:
         for file in plan.files:
@@ -198,6 +237,8 @@ def carry_out(plan: Plan, root: Path | None, *, replace: bool = False) -> None:
                 _check_same(place(root, file.path), file.content)
         for file in plan.files:
             _write(place(root, file.path), file.content)
+        if keys is not None and plan.keys is not None:
+            _write_keys(place(root, plan.keys.path), keys)
         if root is None:
             for command in plan.commands:
                 run(*command)
@@ -258,6 +299,17 @@ def _quoted(path: str) -> str:
     """A path quoted for a systemd unit, where a % starts a specifier, and a blank ends a word."""
     escaped = path.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if re.search(r"[\s\"'\\;]", path) else escaped
+
+
+def _write_keys(path: Path, content: str) -> None:
+    """Like `_write`, for the owner of the folder alone. If that is root, systemd gives the folder and what is in it to
+    the node's user (StateDirectory)."""
+    from rass_mav.keys.files import write_over  # with PyNaCl, which few nodes need
+
+    path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
+    write_over(path, content)
+    about = path.parent.stat()
+    os.chown(path, about.st_uid, about.st_gid, follow_symlinks=False)
 
 
 def _write(path: Path, content: str) -> None:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rass_mav.errors import ConfigError
 from rass_mav.keys.settings import check_package
 
 from .common import Subparsers, add_command, add_group, answer, start_logging
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
-        subparsers, "keys", "action", help="a mission's keys: new, drone, rotate, revoke, show",
+        subparsers, "keys", "action", help="a mission's keys: new, drone, rotate, revoke, show, autopilot",
         description="Keys by which the nodes of a mission know each other, and which only the ground reads data with.",
         example="rass-mav keys new mission",
     )  # fmt: skip
@@ -42,6 +43,11 @@ def register(subparsers: Subparsers) -> None:
         actions, "show", _show, help="show what is not secret in a file of keys",
         example="rass-mav keys show drone-7.keys",
     )  # fmt: skip
+    autopilot = add_command(
+        actions, "autopilot", _autopilot,
+        help="show the passphrase of a drone's autopilot, for a ground station (MAVLink signing)",
+        example="rass-mav keys autopilot 7 -d mission",
+    )  # fmt: skip
     new.add_argument("folder", metavar="DIR", type=Path, help="the mission's folder; created if it does not exist")
     drone.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help=f"node ids, 0 to {MAX_NODE}")
     how = drone.add_mutually_exclusive_group()
@@ -55,7 +61,12 @@ def register(subparsers: Subparsers) -> None:
     drone.set_defaults(how="new")
     revoke.add_argument("ids", metavar="ID", type=_node_id, nargs="+", help="node ids of the drones")
     rotate.set_defaults(ids=[])
-    for parser in (drone, rotate, revoke):
+    autopilot.add_argument("drone", metavar="DRONE", help="its node id, in a mission's folder, or its file of keys")
+    autopilot.add_argument(
+        "--serial", metavar="N", type=_serial,
+        help="of a drone that was replaced, whose autopilot still has the earlier key (default: the last one)",
+    )  # fmt: skip
+    for parser in (drone, rotate, revoke, autopilot):
         parser.add_argument(
             "-d", "--dir", metavar="DIR", type=Path, default=Path(), dest="folder",
             help="the mission's folder (the current one)",
@@ -66,6 +77,12 @@ def register(subparsers: Subparsers) -> None:
 def _node_id(text: str) -> int:
     if not (text.isascii() and text.isdecimal() and int(text) <= MAX_NODE):
         raise argparse.ArgumentTypeError(f"expected a node id, 0 to {MAX_NODE}, got {text!r}")
+    return int(text)
+
+
+def _serial(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and int(text)):
+        raise argparse.ArgumentTypeError(f"expected a serial, from 1, got {text!r}")
     return int(text)
 
 
@@ -153,4 +170,27 @@ def _show(options: argparse.Namespace) -> int:
         lines = [f"the keys of drone {about['node_id']}, serial {about['serial']}, of mission {about['mission']}"]
     lines.append(f"link key {plain['link_key']}")
     answer(options, plain, lines)
+    return 0
+
+
+def _autopilot(options: argparse.Namespace) -> int:
+    start_logging(options.verbose)
+    check_package()
+    from rass_mav.keys.autopilot import autopilot_passphrase
+    from rass_mav.keys.files import read_drone
+    from rass_mav.keys.folder import drone_keys
+
+    text: str = options.drone
+    if text.isascii() and text.isdecimal():
+        keys = drone_keys(options.folder, int(text), options.serial)
+    elif options.serial is None:
+        keys = read_drone(text)
+    else:
+        raise ConfigError("--serial: only with a node id and the mission's folder")
+    own, passphrase = keys.certificate, autopilot_passphrase(keys.secret)
+    lines = [
+        passphrase,
+        f"the passphrase of the autopilot of drone {own.node_id}, serial {own.serial}: secret, with its hyphens",
+    ]
+    answer(options, {"id": own.node_id, "serial": own.serial, "passphrase": passphrase}, lines)
     return 0

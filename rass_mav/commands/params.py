@@ -13,6 +13,8 @@ from .common import Subparsers, add_command, add_group, answer, clean, print_jso
 
 if TYPE_CHECKING:
     from rass_mav.app.config import RunConfig
+    from rass_mav.mavlink.signedport import SignedPort
+    from rass_mav.mavlink.signing import SigningKey
     from rass_mav.params.comparison import Comparison, Row
     from rass_mav.params.exchange import Patience
     from rass_mav.params.session import Session
@@ -23,8 +25,8 @@ T = TypeVar("T")
 def register(subparsers: Subparsers) -> None:
     """Add the command."""
     actions = add_group(
-        subparsers, "params", "action", help="parameter files for the autopilot: check, write",
-        description="Parameter files for the autopilot, such as those in firmware_params/.",
+        subparsers, "params", "action", help="parameter files for the autopilot: check, write; signing: its key",
+        description="Parameter files for the autopilot, such as those in firmware_params/, and its key for signing.",
         example="rass-mav params check firmware_params/ardupilot-4.7.parm --live drone.yaml",
     )  # fmt: skip
     check = add_command(
@@ -50,7 +52,15 @@ def register(subparsers: Subparsers) -> None:
             metavar="N",
             help="the system id that the vehicle should have (default: unchanged)",
         )
-    write.add_argument("--yes", action="store_true", help="do not ask")
+    signing = add_command(
+        actions, "signing", _signing,
+        help="give the autopilot the key of this drone, so that both sign what they send to each other",
+        example="rass-mav params signing drone.yaml",
+    )  # fmt: skip
+    signing.add_argument("live", metavar="CONFIG.yaml", help="the node's configuration, for its autopilot and keys")
+    signing.add_argument("--off", action="store_true", help="turn signing off")
+    for parser in (write, signing):
+        parser.add_argument("--yes", action="store_true", help="do not ask")
 
 
 def _system_id(text: str) -> int:
@@ -106,6 +116,82 @@ def _write(options: argparse.Namespace) -> int:
     return 0 if not refusal and all(row.state in ("same", "written") for row in rows) else 1
 
 
+def _signing(options: argparse.Namespace) -> int:
+    start_logging(options.verbose)
+    import time
+
+    from rass_mav.params import signing
+
+    config = _config(options.live)
+    key, start = _key(options.live, config)
+    watch = signing.Watch(key, start)
+    tell = _tell if options.json else say
+
+    def held(talk: Callable[[Session], Awaitable[T]]) -> T:
+        return _held(options.live, config, talk, watch)
+
+    autopilot = held(lambda session: session.find(config.mavlink.autopilot_id))
+    system_id, found = autopilot.system_id, watch.found[autopilot.system_id]
+    state = "armed" if autopilot.armed else "disarmed"
+    tell(clean(f"vehicle {system_id}: {autopilot.firmware} {state}, signing is {found.value}"))
+    wanted = signing.Signature.NONE if options.off else signing.Signature.OURS
+    refusal, ahead_s = "", None
+    if found is not wanted:
+        refusal = signing.refusal(autopilot, watch)
+        if not refusal and not options.off:
+            tell("the key is sent in the clear: do this by wire or USB, not by radio")
+        what = "Turn signing off at" if options.off else f"Give the key of drone {config.node_id} to"
+        if not refusal and not options.yes and not _agreed(f"{what} vehicle {system_id}?"):
+            refusal = "not confirmed (--yes skips the question)"
+    if refusal:
+        tell(f"nothing changed: {refusal}")
+    elif options.off:
+        if found is not wanted:
+            held(lambda session: signing.turn_off(session, system_id, watch))
+        tell("signing is off: its frames have no signature")
+        if config.autopilot.signing:
+            tell(f"now set autopilot.signing: false in {options.live}")
+    else:
+        if found is wanted:
+            held(lambda session: signing.check(session, system_id, watch))
+            tell("its frames have the right signature, and it has answered a signed question")
+        else:
+            ahead_s = held(lambda session: signing.turn_on(session, system_id, watch, key, time.time()))
+            tell(
+                "signing is on: its frames have the right signature, with timestamps "
+                f"{ahead_s:.0f} s above the one it was given, and it has answered a signed question"
+            )
+        if not config.autopilot.signing:
+            tell(f"now set autopilot.signing: true in {options.live}")
+    if options.json:
+        print_json({
+            "system_id": system_id, "before": found.name.lower(), "after": (found if refusal else wanted).name.lower(),
+            "ahead_s": ahead_s, "refused": refusal or None,
+        })  # fmt: skip
+    return 1 if refusal else 0
+
+
+def _key(path: str, config: RunConfig) -> tuple[SigningKey, int]:
+    """The key of a node and its autopilot, and the timestamp from which the node would go on."""
+    keyring = config.open_keys()
+    if keyring is None:
+        raise ConfigError(f"{path}: keys: missing, expected the drone's file of keys (docs/keys.md)")
+    if config.base:
+        raise ConfigError(f"{path}: node.role: expected drone; a base has no key for an autopilot")
+    from rass_mav.app.signing import last_timestamp, signing_key
+
+    return signing_key(keyring), last_timestamp(config.store_path)
+
+
+def _port_signing(path: str, config: RunConfig) -> SignedPort | None:
+    """What the node does on its autopilot's port; None: it does not sign."""
+    if not config.autopilot.signing:
+        return None
+    from rass_mav.mavlink.signedport import SignedPort
+
+    return SignedPort(*_key(path, config))
+
+
 def _agreed(question: str) -> bool:
     sys.stderr.write(f"{question} [y/N] ")
     sys.stderr.flush()
@@ -119,7 +205,10 @@ def _compared(options: argparse.Namespace) -> Comparison:
     file = read_file(options.file)
     config = _config(options.live)
     return _held(
-        options.live, config, lambda session: compare(session, config.mavlink.autopilot_id, file, options.sysid)
+        options.live,
+        config,
+        lambda session: compare(session, config.mavlink.autopilot_id, file, options.sysid),
+        _port_signing(options.live, config),
     )
 
 
@@ -127,13 +216,20 @@ def _applied(options: argparse.Namespace, found: Comparison) -> list[Row]:
     from rass_mav.params.comparison import apply
 
     config = _config(options.live)
-    return _held(options.live, config, lambda session: apply(session, found.autopilot.system_id, found.rows))
+    return _held(
+        options.live,
+        config,
+        lambda session: apply(session, found.autopilot.system_id, found.rows),
+        _port_signing(options.live, config),
+    )
 
 
 def _config(path: str) -> RunConfig:
     from rass_mav.app.config import load_config
+    from rass_mav.doctor.checkup import as_the_service
+    from rass_mav.doctor.service import name_of
 
-    config = load_config(path)
+    config = as_the_service(load_config(path), path, name_of(path))
     if config.autopilot.url is None:
         raise ConfigError(f"{path}: autopilot.url: missing, expected the autopilot's address")
     return config
@@ -146,7 +242,7 @@ def patience() -> Patience:
     return Patience()
 
 
-def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]]) -> T:
+def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]], signing: SignedPort | None) -> T:
     """The result of a conversation with the autopilot."""
     # Imported here, because a running node must start without the parts of OpenSSL that asyncio loads.
     import asyncio
@@ -168,8 +264,9 @@ def _held(path: str, config: RunConfig, talk: Callable[[Session], Awaitable[T]])
         port = open_vehicle(url)
         try:
             session = Session(
-                port, time.monotonic, system_id=system_id, component_id=mavlink.component_id, patience=patience()
-            )
+                port, time.monotonic, system_id=system_id, component_id=mavlink.component_id, patience=patience(),
+                signing=signing,
+            )  # fmt: skip
             return await talk(session)
         finally:
             port.close()

@@ -44,7 +44,9 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
     for link in [*s["links"], *(way for way in (s["vehicle"], straight) if way)]:
         yield (
             f"link {link['name']}: {link['sent']} sent, {link['received']} received, "
-            f"dropped {link['dropped_in']} in, {link['dropped_out']} out" + _ways(link.get("interfaces", ()))
+            f"dropped {link['dropped_in']} in, {link['dropped_out']} out"
+            + _ways(link.get("interfaces", ()))
+            + _port_signatures(link.get("signing"))
         )
         if link["trouble"]:
             yield f"WARNING: link {link['name']}: {link['trouble']}"
@@ -72,6 +74,14 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield from _signatures(s, streams)
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _port_signatures(refused: dict[str, int] | None) -> str:
+    """About the port of an autopilot with MAVLink signing. None: it is another link."""
+    if refused is None:
+        return ""
+    ignored = ", ".join(f"{count} {how}" for how, count in refused.items() if count)
+    return f"; signed{f', ignored {ignored}' if ignored else ''}"
 
 
 def _keys(s: dict[str, Any]) -> Iterator[str]:

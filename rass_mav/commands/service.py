@@ -60,7 +60,7 @@ def register(subparsers: Subparsers) -> None:
 
 def _install(options: argparse.Namespace) -> int:
     from rass_mav.app.config import load_config
-    from rass_mav.app.service import check_reachable, check_visible, plan_install
+    from rass_mav.app.service import check_reachable, check_visible, keys_to_copy, plan_install
 
     start_logging(options.verbose)
     config = load_config(options.config)
@@ -76,7 +76,11 @@ def _install(options: argparse.Namespace) -> int:
     if options.root is None and not options.show:
         _need_root("install")
         check_reachable(options.user, *program)
-    return _do(options, plan, f"{options.name}: installed; its log: journalctl -u {options.name}")
+    keys = None
+    if not options.show:
+        with os_errors_as(ServiceError, "keys.file"):
+            keys = keys_to_copy(config, plan, _root(options), replace=options.replace)
+    return _do(options, plan, f"{options.name}: installed; its log: journalctl -u {options.name}", keys)
 
 
 def _remove(options: argparse.Namespace) -> int:
@@ -93,18 +97,18 @@ def _remove(options: argparse.Namespace) -> int:
     return _do(options, plan, f"{options.name}: removed; {kept}")
 
 
-def _do(options: argparse.Namespace, plan: Plan, said: str) -> int:
+def _do(options: argparse.Namespace, plan: Plan, said: str, keys: str | None = None) -> int:
     from rass_mav.app.service import carry_out
 
     root = _root(options)
     if not options.show:
-        carry_out(plan, root, replace=getattr(options, "replace", False))
+        carry_out(plan, root, replace=getattr(options, "replace", False), keys=keys)
     if options.json:
         print_json(
             {
                 "name": plan.name,
                 "done": not options.show,
-                "files": [file.path for file in plan.files],
+                "files": [file.path for file in plan.files] + ([plan.keys.path] if plan.keys is not None else []),
                 "removed": list(plan.removed),
                 "commands": [shlex.join(command) for command in plan.commands + plan.after] if root is None else [],
             }
@@ -122,6 +126,8 @@ def _show(plan: Plan, root: Path | None) -> None:
     for file in plan.files:
         say(f"== {place(root, file.path)}")
         sys.stdout.write(file.content if file.content.endswith("\n") else file.content + "\n")
+    if plan.keys is not None:
+        say(f"== {place(root, plan.keys.path)}: the keys in {plan.keys.source}, for the node's user alone")
     if root is None:
         for command in plan.commands:
             say(f"$ {shlex.join(command)}")

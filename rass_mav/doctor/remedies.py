@@ -59,11 +59,12 @@ def for_readings(firmware: Firmware, values: Values) -> tuple[str, str]:
 
 def for_signing(firmware: Firmware) -> str:
     """The autopilot requires signatures, and this node does not sign."""
+    ours = "set autopilot.signing: true (rass-mav params signing, docs/keys.md)"
     if firmware.autopilot == PX4:
-        return "turn signing off with the ground station that has its key (firmware_params/README.md)"
+        return f"{ours}, or turn signing off with the ground station that has its key (firmware_params/README.md)"
     return (
-        "allow unsigned frames on this port (ArduPilot 4.7 and later: bit 0 of its MAVn_OPTIONS), use the autopilot's "
-        "USB port (SERIAL0), or turn signing off (firmware_params/README.md)"
+        f"{ours}, allow unsigned frames on this port (ArduPilot 4.7 and later: bit 0 of its MAVn_OPTIONS), use the "
+        "autopilot's USB port (SERIAL0), or turn signing off (firmware_params/README.md)"
     )
 
 

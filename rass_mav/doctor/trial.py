@@ -21,7 +21,7 @@ from rass_mav.app.clock import Clock
 from rass_mav.app.config import RunConfig
 from rass_mav.app.driver import Driver
 from rass_mav.app.status import status
-from rass_mav.errors import ConfigError, LinkError, LogError, StoreError
+from rass_mav.errors import ConfigError, KeysError, LinkError, LogError, StoreError
 from rass_mav.link.address import parse_address, parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
@@ -30,6 +30,7 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.identity import AUTOPILOT_COMPONENT
 from rass_mav.mavlink.messages import HEARTBEAT, parse
+from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.params.exchange import Autopilot, Exchange, Patience, reading
 from rass_mav.params.ports import telling_names
 from rass_mav.sensor.base import Sensor
@@ -107,6 +108,8 @@ async def try_out(config: RunConfig, most_s: float) -> Evidence:
         executor = stack.enter_context(ThreadPoolExecutor(1, "trial"))
         rng = random.Random(secrets.randbits(128))
         agent = Agent(_settings(config), MemoryStore(secrets.randbits(32)), rng, now=clock.now())
+        if vehicle is not None and config.autopilot.signing:
+            vehicle = _signed(config, agent, vehicle)
         listener = Listener(agent)
         if vehicle is not None:
             rates = MessageRates(agent, message_ids(config.autopilot.messages))
@@ -159,6 +162,18 @@ def _open_vehicle(config: RunConfig, evidence: Evidence) -> VehiclePort | None:
     except LinkError as error:
         evidence.note("autopilot.url", error)
         return None
+
+
+def _signed(config: RunConfig, agent: Agent, vehicle: VehiclePort) -> VehiclePort:
+    """The port with the node's signatures. Without usable keys, which another check reports, as it is."""
+    from rass_mav.app.signing import last_timestamp, sign, signing_key  # with PyNaCl, which few nodes need
+
+    try:
+        keyring = config.open_keys()
+    except KeysError:
+        return vehicle
+    assert keyring is not None
+    return sign(agent, vehicle, SignedPort(signing_key(keyring), last_timestamp(config.store_path)))
 
 
 def _open_link(config: RunConfig, index: int, vehicle: VehiclePort | None, evidence: Evidence) -> Link | None:

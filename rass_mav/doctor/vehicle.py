@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rass_mav.app.config import RunConfig
 from rass_mav.params.names import fitting_file, system_id_names
@@ -49,6 +49,11 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
         words.append(f"{per_second:.1f} heartbeats/s")
     text = ", ".join(words)
     if refuses(evidence):
+        if config.autopilot.signing:
+            return failed(
+                "autopilot", f"{text}; its frames have the right signature, but it answers nothing",
+                "restart it: it may have heard too many signed senders (docs/doctor.md)",
+            )  # fmt: skip
         return failed(
             "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
             remedies.for_signing(firmware),
@@ -81,6 +86,8 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
                 "stop the other program, or share the port with a router (docs/installation.md)",
             )  # fmt: skip
         return failed("autopilot", f"{url}: {trouble.lower()}", "correct autopilot.url, or start the program there")
+    if (why := _badly_signed(port.get("signing"))) is not None:
+        return failed("autopilot", f"{url}: {why[0]}", why[1])
     heard = sorted(evidence.ear.autopilots) if evidence.ear is not None else []
     wanted = config.mavlink.autopilot_id
     if heard and wanted:
@@ -100,6 +107,28 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
         "autopilot", f"nothing heard on {url}",
         "is it on? TX to RX, RX to TX (docs/wiring.md)? MAVLink 2 and the same speed on its port (firmware_params/)?",
     )  # fmt: skip
+
+
+def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
+    """What is wrong with the signatures of frames that were refused, and what to do. None: none were."""
+    if refused is None:
+        return None
+    if refused["forged"]:
+        return (
+            "heard, but with a wrong signature: the autopilot has another key than this drone",
+            "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/keys.md)",
+        )
+    if refused["unsigned"]:
+        return (
+            "heard, but without signatures, and autopilot.signing is true",
+            "rass-mav params signing, with the node stopped; or set autopilot.signing: false (docs/keys.md)",
+        )
+    if refused["old"]:
+        return (
+            "heard, but its signatures are older than those that were heard before",
+            "somebody repeats frames of this autopilot; or restart the autopilot (docs/keys.md)",
+        )
+    return None
 
 
 def position(config: RunConfig, evidence: Evidence) -> Finding | None:

@@ -112,6 +112,14 @@ def read_ground(path: str | Path) -> Ground:
     raise KeysError(f"{path}: holds the keys of drone {keys.certificate.node_id}", f"use the mission's {GROUND_FILE}")
 
 
+def read_drone(path: str | Path) -> NodeKeys:
+    """A drone's keys in a file. Raises `KeysError`."""
+    keys = read_keys(path)
+    if isinstance(keys, NodeKeys):
+        return keys
+    raise KeysError(f"{path}: holds the ground's keys", "name a drone by its node id, with -d and the mission's folder")
+
+
 def _read(path: str | Path) -> bytes:
     try:
         with open(opened(path), "rb") as file:

@@ -93,6 +93,20 @@ def change(folder: Path, revoke: Iterable[int] = ()) -> tuple[Ground, list[Issue
         return ground, _write(folder, ground, remaining)
 
 
+def drone_keys(folder: Path, node_id: int, serial: int | None) -> NodeKeys:
+    """The keys of a drone of the mission in a folder, of now or of an earlier serial. Raises `KeysError`.
+
+    :param serial: None: the last one.
+    """
+    ground = read_ground(folder / GROUND_FILE)
+    last = ground.serials.get(node_id)
+    if last is None:
+        raise KeysError(f"drone {node_id}: has no keys yet", f"rass-mav keys drone {node_id} -d {folder}")
+    if serial is not None and serial > last:
+        raise KeysError(f"drone {node_id}: its last serial is {last}, not {serial}", "give one from 1 to that")
+    return ground.node(node_id, last if serial is None else serial)
+
+
 def _check(folder: Path, ground: Ground, node_id: int, how: Issue) -> None:
     """Whether a drone's file can be written."""
     serial = ground.serials.get(node_id)

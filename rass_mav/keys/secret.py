@@ -32,6 +32,7 @@ class Purpose(bytes, Enum):
     FILE = b"rass key file"
     LETTER = b"rass letter"
     LETTER_KEY = b"rass letter key"
+    AUTOPILOT = b"rass autopilot"
 
 
 class Secret:

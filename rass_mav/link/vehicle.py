@@ -24,6 +24,47 @@ class VehiclePort(Port):
         """Send a frame, whole or not at all."""
 
 
+class SignedVehicle(VehiclePort):
+    """Another port to the autopilot, with a signature behind each frame that leaves."""
+
+    def __init__(self, port: VehiclePort, sign: Callable[[bytes], bytes]) -> None:
+        """`sign`: appends the signature to a frame that has room for it."""
+        self._port = port
+        self._sign = sign
+        self.name = port.name
+        self.stream = port.stream
+
+    def start(self, wake: Callable[[], None]) -> None:
+        """As the port."""
+        self._port.start(wake)
+
+    @property
+    def generation(self) -> int:
+        """As the port."""
+        return self._port.generation
+
+    @property
+    def trouble(self) -> str:
+        """As the port."""
+        return self._port.trouble
+
+    def receive(self) -> list[bytes]:
+        """As the port: whoever reads the frames checks their signatures."""
+        return self._port.receive()
+
+    def send(self, frame: bytes) -> None:
+        """Sign the frame, and send it."""
+        self._port.send(self._sign(frame))
+
+    def counters(self) -> LinkCounters:
+        """As the port."""
+        return self._port.counters()
+
+    def close(self) -> None:
+        """As the port."""
+        self._port.close()
+
+
 class VehicleLink(VehiclePort):
     """Datagrams from and to the autopilot. The constructor opens the socket."""
 

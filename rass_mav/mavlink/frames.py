@@ -66,7 +66,7 @@ class FrameWriter:
     `system_id` and `component_id` (0..255) may be changed between frames.
     """
 
-    __slots__ = ("component_id", "sequence", "signer", "system_id", "tunnel_flags")
+    __slots__ = ("component_id", "flags", "sequence", "signer", "system_id", "tunnel_flags")
 
     def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
         """:param signer: signs each frame; None: frames are unsigned."""
@@ -76,6 +76,8 @@ class FrameWriter:
         self.tunnel_flags = 0 if signer is None else FLAG_SIGNED
         """Incompatibility flags of TUNNEL messages. `FLAG_SIGNED` without a signer: somebody else appends the
         signature, when the frame leaves."""
+        self.flags = 0
+        """Those of all other messages, where there is no signer."""
         self.sequence = 0
         """Sequence number of the next frame, 0..255."""
 
@@ -125,7 +127,7 @@ class FrameWriter:
         payload = payload.rstrip(b"\0") or payload[:1]
         signer = self.signer
         sequence = self.sequence
-        flags = self.tunnel_flags if message_id == TUNNEL_ID else 0 if signer is None else FLAG_SIGNED
+        flags = self.tunnel_flags if message_id == TUNNEL_ID else self.flags if signer is None else FLAG_SIGNED
         frame = _HEADER.pack(
             MAGIC_V2, len(payload), flags, 0, sequence, self.system_id, self.component_id,
             message_id & 0xFFFF, message_id >> 16,

@@ -11,12 +11,18 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import struct
 from collections.abc import Callable
 
 SIGNATURE_SIZE = 13
 KEY_SIZE = 32
 #: The highest timestamp.
 MAX_TIMESTAMP = (1 << 48) - 1
+#: https://mavlink.io/en/messages/common.html#SETUP_SIGNING
+SETUP_SIGNING = 256
+
+# As on the wire: initial_timestamp, target_system, target_component, secret_key.
+_SETUP = struct.Struct(f"<QBB{KEY_SIZE}s")
 
 
 def _keyed_hash(key: bytes) -> hashlib._Hash:
@@ -93,6 +99,15 @@ class SigningKey:
         digest = self._hash.copy()
         digest.update(frame[:-6])
         return hmac.compare_digest(digest.digest()[:6], frame[-6:])
+
+
+def setup_signing(key: SigningKey | None, timestamp: int, *, target_system: int, target_component: int) -> bytes:
+    """Payload of SETUP_SIGNING. Whoever reads it on its way has the key.
+
+    :param key: to sign with; None: turn signing off.
+    :param timestamp: to start from, 48 bits; 0 without a key.
+    """
+    return _SETUP.pack(timestamp, target_system, target_component, bytes(KEY_SIZE) if key is None else key._key)
 
 
 class SignatureCheck:

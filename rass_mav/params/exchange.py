@@ -32,6 +32,8 @@ from rass_mav.mavlink.vehicle_parameters import (
 
 _NO_AUTOPILOT: int = common.MAV_AUTOPILOT_INVALID
 _ARMED: int = common.MAV_MODE_FLAG_SAFETY_ARMED
+#: Of an autopilot that has not reported its version.
+NO_VERSION = AutopilotVersion(0, (0, 0, 0))
 
 
 class VehicleError(RassError):
@@ -66,8 +68,7 @@ class Autopilot:
         self.system_id = system_id
         self.type = type
         self.armed = armed
-        self.version = AutopilotVersion(0, (0, 0, 0))
-        """All 0: not reported."""
+        self.version = NO_VERSION
 
     @property
     def firmware(self) -> Firmware:

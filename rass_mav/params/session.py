@@ -6,14 +6,15 @@ import asyncio
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from rass_mav.link.vehicle import VehiclePort
+from rass_mav.link.vehicle import SignedVehicle, VehiclePort
 from rass_mav.mavlink.dialect import payload_of
-from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.mavlink.vehicle_parameters import ParameterValue
 
-from .exchange import Autopilot, Exchange, Introduction, Patience, Talk, VehicleError, reading, setting
+from .exchange import NO_VERSION, Autopilot, Exchange, Introduction, Patience, Talk, VehicleError, reading, setting
 from .names import SYSTEM_ID_NAMES
 
 _HEARTBEAT_S = 1.0
@@ -24,16 +25,26 @@ class Session:
     """Talks to the autopilot with the node's system id and component id. The node itself must not be running."""
 
     def __init__(
-        self, port: VehiclePort, clock: Callable[[], float], *, system_id: int, component_id: int, patience: Patience
+        self,
+        port: VehiclePort,
+        clock: Callable[[], float],
+        *,
+        system_id: int,
+        component_id: int,
+        patience: Patience,
+        signing: SignedPort | None = None,
     ) -> None:
         """:param clock: returns seconds on any timeline that does not jump.
         :param system_id: the own system id to use until the autopilot is known.
+        :param signing: of an autopilot with MAVLink signing; None: nothing is signed, or checked.
         """
-        self.port = port
+        self.port = port if signing is None else SignedVehicle(port, signing.sign)
         self._clock = clock
-        self._patience = patience
+        self.patience = patience
         self._writer = FrameWriter(system_id, component_id)
-        self._reader = FrameReader()
+        self._writer.flags = 0 if signing is None else FLAG_SIGNED
+        self._signing = signing
+        self._reader = FrameReader(signing)
         self._wake = asyncio.Event()
         self._generation = 0
         self._beat_at = -math.inf
@@ -41,12 +52,12 @@ class Session:
     async def find(self, system_id: int) -> Autopilot:
         """The autopilot with this system id; 0: the first one heard. Raises `VehicleError` with what was heard."""
         self.port.start(self._wake.set)
-        talk = Introduction(system_id, self._patience)
-        await self._hold(talk, lambda: talk.autopilot is not None, self._patience.heartbeat_s)
+        talk = Introduction(system_id, self.patience)
+        await self.hold(talk, lambda: talk.autopilot is not None, self.patience.heartbeat_s)
         if talk.autopilot is None:
             raise VehicleError(f"{self.port.name}: {self._why_nobody(talk, system_id)}")
         self._writer.system_id = talk.autopilot.system_id
-        await self._hold(talk, lambda: talk.done, math.inf)
+        await self.hold(talk, lambda: talk.done, math.inf)
         return talk.autopilot
 
     def _why_nobody(self, talk: Introduction, system_id: int) -> str:
@@ -55,6 +66,9 @@ class Session:
         if talk.others:
             heard = ", ".join(map(str, sorted(talk.others)))
             return f"no autopilot with system id {system_id} heard, but {heard} (mavlink.autopilot_id)"
+        if self._signing is not None and self._signing.unsigned + self._signing.forged > 0:
+            how = "signed with another key" if self._signing.forged else "not signed"
+            return f"the autopilot's frames are {how}, and autopilot.signing is true (rass-mav params signing)"
         if self._reader.frames:
             return "MAVLink is heard, but no autopilot's heartbeat"
         if self._reader.malformed or self._reader.garbage_bytes:
@@ -63,8 +77,8 @@ class Session:
 
     async def read(self, autopilot: Autopilot, names: Iterable[str], *, guesses: bool = False) -> Exchange:
         """Ask for parameters by name. Raises `VehicleError` if no question is answered, unless these are guesses."""
-        talk = Exchange(autopilot, {name: reading(autopilot, name) for name in names}, self._patience)
-        await self._hold(talk, lambda: talk.done, math.inf)
+        talk = Exchange(autopilot, {name: reading(autopilot, name) for name in names}, self.patience)
+        await self.hold(talk, lambda: talk.done, math.inf)
         if not guesses and talk.silent and not talk.values and not talk.refused:
             raise VehicleError(f"{self.port.name}: system {autopilot.system_id} answers no question about parameters")
         return talk
@@ -80,10 +94,10 @@ class Session:
         talk = Exchange(
             autopilot,
             {value.name: setting(autopilot, value) for value in wanted},
-            self._patience._replace(window=1),
+            self.patience._replace(window=1),
             new_system_id=new,
         )
-        await self._hold(talk, lambda: talk.done, math.inf)
+        await self.hold(talk, lambda: talk.done, math.inf)
         names = [value.name for value in wanted]
         if new and new != before:
             # It may answer under the old id for a while, and then change to the new one.
@@ -95,7 +109,14 @@ class Session:
                     continue
         return talk, await self.read(autopilot, names)
 
-    async def _hold(self, talk: Talk, until: Callable[[], bool], timeout_s: float) -> None:
+    async def answers(self, autopilot: Autopilot) -> bool:
+        """Whether it answers the question for its version once more."""
+        talk = Introduction(autopilot.system_id, self.patience)
+        await self.hold(talk, lambda: talk.done, 2 * self.patience.heartbeat_s)
+        return talk.autopilot is not None and talk.autopilot.version != NO_VERSION
+
+    async def hold(self, talk: Talk, until: Callable[[], bool], timeout_s: float) -> None:
+        """Hear and say until the talk is over, or for so many seconds."""
         give_up = self._clock() + timeout_s
         while True:
             self._take_in(talk)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,6 +22,7 @@ from rass_mav.app.config import load_config
 from rass_mav.app.service import check_reachable, plan_install, plan_remove, run
 from rass_mav.cli import main
 from rass_mav.errors import ConfigError, ServiceError
+from rass_mav.keys.folder import create, issue
 
 CONFIG = "node: {id: 7}\nlinks: [{broadcast: '192.168.4.255:14600'}]\n"
 UNIT = "etc/systemd/system/rass-mav.service"
@@ -322,6 +324,74 @@ def test_a_file_that_the_service_could_not_see_is_refused(
     # A relative path leads to the service's own folder.
     file.write_text(CONFIG + section.replace(": /", ": "))
     assert main(["service", "install", str(file), "--root", str(card)]) == 0
+
+
+KEPT = "var/lib/rass-mav/drone-7.keys"
+
+
+@pytest.fixture
+def keyed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A drone's configuration beside its keys, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    create(tmp_path / "m")
+    [issued] = issue(tmp_path / "m", [7])
+    issued.path.rename(tmp_path / "drone-7.keys")
+    (tmp_path / "drone.yaml").write_text(f"{CONFIG}keys: {{file: drone-7.keys}}\n")
+    return "drone.yaml"
+
+
+def test_the_keys_go_into_the_services_folder_for_its_owner_alone(
+    keyed: str, card: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = Path("drone-7.keys").read_text()
+    for _ in range(2):
+        assert main(["service", "install", keyed, "--root", str(card), "--json"]) == 0
+        said = capsys.readouterr()
+        assert f"/{KEPT}" in json.loads(said.out)["files"]
+    kept = card / KEPT
+    assert kept.read_text() == own
+    assert kept.stat().st_mode & 0o777 == 0o600
+    assert (kept.stat().st_uid, kept.stat().st_gid) == (kept.parent.stat().st_uid, kept.parent.stat().st_gid)
+    # From another folder, what is there stays.
+    Path("drone-7.keys").unlink()
+    assert main(["service", "install", keyed, "--root", str(card)]) == 0
+    assert kept.read_text() == own
+
+
+def test_what_would_be_done_with_keys_shows_none(keyed: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["service", "install", keyed, "--print"]) == 0
+    said = capsys.readouterr().out
+    assert f"== /{KEPT}: the keys in drone-7.keys, for the node's user alone\n" in said
+    assert f"$ chown -h rass: /{KEPT}\n" in said
+    assert yaml.safe_load(Path("drone-7.keys").read_text())["secret"] not in said
+
+
+def test_other_keys_are_kept_unless_told(keyed: str, card: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = card / KEPT
+    kept.parent.mkdir(parents=True)
+    kept.write_text("newer ones")
+    assert main(["service", "install", keyed, "--root", str(card)]) == 1
+    assert capsys.readouterr().err == (
+        f"{kept}: exists with other contents: remove one of the two files, or use --replace\n"
+    )
+    assert below(card) == {KEPT}
+    assert main(["service", "install", keyed, "--root", str(card), "--replace"]) == 0
+    assert kept.read_text() == Path("drone-7.keys").read_text()
+
+
+def test_keys_that_the_node_would_not_find_or_not_use(
+    keyed: str, card: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("drone-7.keys").chmod(0o644)
+    assert main(["service", "install", keyed, "--root", str(card)]) == 2
+    assert "others on this computer may use it" in capsys.readouterr().err
+    Path("drone-7.keys").rename("elsewhere.keys")
+    assert main(["service", "install", keyed, "--root", str(card)]) == 1
+    assert capsys.readouterr().err.startswith("keys.file: there is no drone-7.keys here or in ")
+    Path(keyed).write_text(f"{CONFIG}keys: {{file: m/ground.keys}}\n")
+    assert main(["service", "install", keyed, "--root", str(card)]) == 1
+    assert capsys.readouterr().err.startswith("keys.file: there is no m/ground.keys here or in ")
+    assert below(card) == set()
 
 
 def test_programs_that_fail_or_are_missing_are_told() -> None:

@@ -19,6 +19,7 @@ from rass_mav.cli import main
 from rass_mav.doctor import node, service, watch
 from rass_mav.mavlink.frames import FrameWriter
 from tests.app.app_nodes import RunningNode, Tidy, command, free_ports
+from tests.mavlink import pymav
 from tests.mock_vehicle import INT8, INT16, REAL32, MockVehicle
 from tests.ptys import SerialDevice
 from tests.wire.version_1 import VERSION_1
@@ -56,7 +57,7 @@ def levels(found: dict[str, dict[str, Any]], *names: str) -> list[str]:
 def drone(directory: Path, vehicle: int, listen: int, peer: int, **sections: Any) -> RunningNode:
     return RunningNode(
         directory, 7,
-        autopilot={"url": f"udpin:127.0.0.1:{vehicle}"},
+        autopilot={"url": f"udpin:127.0.0.1:{vehicle}", **sections.pop("autopilot", {})},
         links=[{"listen": f"127.0.0.1:{listen}", "peers": [{"address": f"127.0.0.1:{peer}"}]}],
         risk={"low": 0, "high": 100},
         **sections,
@@ -203,7 +204,7 @@ def test_an_autopilot_that_wants_signatures(
     vehicle_port, listen, peer = free_ports(3)
     node = drone(tmp_path, vehicle_port, listen, peer)
     vehicle = MockVehicle()
-    vehicle.signing = True
+    vehicle.key = bytes(range(32))
     with vehicle.on_udp(vehicle_port):
         if running:
             tidy(node).start(measured=False)
@@ -213,6 +214,32 @@ def test_an_autopilot_that_wants_signatures(
     assert "MAVLink signing is on" in found["autopilot"]["text"]
     # Positions come all the same, as often as the autopilot likes.
     assert found["position"]["level"] == "pass"
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_an_autopilot_with_signing_and_a_node_that_signs(
+    right: bool, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["new", "m"], ["drone", "7", "-d", "m"]):
+        assert command(tmp_path, "keys", *arguments).returncode == 0
+    shown = command(tmp_path, "keys", "autopilot", "7", "-d", "m").stdout.decode()
+    vehicle_port, listen, peer = free_ports(3)
+    node = drone(
+        tmp_path, vehicle_port, listen, peer, autopilot={"signing": True}, keys={"file": "m/drone-7.keys"}
+    )  # fmt: skip
+    vehicle = MockVehicle()
+    vehicle.reading = 1.0
+    vehicle.key = pymav.sha256(shown.split("\n")[0]) if right else bytes(32)
+    vehicle.reboot(37_000_000_000_000)
+    with vehicle.on_udp(vehicle_port):
+        found = examined(Path(node.config), capsys, 0 if right else 1)
+    if right:
+        assert found["autopilot"]["text"].endswith("heartbeats/s, signed")
+        assert levels(found, "autopilot", "position") == ["pass", "pass"]
+    else:
+        assert levels(found, "autopilot", "position") == ["fail", "skip"]
+        assert "heard, but with a wrong signature" in found["autopilot"]["text"]
 
 
 @pytest.mark.usefixtures("impatient")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import copy
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,38 @@ def test_commits_that_failed_long_ago(scene: tuple[RunConfig, Evidence]) -> None
 def test_an_autopilot(scene: tuple[RunConfig, Evidence], change: Change, level: str, said: str) -> None:
     found = vehicle.autopilot(scene[0], evidence(scene, change))
     assert (found.level, said in found.text) == (level, True), found
+
+
+def signed(config: RunConfig) -> RunConfig:
+    """With an autopilot that has MAVLink signing."""
+    return replace(config, autopilot=replace(config.autopilot, signing=True))
+
+
+@pytest.mark.parametrize(
+    ("refused", "text", "remedy"),
+    [
+        ({"unsigned": 9, "forged": 0, "old": 0}, "heard, but without signatures", "rass-mav params signing"),
+        ({"unsigned": 0, "forged": 9, "old": 0}, "heard, but with a wrong signature", "USB port"),
+        ({"unsigned": 0, "forged": 0, "old": 9}, "older than those that were heard before", "restart the autopilot"),
+        ({"unsigned": 0, "forged": 0, "old": 0}, "nothing heard", "TX to RX"),
+    ],
+)
+def test_an_autopilot_whose_frames_are_all_refused(
+    scene: tuple[RunConfig, Evidence], refused: dict[str, int], text: str, remedy: str
+) -> None:
+    def change(status: dict[str, Any]) -> None:
+        status["autopilot"] = None
+        status["vehicle"]["signing"] = refused
+
+    found = vehicle.autopilot(signed(scene[0]), evidence(scene, change))
+    assert (found.level, text in found.text, remedy in found.remedy) == ("fail", True, True), found
+
+
+def test_an_autopilot_that_signs_and_answers_nothing(scene: tuple[RunConfig, Evidence]) -> None:
+    seen = evidence(scene, lambda status: status["autopilot"].update(signed=True, version=None))
+    found = vehicle.autopilot(signed(scene[0]), seen)
+    assert (found.level, "the right signature, but it answers nothing" in found.text) == ("fail", True)
+    assert found.remedy.startswith("restart it")
 
 
 @pytest.mark.parametrize(

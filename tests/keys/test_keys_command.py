@@ -11,6 +11,7 @@ import signal
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,11 @@ from rass_mav.config.loading import to_plain
 from rass_mav.doctor import watch
 from rass_mav.doctor.checkup import as_the_service
 from rass_mav.errors import ConfigError, ServiceError
+from rass_mav.keys.autopilot import autopilot_key, autopilot_passphrase
 from rass_mav.keys.files import read_ground, read_keys
 from rass_mav.keys.folder import issue
 from rass_mav.keys.identity import NodeKeys
+from rass_mav.keys.secret import Secret
 from rass_mav.keys.settings import in_words
 from tests.app.app_nodes import ROOT, RunningNode, command, free_ports, line_of
 
@@ -359,6 +362,46 @@ def test_a_configuration_shows_the_path_alone(tmp_path: Path, monkeypatch: pytes
     done = command(tmp_path, "check", "n.yaml", "--print")
     assert yaml.safe_load(done.stdout)["keys"] == {"file": "m/drone-7.keys", "accept_open": False}
     assert done.stderr == b""
+
+
+def test_the_passphrase_of_an_autopilot(tmp_path: Path) -> None:
+    mission(tmp_path, 7, 8)
+    shown = json.loads(keys(tmp_path, "autopilot", "7", "-d", "m", "--json"))
+    assert (shown["id"], shown["serial"]) == (7, 1)
+    assert re.fullmatch(r"(?:[a-z2-7]{5}-){4}[a-z2-7]{5}", shown["passphrase"])
+    # The drone has the same, and no other drone has.
+    assert keys(tmp_path, "autopilot", "m/drone-7.keys").split("\n")[0] == shown["passphrase"]
+    assert keys(tmp_path, "autopilot", "8", "-d", "m").split("\n")[0] != shown["passphrase"]
+    # A new link key changes nothing; another drone in its place has another one.
+    keys(tmp_path, "rotate", "-d", "m")
+    assert keys(tmp_path, "autopilot", "7", "-d", "m").split("\n")[0] == shown["passphrase"]
+    keys(tmp_path, "drone", "7", "--replace", "-d", "m")
+    assert keys(tmp_path, "autopilot", "7", "-d", "m").split("\n")[0] != shown["passphrase"]
+    assert keys(tmp_path, "autopilot", "7", "--serial", "1", "-d", "m").split("\n")[0] == shown["passphrase"]
+    assert shown["passphrase"] not in keys(tmp_path, "show", "m/drone-7.keys")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["9", "-d", "m"], "drone 9: has no keys yet; rass-mav keys drone 9 -d m"),
+        (["7", "--serial", "2", "-d", "m"], "drone 7: its last serial is 1, not 2; give one from 1 to that"),
+        (["m/drone-7.keys", "--serial", "1"], "--serial: only with a node id and the mission's folder"),
+        (["m/ground.keys"],
+         "m/ground.keys: holds the ground's keys; name a drone by its node id, with -d and the mission's folder"),
+    ],
+)  # fmt: skip
+def test_an_autopilot_without_a_passphrase(arguments: list[str], said: str, tmp_path: Path) -> None:
+    mission(tmp_path, 7)
+    assert keys(tmp_path, "autopilot", *arguments, code=2) == said
+
+
+def test_a_passphrase_follows_from_the_secret_alone() -> None:
+    """What autopilots have must not change with the program. The key is what ground stations make of the passphrase."""
+    secret = Secret(bytes(range(32)))
+    passphrase = "duaae-7mtce-qrvmq-c3zns-ds5b5"
+    assert autopilot_passphrase(secret) == passphrase
+    assert autopilot_key(secret).reveal() == sha256(passphrase.encode()).digest()
 
 
 def test_only_a_base_accepts_open_data(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hashlib import sha256 as _sha256
 from typing import Any
 
 from pymavlink.dialects.v20 import common
@@ -30,3 +31,8 @@ def heartbeat(sequence: int = 0, system_id: int = 1) -> bytes:
     """A whole frame with some autopilot's heartbeat."""
     message = common.MAVLink_heartbeat_message(2, 3, 81, 5, 4, 3)
     return bytes(message.pack(sender(system_id, 1, sequence)))
+
+
+def sha256(passphrase: str) -> bytes:
+    """The key that ground stations make of a passphrase."""
+    return _sha256(passphrase.encode()).digest()

@@ -50,8 +50,8 @@ function _shtab_rass_mav_using
   test "$_shtab_rass_mav_cmdpath" = "$argv"
 end
 
-set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' keys 'keys new' 'keys drone' 'keys rotate' 'keys revoke' 'keys show' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --keys --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
+set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' 'params signing' keys 'keys new' 'keys drone' 'keys rotate' 'keys revoke' 'keys show' 'keys autopilot' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --keys --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --serial --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -141,7 +141,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s h -l help -d 'show thi
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using doctor; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration'
-complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a params -d 'Parameter files for the autopilot, such as those in firmware_params/.'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a params -d 'Parameter files for the autopilot, such as those in firmware_params/, and its key for signing.'
 complete -c rass-mav -n '_shtab_rass_mav_using params' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using params; and test $_shtab_rass_mav_npos -eq 0' -a check -d 'Check a file; with --live, show how the vehicle differs from it (exit code 1 if it does).'
 complete -c rass-mav -n '_shtab_rass_mav_using params check' -s h -l help -d 'show this help message and exit'
@@ -158,6 +158,13 @@ complete -c rass-mav -n '_shtab_rass_mav_using params write' -l live -xka "(__fi
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l sysid -x -d 'the system id that the vehicle should have (default: unchanged)'
 complete -c rass-mav -n '_shtab_rass_mav_using params write' -l yes -d 'do not ask'
 complete -c rass-mav -n '_shtab_rass_mav_using params write; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'parameters: .parm (NAME VALUE) or .params (QGroundControl)'
+complete -c rass-mav -n '_shtab_rass_mav_using params; and test $_shtab_rass_mav_npos -eq 0' -a signing -d 'Give the autopilot the key of this drone, so that both sign what they send to each other.'
+complete -c rass-mav -n '_shtab_rass_mav_using params signing' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using params signing' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using params signing' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using params signing' -l off -d 'turn signing off'
+complete -c rass-mav -n '_shtab_rass_mav_using params signing' -l yes -d 'do not ask'
+complete -c rass-mav -n '_shtab_rass_mav_using params signing; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration, for its autopilot and keys'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a keys -d 'Keys by which the nodes of a mission know each other, and which only the ground reads data with.'
 complete -c rass-mav -n '_shtab_rass_mav_using keys' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a new -d 'Create a mission: the ground'"'"'s keys, for bases, in a folder.'
@@ -187,6 +194,12 @@ complete -c rass-mav -n '_shtab_rass_mav_using keys show' -s h -l help -d 'show 
 complete -c rass-mav -n '_shtab_rass_mav_using keys show' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using keys show' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using keys show; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'ground.keys, or a drone'"'"'s file'
+complete -c rass-mav -n '_shtab_rass_mav_using keys; and test $_shtab_rass_mav_npos -eq 0' -a autopilot -d 'Show the passphrase of a drone'"'"'s autopilot, for a ground station (MAVLink signing).'
+complete -c rass-mav -n '_shtab_rass_mav_using keys autopilot' -s h -l help -d 'show this help message and exit'
+complete -c rass-mav -n '_shtab_rass_mav_using keys autopilot' -s v -l verbose -d 'logs on stderr; -vv for more'
+complete -c rass-mav -n '_shtab_rass_mav_using keys autopilot' -l json -d 'print exactly one JSON object'
+complete -c rass-mav -n '_shtab_rass_mav_using keys autopilot' -l serial -x -d 'of a drone that was replaced, whose autopilot still has the earlier key (default: the last one)'
+complete -c rass-mav -n '_shtab_rass_mav_using keys autopilot' -s d -l dir -xka "(__fish_complete_directories)" -d 'the mission'"'"'s folder (the current one)'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a service -d 'A node that systemd starts at boot and again when it fails.'
 complete -c rass-mav -n '_shtab_rass_mav_using service' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using service; and test $_shtab_rass_mav_npos -eq 0' -a install -d 'Install or update the service, and start it.'

@@ -1,0 +1,28 @@
+"""The key of a drone's autopilot, for MAVLink signing (docs/keys.md, "The autopilot").
+
+Ground station programs take a passphrase, and use its SHA-256 as the key. So the drone's secret gives a passphrase, and
+nothing more has to be kept: the ground can always tell which one a drone's autopilot has.
+"""
+
+from __future__ import annotations
+
+from base64 import b32encode
+from hashlib import sha256
+
+from .secret import Purpose, Secret
+
+_GROUPS, _LETTERS = 5, 5
+
+
+def autopilot_passphrase(secret: Secret) -> str:
+    """The passphrase, 125 bits: 25 of `a` to `z` and `2` to `7`, in five groups with hyphens, which belong to it.
+
+    :param secret: the drone's. Only show the result to somebody who asks for it.
+    """
+    text = b32encode(secret.derive(Purpose.AUTOPILOT).reveal()).decode("ascii").lower()
+    return "-".join(text[_LETTERS * group :][:_LETTERS] for group in range(_GROUPS))
+
+
+def autopilot_key(secret: Secret) -> Secret:
+    """The key that the autopilot and the node sign with."""
+    return Secret(sha256(autopilot_passphrase(secret).encode("ascii")).digest())
