@@ -1,23 +1,26 @@
 """The other nodes that a node knows by their certificates, and how it comes to know them.
 
 docs/protocol.md ("Introductions") has the rules. What comes here was signed with the link key, which a captured drone
-has too. So everything is bounded: the table, what is verified in a step, and what is answered.
+has too. So everything is bounded: the table, what is verified in a step, and what is answered. Names are easy to
+invent, proofs are not: a name without a proof takes no place from a node that has proved itself, and each stream of
+frames may bring one.
 """
 
 from __future__ import annotations
 
 import math
 import random
-from collections import Counter
 from collections.abc import Callable
 from struct import Struct
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
+from rass_mav.agent.names import Intake, Names
 from rass_mav.core.store import Store
 from rass_mav.errors import ForgedError
 from rass_mav.keys.certificate import Certificate
 from rass_mav.keys.identity import NodeKeys
 from rass_mav.keys.pairs import Pair
+from rass_mav.mavlink.frames import Stream
 from rass_mav.wire.introduction import (
     ASKED_BESIDE,
     INTRODUCTION,
@@ -29,12 +32,10 @@ from rass_mav.wire.introduction import (
     proof_said,
 )
 
-#: Nodes remembered: more than the neighbours of most, and all nodes of most missions.
+#: Nodes remembered that have proved themselves: more than the neighbours of most, and all nodes of most missions.
 MAX_KNOWN = 256
-#: Certificates that are verified in a step, and of one node id. Each takes 0.1 ms here, 3 ms on a Pi Zero.
-MAX_VERIFIED, MAX_OF_ONE = 8, 2
-#: Questions that wait for a proof, and of one node.
-MAX_QUESTIONS, QUESTIONS_OF_ONE = 64, 2
+#: Questions in the name of one node that wait for a proof, each from another stream.
+QUESTIONS_OF_ONE = 2
 #: Introductions sent in a step.
 MAX_SENT = 4
 #: How often a node sends its certificate: as often as this at once, and once in so many steps in the long run.
@@ -55,6 +56,27 @@ IsOut: TypeAlias = Callable[[int, int], bool]
 _ALL = (1 << WINDOW) - 1
 # Node id and serial, where a certificate has them.
 _NAMED = Struct("<HI")
+
+
+class Links(Protocol):
+    """The streams of frames (`agent.streams`)."""
+
+    @property
+    def own(self) -> Stream:
+        """The node's own stream."""
+
+    def prove(self, node_id: int, stream: Stream) -> None:
+        """A node has just proved itself to this one in a stream."""
+
+
+class Unsigned:
+    """Where frames are not signed."""
+
+    __slots__ = ()
+    own: Stream = (0, 0, 0)
+
+    def prove(self, node_id: int, stream: Stream) -> None:
+        """It changes nothing."""
 
 
 class Acquaintance:
@@ -108,8 +130,8 @@ class Acquaintances:
     """Those of one node. Time is an argument."""
 
     __slots__ = (
-        "_asks", "_is_out", "_keys", "_known", "_nonces", "_questions", "_rng", "_sent", "_sent_at", "_step", "_step_s",
-        "_store", "_tokens", "_verified", "_wanted", "forged", "place", "stale",
+        "_asks", "_intake", "_is_out", "_keys", "_known", "_names", "_nonces", "_questions", "_rng", "_sent",
+        "_sent_at", "_step", "_step_s", "_store", "_tokens", "_wanted", "forged", "links", "place", "stale",
     )  # fmt: skip
 
     def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float, is_out: IsOut) -> None:
@@ -121,12 +143,16 @@ class Acquaintances:
         self._step_s = step_s
         self._known: dict[int, Acquaintance] = {}
         """By node id."""
+        self._names = Names()
+        """Those that have not proved themselves."""
+        self.links: Links = Unsigned()
+        """The streams of frames."""
         self._asks: dict[int, None] = {}
         """Nodes to ask."""
         self._nonces: list[tuple[int, int]] = []
         """Own nonces, numbered from 0; the last one is the newest."""
-        self._questions: dict[int, list[int]] = {}
-        """Nonces of others that wait for this node's proof, by node id."""
+        self._questions: dict[int, dict[Stream, int]] = {}
+        """Nonces of others that wait for this node's proof, by node id, and by the stream that has brought them."""
         self._wanted = False
         """Whether somebody waits for this node's certificate."""
         self._sent_at = -math.inf
@@ -136,8 +162,7 @@ class Acquaintances:
         self._step = -1
         self._sent = 0
         """Introductions sent in this step."""
-        self._verified: Counter[int] = Counter()
-        """Certificates verified in this step, by the node id in them."""
+        self._intake = Intake(rng)
         # A random start: nothing that was said in an earlier life has a place in this one.
         self.place = rng.getrandbits(32) << 32
         """Of this node's last word, 64 bits: its life, and a count."""
@@ -159,30 +184,45 @@ class Acquaintances:
         known = self._known.get(node_id)
         if known is not None and known.certificate is not None and self._is_out(node_id, known.certificate.serial):
             # Since its certificate came.
-            del self._known[node_id]
+            self._forget(node_id)
             return None
         return known
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def heard(self, node_id: int, now: float) -> Acquaintance:
-        """A beacon in the name of a node. Returns what is known of it."""
+    def heard(self, node_id: int, now: float, stream: Stream) -> Acquaintance:
+        """A beacon in the name of a node. Returns what is known of it. `stream`: in which it came."""
         known = self._known.get(node_id)
-        if known is None:
-            known = self._known[node_id] = self._room_for_another()
+        if known is None or known.place is None:
+            known = self._named(node_id, stream)
         known.heard = now
         if known.doubted and now >= known.ask_at:
             self._asks[node_id] = None
         return known
 
-    def _room_for_another(self) -> Acquaintance:
-        known = self._known
-        if len(known) >= MAX_KNOWN:
-            # Names are easy to invent, certificates are not.
-            gone = min(known, key=lambda node_id: (known[node_id].pair is not None, known[node_id].heard))
-            del known[gone]
-            self._asks.pop(gone, None)
-        return Acquaintance()
+    def _named(self, node_id: int, stream: Stream) -> Acquaintance:
+        """A stream brings the name of a node that has not proved itself. The one that it has brought before is
+        forgotten, unless another stream has brought it too."""
+        gone = self._names.bring(node_id, stream)
+        if gone is not None:
+            self._forget(gone)
+        known = self._known.get(node_id)
+        if known is None:
+            known = self._known[node_id] = Acquaintance()
+        return known
+
+    def _forget(self, node_id: int) -> None:
+        del self._known[node_id]
+        self._names.release(node_id)
+        self._asks.pop(node_id, None)
+        self._questions.pop(node_id, None)
+
+    def _has_proved(self, node_id: int) -> None:
+        """A node has proved itself for the first time."""
+        self._names.release(node_id)
+        if len(self._known) - len(self._names) > MAX_KNOWN:
+            proven = (one for one in self._known if one not in self._names and one != node_id)
+            self._forget(min(proven, key=lambda one: self._known[one].heard))
 
     def ask(self, node_id: int, now: float) -> None:
         """Ask a node for its certificate, and to prove that it is there; if it was asked a moment ago, later."""
@@ -192,28 +232,28 @@ class Acquaintances:
             if now >= known.ask_at:
                 self._asks[node_id] = None
 
-    def hear(self, introduction: Introduction, now: float) -> None:
-        """Somebody introduces himself. All of it may be forged or old."""
+    def hear(self, introduction: Introduction, now: float, stream: Stream) -> None:
+        """Somebody introduces himself. All of it may be forged or old. `stream`: in which it came."""
         own, sender = self._keys.certificate.node_id, introduction.sender
         if sender == own:
             return
         self._begin_step(now)
         is_asked = own in introduction.asked
         if introduction.certificate:
-            self._learn(introduction.certificate, sender, now, needed=is_asked)
+            if _NAMED.unpack_from(introduction.certificate)[0] == sender:
+                self._learn(introduction.certificate, now, stream, needed=is_asked)
+            else:
+                self.forged += 1
         if is_asked:
-            self._on_question(introduction, now)
+            self._on_question(introduction, now, stream)
         for node_id, tag in introduction.proofs:
             if node_id == own:
-                self._on_proof(sender, introduction.place, tag)
+                self._on_proof(sender, introduction.place, tag, stream)
 
-    def _learn(self, packed: bytes, sender: int, now: float, *, needed: bool) -> None:
-        """`needed`: even if no beacon of the sender was heard."""
+    def _learn(self, packed: bytes, now: float, stream: Stream, *, needed: bool, late: bool = False) -> None:
+        """A certificate. `needed`: even if no beacon of its node was heard. `late`: it has waited."""
         node_id, serial = _NAMED.unpack_from(packed)
         known = self._known.get(node_id)
-        if node_id != sender:
-            self.forged += 1
-            return
         if known is None and not needed:
             return
         if known is not None and known.certificate is not None:
@@ -225,9 +265,8 @@ class Acquaintances:
         if self._is_out(node_id, serial) or serial < (self._store.get_meta(_serial_key(node_id)) or 0):
             self.stale += 1
             return
-        if self._verified.total() >= MAX_VERIFIED or self._verified[node_id] >= MAX_OF_ONE:
+        if not late and not self._intake.takes(node_id, stream, packed):
             return
-        self._verified[node_id] += 1
         try:
             certificate = Certificate.unpack(packed, self._keys.ground)
             pair = Pair(self._keys, certificate)
@@ -238,34 +277,40 @@ class Acquaintances:
             # After a restart, the keys of the drone that it replaces are worth nothing either.
             self._store.set_meta(_serial_key(node_id), serial)
         # Whatever was known is about its predecessor.
-        known = self._room_for_another() if self._known.pop(node_id, None) is None else Acquaintance()
+        self._named(node_id, stream)
+        known = Acquaintance()
         known.certificate, known.pair, known.heard = certificate, pair, now
         self._known[node_id] = known
         self.ask(node_id, now)
 
-    def _on_question(self, introduction: Introduction, now: float) -> None:
+    def _on_question(self, introduction: Introduction, now: float, stream: Stream) -> None:
         sender = introduction.sender
-        nonces = self._questions.setdefault(sender, [])
-        if introduction.nonce not in nonces and len(nonces) < QUESTIONS_OF_ONE:
-            nonces.append(introduction.nonce)
-        if len(self._questions) > MAX_QUESTIONS:
-            del self._questions[next(iter(self._questions))]
+        if sender not in self._known:
+            self._named(sender, stream)
+        nonces = self._questions.setdefault(sender, {})
+        if introduction.nonce not in nonces.values():
+            nonces[stream] = introduction.nonce
+            if len(nonces) > QUESTIONS_OF_ONE:
+                del nonces[self._rng.choice(list(nonces))]
         if introduction.wants:
             # If both ask at the same time, this node has answered already.
             self._wanted = self._wanted or now - self._sent_at >= 0.5 * self._step_s
             # It may have started again.
             self.ask(sender, now)
 
-    def _on_proof(self, sender: int, place: int, tag: bytes) -> None:
+    def _on_proof(self, sender: int, place: int, tag: bytes, stream: Stream) -> None:
         known = self._known.get(sender)
         if known is None or known.pair is None:
             return
         for number, nonce in self._nonces:
-            if known.pair.made(INTRODUCTION, proof_said(nonce, place), tag):
+            if known.pair.made(INTRODUCTION, proof_said(nonce, place, stream), tag):
                 # It may be repeated by somebody, when the node is not there any more.
                 if number > known.proved_by:
                     known.proves(place, number)
                     self._asks.pop(sender, None)
+                    if sender in self._names:
+                        self._has_proved(sender)
+                    self.links.prove(sender, stream)
                 return
         self.forged += 1
 
@@ -273,7 +318,7 @@ class Acquaintances:
 
     def due(self, now: float) -> list[bytes]:
         """The introductions that leave now, as TUNNEL payloads for everybody."""
-        if not (self._asks or self._questions or self._wanted):
+        if not (self._asks or self._questions or self._wanted or self._intake):
             return []
         self._begin_step(now)
         out: list[bytes] = []
@@ -299,7 +344,8 @@ class Acquaintances:
             passed = max(0, step - self._step)
             self._tokens = min(CERTIFICATES_AT_ONCE, self._tokens + passed / CERTIFICATE_STEPS)
             self._step, self._sent = step, 0
-            self._verified.clear()
+            for stream, packed in self._intake.begin_step():
+                self._learn(packed, now, stream, needed=True, late=True)
 
     def _shows_certificate(self, now: float) -> bool:
         """Whether this node's certificate is in the next introduction: whose certificate is not known here does
@@ -334,10 +380,11 @@ class Acquaintances:
             known = self._known.get(node_id)
             if known is None or known.pair is None:
                 continue
-            while self._questions[node_id] and len(proofs) < most:
-                nonce = self._questions[node_id].pop(0)
-                proofs.append((node_id, known.pair.tag(INTRODUCTION, proof_said(nonce, self.place))))
-            if not self._questions[node_id]:
+            nonces = self._questions[node_id]
+            while nonces and len(proofs) < most:
+                said = proof_said(nonces.pop(next(iter(nonces))), self.place, self.links.own)
+                proofs.append((node_id, known.pair.tag(INTRODUCTION, said)))
+            if not nonces:
                 del self._questions[node_id]
         return tuple(proofs)
 

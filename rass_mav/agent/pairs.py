@@ -12,7 +12,7 @@ from hashlib import blake2b
 from struct import Struct
 from typing import Any
 
-from rass_mav.agent.acquaintances import Acquaintances, IsOut
+from rass_mav.agent.acquaintances import Acquaintances, IsOut, Links
 from rass_mav.agent.tags import NoTags
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.fingerprints import CRC_MASK, Fingerprints, of_offers
@@ -20,6 +20,7 @@ from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.store import Store
 from rass_mav.keys.identity import NodeKeys
 from rass_mav.keys.pairs import TAG_SIZE
+from rass_mav.mavlink.frames import Stream
 from rass_mav.wire import encode
 from rass_mav.wire.codec import COMMITTED
 from rass_mav.wire.introduction import decode_introduction, is_introduction
@@ -101,6 +102,9 @@ class PairTags(NoTags):
                 del offered[next(iter(offered))]
         return encode(message, now, self)
 
+    def use(self, links: Links) -> None:
+        self.acquaintances.links = links
+
     def introductions(self, now: float) -> list[bytes]:
         return self.acquaintances.due(now)
 
@@ -120,18 +124,18 @@ class PairTags(NoTags):
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def introduced(self, payload: bytes, now: float) -> bool:
+    def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
         if not is_introduction(payload):
             return False
-        self.acquaintances.hear(decode_introduction(payload), now)
+        self.acquaintances.hear(decode_introduction(payload), now, stream)
         return True
 
-    def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
+    def believed(self, message: Message, payload: bytes, now: float, stream: Stream) -> Message | None:
         self._now = now
         if (
             type(message) is Beacon
             and message.sender != self._own
-            and self.acquaintances.heard(message.sender, now).place is None
+            and self.acquaintances.heard(message.sender, now, stream).place is None
         ):
             # Its answers would not be believed yet: what is handed over to it would be sent again.
             return None

@@ -80,6 +80,8 @@ class Peers:
         self._payload_type = payload_type
         self.signed = signed
         self.tags = tags
+        if signed is not None:
+            tags.use(signed.streams)
         self.word: Word | None = None
         """What is known of the ground's word; None: there are no keys, and bases are believed."""
         self.writer = writer
@@ -151,12 +153,12 @@ class Peers:
             return None
         try:
             if payload[:1] == MORE_HEAD:
-                if self.tags.introduced(payload, now):
+                if self.tags.introduced(payload, now, stream):
                     return None
                 if self.word is not None and is_word(payload):
                     self.word.hear(payload, stream)
                     return None
-            return self.tags.believed(decode(payload, now), payload, now)
+            return self.tags.believed(decode(payload, now), payload, now, stream)
         except MalformedError as error:
             self._count(error, now)
             return None

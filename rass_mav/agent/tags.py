@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import Message
 from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import Stream
 from rass_mav.wire import encode
+
+if TYPE_CHECKING:
+    from rass_mav.agent.acquaintances import Links
 
 
 class NoTags:
@@ -18,16 +22,19 @@ class NoTags:
     prints: ClassVar[Fingerprints] = Fingerprints()
     """What answers to hand-overs confirm."""
 
+    def use(self, links: Links) -> None:
+        """Set the streams of the links whose frames are signed."""
+
     def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
         """The TUNNEL payloads of a message of this node."""
         return encode(message, now)
 
-    def believed(self, message: Message, payload: bytes, now: float) -> Message | None:
+    def believed(self, message: Message, payload: bytes, now: float, stream: Stream) -> Message | None:
         """A message that was heard, without what its sender has not said; None: nothing is left of it. `payload`: of
-        its TUNNEL."""
+        its TUNNEL. `stream`: in which it came, if it is signed."""
         return message
 
-    def introduced(self, payload: bytes, now: float) -> bool:
+    def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
         """Take a TUNNEL payload that only introduces another node. False: it is something else."""
         return False
 

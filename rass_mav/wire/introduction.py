@@ -46,7 +46,7 @@ class Introduction(NamedTuple):
     place: int = 0
     """The sender's last place among its words, 64 bits. Without a meaning if there is no proof."""
     proofs: tuple[tuple[int, bytes], ...] = ()
-    """For other nodes, by node id: the tag of the other's nonce and of `place`."""
+    """For other nodes, by node id: the tag of the other's nonce, of `place`, and of the sender's stream."""
 
 
 def is_introduction(payload: bytes) -> bool:
@@ -54,9 +54,9 @@ def is_introduction(payload: bytes) -> bool:
     return payload[:2] == _HEAD
 
 
-def proof_said(nonce: int, place: int) -> bytes:
-    """What the tag of a proof covers."""
-    return _NONCE.pack(nonce) + _NONCE.pack(place)
+def proof_said(nonce: int, place: int, stream: tuple[int, int, int]) -> bytes:
+    """What the tag of a proof covers. `stream`: the sender's, in which the proof travels."""
+    return _NONCE.pack(nonce) + _NONCE.pack(place) + bytes(stream)
 
 
 def encode_introduction(m: Introduction) -> bytes:

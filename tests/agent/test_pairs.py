@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.agent import acquaintances
+from rass_mav.agent.names import LATE_VERIFIED, MAX_VERIFIED
 from rass_mav.agent.pairs import PairTags, StrongFingerprints
 from rass_mav.core.datum import Datum, DatumId, Fate, datum_crc, make_datum
 from rass_mav.core.messages import (
@@ -36,6 +37,7 @@ from rass_mav.errors import MalformedError
 from rass_mav.keys.certificate import Certificate, GroundPublic
 from rass_mav.keys.identity import Ground, NodeKeys
 from rass_mav.keys.secret import Secret
+from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import TAG_BYTES, answer_said
@@ -49,6 +51,8 @@ BASE, GIVER, TAKER, CAPTURED = 1, 2, 3, 9
 GROUND = Ground(Secret(bytes(range(32))))
 STRANGER = Ground(Secret(bytes(32)))
 PRINTS = StrongFingerprints()
+#: Of the captured drone.
+STREAM = (CAPTURED, 191, 0)
 D = make_datum(DatumId(GIVER, 0xCAFE, 7), 0, 0.0, b"measured")
 E = make_datum(DatumId(GIVER, 0xCAFE, 8), 0, 0.0, b"another")
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
@@ -56,6 +60,11 @@ BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 
 def keys_of(node_id: int, serial: int = 1, ground: Ground = GROUND) -> NodeKeys:
     return ground.node(node_id, 0 if node_id == BASE else serial)
+
+
+def stream_of(node_id: int) -> Stream:
+    """The one in which it sends."""
+    return (node_id & 0xFF, 191, node_id >> 8)
 
 
 class Voice:
@@ -68,14 +77,24 @@ class Voice:
         """Node ids and serials that the ground has revoked."""
         rng = random.Random(f"{node_id}:{life}")
         self.tags = PairTags(keys_of(node_id, serial), lambda *named: named in self.out, self.store, rng, 1.0)
+        self.own = stream_of(node_id)
+        self.proved: list[tuple[int, Stream]] = []
+        """The nodes that have proved themselves to this one, and in which streams."""
+        self.tags.use(self)
+
+    def prove(self, node_id: int, stream: Stream) -> None:
+        self.proved.append((node_id, stream))
 
     def says(self, message: Message, now: float = 0.0) -> bytes:
         [payload] = self.tags.encoded(message, self.store, now)
         assert len(payload) <= MAX_TUNNEL
         return payload
 
-    def believes(self, payload: bytes, now: float = 0.0) -> Message | None:
-        return self.tags.believed(decode(payload, now), payload, now)
+    def believes(self, payload: bytes, now: float = 0.0, stream: Stream = STREAM) -> Message | None:
+        return self.tags.believed(decode(payload, now), payload, now, stream)
+
+    def hears(self, introduction: Introduction, now: float, stream: Stream = STREAM) -> None:
+        assert self.tags.introduced(encode_introduction(introduction), now, stream)
 
     def knows(self, other: int) -> bool:
         known = self.tags.acquaintances.get(other)
@@ -103,8 +122,8 @@ class Air:
             for other in self.voices:
                 if other is not voice:
                     for payload in payloads:
-                        assert other.tags.introduced(payload, self.now)
-                    other.believes(voice.says(beacon, self.now), self.now)
+                        assert other.tags.introduced(payload, self.now, stream_of(voice.id))
+                    other.believes(voice.says(beacon, self.now), self.now, stream_of(voice.id))
 
     def steps(self, count: int) -> None:
         for _ in range(count):
@@ -323,7 +342,7 @@ def test_nothing_that_is_altered_or_repeated_is_believed(data: st.DataObject) ->
         message = decode(payload, 0.0)
     except MalformedError:
         return
-    heard = hearer.tags.believed(message, payload, 0.0)
+    heard = hearer.tags.believed(message, payload, 0.0, STREAM)
     if type(message) in (PassedOn, Words, Committed) and payload != SAID[0]:
         assert not ends_something(heard)
 
@@ -382,7 +401,7 @@ def test_old_introductions_bring_back_no_old_place() -> None:
     giver, taker = air.voices
     assert giver.believes(taker.says(words()[0]), air.now), "they know each other again"
     for payload in old * 2:
-        giver.tags.introduced(payload, air.now)
+        giver.tags.introduced(payload, air.now, STREAM)
         assert not any(giver.believes(word, air.now) for word in said)
     assert giver.believes(taker.says(words()[0]), air.now)
 
@@ -422,7 +441,7 @@ def test_swapped_certificates_are_refused() -> None:
     giver = Voice(GIVER)
     for voice, other in ((GIVER, TAKER), (TAKER, CAPTURED), (BASE, GIVER)):
         introduction = Introduction(voice, keys_of(other).certificate.pack(), asked=(GIVER,), wants=True, nonce=1)
-        giver.tags.introduced(encode_introduction(introduction), 1.0)
+        giver.hears(introduction, 1.0)
     assert giver.tags.acquaintances.with_certificate == 0
     assert giver.tags.report()["forged"] == 2, "its own id is not even looked at"
 
@@ -432,7 +451,7 @@ def test_a_certificate_of_another_mission_or_with_a_wrong_signature_is_counted_a
     altered = bytearray(keys_of(TAKER).certificate.pack())
     altered[50] ^= 1
     for packed in (keys_of(TAKER, ground=STRANGER).certificate.pack(), bytes(altered)):
-        giver.tags.introduced(encode_introduction(Introduction(TAKER, packed, asked=(GIVER,), nonce=1)), 1.0)
+        giver.hears(Introduction(TAKER, packed, asked=(GIVER,), nonce=1), 1.0)
     assert giver.tags.report() | {"not_believed": 0} == {
         "certificates": 0, "forged": 2, "stale": 0, "not_believed": 0,
     }  # fmt: skip
@@ -451,7 +470,7 @@ def test_a_higher_serial_replaces_a_lower_one_for_good() -> None:
     # The old one shows its certificate again, also when the giver has started again.
     old = Introduction(TAKER, keys_of(TAKER).certificate.pack(), asked=(GIVER,), wants=True, nonce=1)
     for hearer in (giver, Voice(GIVER, store=giver.store, life=2)):
-        hearer.tags.introduced(encode_introduction(old), 50.0)
+        hearer.hears(old, 50.0)
         assert hearer.tags.report()["stale"] > 0
         hearer.says(offered())
         assert hearer.believes(lost.says(answer())) is None
@@ -472,11 +491,24 @@ def test_a_revoked_certificate_is_forgotten_and_refused() -> None:
     assert giver.believes(air.voices[1].says(answer()))
 
 
+def test_a_proof_counts_only_in_the_stream_of_who_makes_it() -> None:
+    """A captured drone is faster than the node, and sends its proof in a stream of its own."""
+    giver, taker = Voice(GIVER), Voice(TAKER)
+    for now in range(1, 6):
+        for speaker, hearer in ((giver, taker), (taker, giver)):
+            for payload in speaker.tags.introductions(float(now)):
+                if speaker is taker:
+                    hearer.hears(decode_introduction(payload), float(now))
+                assert hearer.tags.introduced(payload, float(now), speaker.own)
+            hearer.believes(speaker.says(BEACON._replace(sender=speaker.id)), float(now), speaker.own)
+    assert giver.knows(TAKER)
+    assert giver.proved == [(TAKER, stream_of(TAKER))]
+
+
 # -- bounds -----------------------------------------------------------------------------------------------------------
 
 
 def test_nobody_can_make_a_node_verify_answer_or_remember_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(acquaintances, "MAX_KNOWN", 8)
     verified: list[bytes] = []
     unpack = Certificate.unpack
 
@@ -493,15 +525,15 @@ def test_nobody_can_make_a_node_verify_answer_or_remember_without_end(monkeypatc
         giver.believes(taker.says(BEACON._replace(sender=TAKER)), float(step))
         for number in range(100):
             node_id = 1000 + rng.randrange(500)
-            giver.believes(taker.says(BEACON._replace(sender=node_id)), float(step))
+            giver.believes(taker.says(BEACON._replace(sender=node_id)), float(step), (number % 7, 1, 1))
             packed = node_id.to_bytes(2, "little") + rng.randbytes(100)
             introduction = Introduction(node_id, packed, asked=(GIVER,), wants=True, nonce=number)
-            giver.tags.introduced(encode_introduction(introduction), float(step))
+            giver.hears(introduction, float(step), (number % 7, 1, 1))
         payloads = giver.tags.introductions(float(step)) + giver.tags.introductions(float(step))
         sent += len(payloads)
         bytes_sent += sum(map(len, payloads))
-        assert len(giver.tags.acquaintances) <= 8
-    assert len(verified) <= 10 * acquaintances.MAX_VERIFIED
+        assert len(giver.tags.acquaintances) <= 1 + 7
+    assert len(verified) <= 10 * (MAX_VERIFIED + LATE_VERIFIED)
     assert sent <= 10 * acquaintances.MAX_SENT
     certificates = sum(bool(decode_introduction(payload).certificate) for payload in giver.tags.introductions(20.0))
     assert certificates <= acquaintances.CERTIFICATES_AT_ONCE
@@ -515,7 +547,7 @@ def test_more_neighbours_than_the_table_holds_take_turns(monkeypatch: pytest.Mon
     monkeypatch.setattr(acquaintances, "MAX_KNOWN", 3)
     air = Air(*(Voice(node_id) for node_id in (2, 3, 4, 5, 6)))
     air.steps(40)
-    assert all(len(voice.tags.acquaintances) == 3 for voice in air.voices)
+    assert all(sum(voice.knows(other.id) for other in air.voices) == 3 for voice in air.voices)
     # Whoever it knows, it believes.
     giver = air.voices[0]
     known = [voice for voice in air.voices[1:] if giver.knows(voice.id) and voice.knows(giver.id)]

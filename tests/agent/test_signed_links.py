@@ -249,7 +249,8 @@ def last_beacon_of(node_id: int, crew: Crew) -> bytes:
 
 
 def test_the_table_is_bounded_and_who_has_to_go_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rass_mav.agent.streams.MAX_STREAMS", 4)
+    monkeypatch.setattr("rass_mav.agent.streams.MAX_STRANGE", 2)
+    monkeypatch.setattr("rass_mav.agent.streams.MAX_UNPROVEN", 2)
     crew = crew_of_three()
     hearer = crew.agents[0]
     signed = signed_of(hearer)
@@ -271,7 +272,7 @@ def test_the_table_is_bounded_and_who_has_to_go_is_asked_again(monkeypatch: pyte
 
 
 def test_the_old_answer_of_a_stream_that_had_to_go_counts_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rass_mav.agent.streams.MAX_STREAMS", 1)
+    monkeypatch.setattr("rass_mav.agent.streams.MAX_UNPROVEN", 1)
     crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
     crew.steps(10)
     base = crew.agents[0]

@@ -1,0 +1,189 @@
+"""One captured drone that sends under any number of names, in any number of streams that answer challenges: those who
+have proved themselves stay, whoever comes finds a place, and what is remembered is bounded."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import cast
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rass_mav.agent import names, streams
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.names import MAX_LATE, Intake, Names
+from rass_mav.agent.pairs import PairTags
+from rass_mav.agent.peers import open_datagram
+from rass_mav.core.messages import Beacon, Message
+from rass_mav.errors import MalformedError
+from rass_mav.mavlink.frames import FrameWriter, Stream
+from rass_mav.mavlink.signing import Signer
+from rass_mav.wire import encode
+from rass_mav.wire.challenge import Challenge, decode_challenge, encode_challenge, is_challenge
+from rass_mav.wire.introduction import Introduction, encode_introduction
+from tests.wire.samples import SAMPLES
+
+from .crew import KEY, Crew, agent_with_keys
+
+TYPE = 33200
+BEACON = cast(Beacon, SAMPLES["beacon-drone"])
+
+
+class Crowd:
+    """What the captured drone sends."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = random.Random(seed)
+        self.nonces: list[int] = []
+        self._read = 0
+        self._sent = 0
+        self.streams: list[Stream] = []
+        """Those in which it has sent lately, the latest last."""
+
+    def overhear(self, recorded: list[bytes]) -> None:
+        """It answers every challenge in every stream, whether that was asked or not."""
+        for frame in recorded[self._read :]:
+            opened = open_datagram(frame)
+            if opened is not None and is_challenge(opened[3]):
+                try:
+                    challenge = decode_challenge(opened[3])
+                except MalformedError:
+                    continue
+                if challenge.asked:
+                    self.nonces = [*self.nonces, challenge.nonce][-5:]
+        self._read = len(recorded)
+
+    def new_stream(self) -> Stream:
+        self.streams.append(cast(Stream, tuple(self.rng.randbytes(3))))
+        del self.streams[:-400]
+        return self.streams[-1]
+
+    def frame(self, stream: Stream, payload: bytes) -> bytes:
+        self._sent += 1
+        return FrameWriter(stream[0], stream[1], Signer(KEY, stream[2], self._sent)).tunnel(payload, payload_type=TYPE)
+
+    def invented(self) -> Message:
+        node_id, life = self.rng.randrange(1000, 65000), self.rng.getrandbits(32)
+        return BEACON._replace(sender=node_id, life=life, number=self.rng.getrandbits(16))
+
+    def turn(self, count: int) -> Iterator[bytes]:
+        """Half of the frames are answers in streams old and new, half are beacons with names in them."""
+        for i in range(count // 2):
+            stream = self.new_stream() if i % 2 or not self.streams else self.rng.choice(self.streams)
+            yield self.frame(stream, encode_challenge(Challenge((), 0, tuple(self.nonces))))
+            [beacon] = encode(self.invented(), 0.0)
+            yield self.frame(self.rng.choice(self.streams), beacon)
+            introduction = Introduction(self.rng.randrange(1000, 65000), self.rng.randbytes(102), (1,), True, 7)
+            yield self.frame(self.rng.choice(self.streams), encode_introduction(introduction))
+
+
+def crew_of(count: int) -> Crew:
+    crew = Crew(*(agent_with_keys(node_id, base=node_id == 1, words=True) for node_id in range(1, count + 1)))
+    crew.steps(10)
+    assert all(len(crew.hears(position)) == count - 1 for position in range(count))
+    return crew
+
+
+def turn(crew: Crew, crowd: Crowd, frames: int) -> None:
+    """A step, with the crowd's frames before, between and after those of the crew."""
+    crew.now += 1.0
+    order: list[Agent | None] = [*crew.agents, None, None]
+    crowd.rng.shuffle(order)
+    for one in order:
+        if one is None:
+            for frame in crowd.turn(frames // 2):
+                for agent in crew.agents:
+                    agent.peer_bytes(frame, crew.now)
+        else:
+            crew.say(crew.agents.index(one), one.step(crew.now))
+        crowd.overhear(crew.recorded)
+
+
+def check_bounds(agent: Agent) -> None:
+    signed, tags = agent.peers.signed, agent.peers.tags
+    assert signed is not None
+    assert isinstance(tags, PairTags)
+    assert len(signed.streams) <= streams.MAX_STRANGE + streams.MAX_UNPROVEN + len(signed.streams._proven)
+    known = tags.acquaintances
+    assert known._names.disagreement() == ""
+    assert all(id in known._known for id in known._names._streams)
+    assert known._asks.keys() | known._questions.keys() <= known._known.keys()
+    assert len(known._intake) <= MAX_LATE
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_neighbours_stay_and_a_newcomer_is_known_while_a_crowd_sends(seed: int) -> None:
+    crew, crowd = crew_of(3), Crowd(seed)
+    for _ in range(10):
+        turn(crew, crowd, 300)
+        assert all(len(crew.hears(position)) == 2 for position in range(3))
+    crew.agents.append(agent_with_keys(4, words=True, now=crew.now))
+    for _ in range(60):
+        turn(crew, crowd, 300)
+        for position in range(3):
+            check_bounds(crew.agents[position])
+            assert crew.hears(position) >= {1, 2, 3} - {position + 1}
+    assert crew.hears(3) == {1, 2, 3}
+    assert all(4 in crew.hears(position) for position in range(3))
+
+
+def test_data_reach_the_base_while_a_crowd_sends() -> None:
+    crew, crowd = crew_of(3), Crowd(5)
+    ids = []
+    for step in range(30):
+        turn(crew, crowd, 200)
+        if step < 20:
+            ids.append(crew.agents[1 + step % 2].measure(crew.now))
+    store = crew.agents[0].store
+    assert all(id is not None and store.get(id) is not None for id in ids)
+
+
+# -- the tables, by themselves -----------------------------------------------------------------------------------------
+
+HONEST = [((1, 191, position), 100 + position) for position in range(5)]
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.lists(st.tuples(st.integers(0, 30), st.integers(100, 130)), max_size=300), st.integers(1, 29))
+def test_a_stream_holds_one_name_and_takes_none_from_another(brought: list[tuple[int, int]], every: int) -> None:
+    """Invented streams bring any names, those of honest nodes too. Who speaks now and then keeps its own name."""
+    names = Names()
+    for at, (stream, node_id) in enumerate(brought):
+        if at % every == 0:
+            for own, name in HONEST:
+                names.bring(name, own)
+        gone = names.bring(node_id, (2, 191, stream))
+        assert gone is None or (gone not in names and gone not in [name for _, name in HONEST])
+        assert not names.disagreement()
+    for _, name in HONEST:
+        names.release(name)
+        assert name not in names
+        assert not names.disagreement()
+
+
+def test_streams_that_are_too_many_push_each_other_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(names, "MAX_NAMES", 3)
+    table = Names()
+    assert [table.bring(node_id, (1, 1, node_id)) for node_id in (5, 6, 7)] == [None] * 3
+    assert table.bring(5, (1, 1, 5)) is None, "it is the latest again"
+    assert table.bring(8, (1, 1, 8)) == 6
+    assert table.bring(8, (1, 1, 9)) == 7
+    assert table.bring(4, (1, 1, 8)) is None, "another stream holds the name"
+    assert table.bring(9, (1, 1, 9)) == 8
+    assert len(table) == 3
+
+
+def test_junk_does_not_keep_a_certificate_from_being_verified() -> None:
+    """A hundred streams bring one in each step, before the honest node."""
+    rng, verified = random.Random(1), 0
+    intake = Intake(rng)
+    for step in range(400):
+        count = sum(intake.takes(rng.randrange(60000), (9, 9, step + i & 0xFF), b"junk") for i in range(100))
+        assert count <= names.MAX_VERIFIED
+        intake.takes(7, (7, 191, 0), b"true")
+        late = intake.begin_step()
+        assert len(late) <= names.LATE_VERIFIED
+        verified += ((7, 191, 0), b"true") in late
+    assert verified > 10
