@@ -10,6 +10,8 @@ import random
 from typing import TYPE_CHECKING
 
 from rass_mav.agent.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, place
+from rass_mav.agent.streams import UNPROVEN
+from rass_mav.agent.vouchers import in_turn
 from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Beacon
 from rass_mav.core.participant import Participant
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
@@ -30,18 +32,22 @@ LAG, LAG_A_HOP = 4, 2
 #: Hashes that may be computed for newer numbers: at most, and more in each turn. A claim that takes more than `SMALL`
 #: must leave half of them.
 MOST_HASHES, HASHES_A_TURN, SMALL = 2 * LENGTH, 512, 4 * HOPS
-#: False claims of one stream that are looked at in a turn.
-MAX_FALSE = 2
+#: False claims of one stream that are looked at in a turn, and of all streams together in which no node has proved
+#: itself. So a captured drone cannot use up what is computed in a turn.
+MAX_FALSE, UNPROVEN_FALSE = 2, 1
 #: Chains after which 16 bits do not tell any more which of two announcement numbers is the later one.
 FAR = (1 << 13) // NUMBERS
 #: How many serials of chains a base claims on disk at a time.
 SERIALS_CLAIMED = 64
 #: Turns until an anchor is sent again, or asked for again.
 AGAIN_TURNS = 6
+#: Anchors of bases that no neighbour announces: so many are relayed at once, and one in `AGAIN_TURNS` in the long run.
+#: Others are sent when somebody asks for them.
+UNNAMED_AT_ONCE = 4.0
 #: An anchor heard so many times meanwhile is not relayed.
 ENOUGH = 3
-#: Bases whose anchors this node lacks, at most.
-MAX_LACKING = 64
+#: Bases whose anchors this node lacks, at most, and those that one stream has named.
+MAX_LACKING, MAX_LACKING_OF_ONE = 64, 4
 _KEY = "chain"
 
 #: Node id and life of a base.
@@ -83,9 +89,9 @@ class _Relay:
 
     __slots__ = ("due", "heard", "last", "payload")
 
-    def __init__(self, payload: bytes, due: int) -> None:
+    def __init__(self, payload: bytes, due: int | None) -> None:
         self.payload = payload
-        self.due: int | None = due
+        self.due = due
         """The turn in which it is sent; None: not at all."""
         self.heard = 1
         """How often it was heard since it was last due."""
@@ -98,7 +104,7 @@ class Announced:
 
     __slots__ = (
         "_bases", "_claimed", "_durable", "_false", "_hashes", "_lacking", "_node_id", "_own", "_rng", "_seen",
-        "_serial", "_store", "_turns", "_word", "refused",
+        "_serial", "_store", "_turns", "_unnamed", "_word", "refused",
     )  # fmt: skip
 
     def __init__(self, node_id: int, word: GroundWord, store: Store, rng: random.Random) -> None:
@@ -110,8 +116,10 @@ class Announced:
         self._turns = 0
         self._bases: dict[_Source, _Base] = {}
         """The one heard last is the last."""
-        self._lacking: dict[_Source, int] = {}
-        """Bases whose anchors are lacking, and from which turn on they may be asked for."""
+        self._lacking: dict[_Source, tuple[int, Stream]] = {}
+        """Bases whose anchors are lacking, from which turn on they may be asked for, and who has named them first."""
+        self._unnamed = UNNAMED_AT_ONCE
+        """How many anchors of bases that no neighbour announces may be relayed now."""
         self._hashes = MOST_HASHES
         self._false: dict[Stream, int] = {}
         """False claims in this turn."""
@@ -163,8 +171,10 @@ class Announced:
         base = self._bases.get(source)
         chain = None if base is None else base.chain_of(number)
         if base is None or chain is None:
-            if source in self._lacking or len(self._lacking) < MAX_LACKING:
-                self._lacking.setdefault(source, 0)
+            if source not in self._lacking and len(self._lacking) < MAX_LACKING:
+                of_one = sum(by == stream for _, by in self._lacking.values())
+                if of_one < MAX_LACKING_OF_ONE:
+                    self._lacking[source] = 0, stream
             return False
         index = chain.index(number)
         assert index is not None
@@ -188,7 +198,8 @@ class Announced:
         return True
 
     def _affords(self, cost: int, stream: Stream) -> bool:
-        if self._false.get(stream, 0) >= MAX_FALSE or cost + (MOST_HASHES // 2 if cost > SMALL else 0) > self._hashes:
+        most = UNPROVEN_FALSE if stream == UNPROVEN else MAX_FALSE
+        if self._false.get(stream, 0) >= most or cost + (MOST_HASHES // 2 if cost > SMALL else 0) > self._hashes:
             return False
         self._hashes -= cost
         return True
@@ -208,21 +219,32 @@ class Announced:
             relay.last = self._turns
         return False
 
-    def learn(self, signed: Signed) -> None:
-        """An anchor whose signature is good."""
+    def learn(self, signed: Signed, node: Participant | None) -> None:
+        """An anchor whose signature is good. It may be an old one that somebody has recorded."""
         anchor = signed.content
         assert isinstance(anchor, Anchor)
         if not self.is_news(signed):
             return
         source, serial = anchor[:2], anchor.serial
         base = self._bases.get(source)
+        named = _named(node) | {(self._node_id, self._store.life)}
         if base is None:
             if len(self._bases) >= MAX_BASES:
-                del self._bases[next(iter(self._bases))]
+                useless = next((other for other in self._bases if other not in named), None)
+                if useless is None:
+                    return
+                del self._bases[useless]
             base = self._bases[source] = _Base()
+        due: int | None = self._turns + self._rng.randrange(ENOUGH)
+        if source not in named:
+            # Whoever has old ones does not make all nodes relay them.
+            if self._unnamed < 1.0:
+                due = None
+            else:
+                self._unnamed -= 1.0
         base.chains[serial] = Chain(anchor, self._word.chain_salt(*anchor[:3]))
         base.chains = dict(sorted(base.chains.items())[-MAX_CHAINS:])
-        base.anchors[serial] = _Relay(signed.payload, self._turns + self._rng.randrange(ENOUGH))
+        base.anchors[serial] = _Relay(signed.payload, due)
         base.anchors = {kept: base.anchors[kept] for kept in base.chains}
         self._lacking.pop(source, None)
         if self._word.speaks and source == (self._node_id, self._store.life) and serial >= self._serial:
@@ -245,6 +267,7 @@ class Announced:
         """Once a turn. Returns the anchors to send, as TUNNEL payloads, and the bases to ask for."""
         self._turns += 1
         self._hashes = min(MOST_HASHES, self._hashes + HASHES_A_TURN)
+        self._unnamed = min(UNNAMED_AT_ONCE, self._unnamed + 1 / AGAIN_TURNS)
         self._false.clear()
         self._seen.clear()
         out = []
@@ -255,10 +278,13 @@ class Announced:
                     if relay.heard < ENOUGH:
                         relay.last = self._turns
                         out.append(relay.payload)
-        ready = [source for source, turn in self._lacking.items() if turn <= self._turns]
-        asked = tuple(self._rng.sample(ready, min(len(ready), MAX_BASES_ASKED)))
+        ready: dict[Stream, list[_Source]] = {}
+        for source, (turn, stream) in self._lacking.items():
+            if turn <= self._turns:
+                ready.setdefault(stream, []).append(source)
+        asked = tuple(in_turn(ready, MAX_BASES_ASKED, self._rng))
         for source in asked:
-            self._lacking[source] = self._turns + AGAIN_TURNS
+            self._lacking[source] = self._turns + AGAIN_TURNS, self._lacking[source][1]
         if len(self._lacking) >= MAX_LACKING:
             self._lacking.clear()
         return out, asked
@@ -304,7 +330,7 @@ class Announced:
         self._own.append(chain)
         body = body_of(chain.anchor)
         signed = Signed(body[1], chain.anchor, body, self._word.anchor(body))
-        self.learn(signed)
+        self.learn(signed, None)
         base = self._bases[about[:2]]
         base.anchors[serial].due = self._turns
         base.anchors[serial].heard = 0
@@ -313,6 +339,15 @@ class Announced:
     def _claim(self) -> None:
         self._claimed = self._serial + SERIALS_CLAIMED
         self._store.set_meta(_KEY, self._claimed)
+
+
+def _named(node: Participant | None) -> set[_Source]:
+    """The bases that a node uses, or that its neighbours announce."""
+    if node is None:
+        return set()
+    beacons = (neighbour.beacon for neighbour in node.routing.neighbours.values())
+    named = {(beacon.base, beacon.base_life) for beacon in beacons if beacon.hops != NO_ROUTE}
+    return named if node.routing.route is None else named | {node.routing.route[:2]}
 
 
 def _bounded(beacon: Beacon, policy: Policy) -> int:

@@ -328,7 +328,8 @@ class Letters:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, stream: Stream, payload: bytes, now: float) -> None:
-        """A letter or a roll from a node with the same link key, in a frame that is new."""
+        """A letter or a roll from a node with the same link key, in a frame that is new. `stream`: who brings it
+        (`Streams.bringer`)."""
         if is_letter(payload):
             letter = self._letter_in(payload)
             if letter is None or self._opens(letter) or letter.number != self.link.number:

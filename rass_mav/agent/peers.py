@@ -130,7 +130,12 @@ class Peers:
         return self._believed(self.message(opened, now, stream), opened[3], stream, None)
 
     def _believed(self, message: Message | None, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
-        return message if self.word is None or message is None else self.word.admit(message, payload, stream, frame)
+        if self.word is None or message is None:
+            return message
+        return self.word.admit(message, payload, self._bringer(stream), frame)
+
+    def _bringer(self, stream: Stream) -> Stream:
+        return stream if self.signed is None else self.signed.streams.bringer(stream)
 
     def _admits(self, stream: Stream, timestamp: int, opened: Opened, now: float) -> bool:
         """Whether a frame is new, and the node may look at it."""
@@ -156,7 +161,7 @@ class Peers:
                 if self.tags.introduced(payload, now, stream):
                     return None
                 if self.word is not None and is_word(payload):
-                    self.word.hear(payload, stream)
+                    self.word.hear(payload, self._bringer(stream))
                     return None
             return self.tags.believed(decode(payload, now), payload, now, stream)
         except MalformedError as error:

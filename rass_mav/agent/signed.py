@@ -65,7 +65,7 @@ class Signed:
         if not is_about_keys(payload):
             return True
         if self.letters is not None:
-            self.letters.hear(stream, payload, now)
+            self.letters.hear(self.streams.bringer(stream), payload, now)
         return False
 
     def _hear_other_key(self, frame: bytes) -> None:

@@ -47,6 +47,9 @@ MAX_CHALLENGES = 4
 #: Other nodes with this node's system and component id that are remembered.
 MAX_TWINS = 16
 
+#: Stands for all streams in which no node has proved itself: nobody has a greater share with many of them.
+UNPROVEN: Stream = (0, 0, 0)
+
 _ALL = (1 << WINDOW) - 1
 
 
@@ -217,9 +220,10 @@ class Streams:
         for places in (self._new, self._unproven, self._asks, self._answers):
             places.pop(stream, None)
 
-    def is_proven(self, stream: Stream) -> bool:
-        """Whether a node has proved itself in a stream, and in no other one since."""
-        return stream in self._proven
+    def bringer(self, stream: Stream) -> Stream:
+        """Who has brought what came in a stream: a node that has proved itself in this one, and in no other one since;
+        or `UNPROVEN`, which stands for all others together."""
+        return stream if stream in self._proven else UNPROVEN
 
     def prove(self, node_id: int, stream: Stream) -> None:
         """A node has proved itself to this one, in a frame of a known stream (`agent.acquaintances`)."""

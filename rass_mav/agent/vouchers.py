@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Callable, Collection, Iterable
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rass_mav.core.messages import Message, stated
+from rass_mav.core.shares import greediest
 from rass_mav.mavlink.frames import Frame, Stream
 from rass_mav.wire import encode
 from rass_mav.wire.word import (
@@ -45,6 +47,8 @@ ANSWER_TURNS = 3
 MAX_ASKED_FOR, MAX_ANSWERS = 32, 2
 #: A base signs as soon as so many statements wait, or one has waited for so many turns.
 SHARED, SIGN_TURNS = 2, 6
+
+T = TypeVar("T")
 
 _PERSON = b"rass statement"
 _SALT = struct.Struct("<I")
@@ -84,14 +88,17 @@ class _Known(NamedTuple):
 class Held:
     """A statement without a voucher."""
 
-    __slots__ = ("frame", "message", "payload", "stream", "times")
+    __slots__ = ("frame", "message", "payload", "statement", "stream", "times")
 
-    def __init__(self, message: Message, payload: bytes, stream: Stream, frame: Frame | None) -> None:
+    def __init__(
+        self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
+    ) -> None:
+        self.statement = statement
         self.message = message
         self.payload = payload
         """As its base sent it."""
         self.stream = stream
-        """From which it came first."""
+        """Who has brought it first."""
         self.frame = frame
         """In which it came first; None: nobody needs it any more."""
         self.times = 1
@@ -113,7 +120,8 @@ class Vouchers:
     """What one node knows of vouchers."""
 
     __slots__ = (
-        "_asked_for", "_known", "_rng", "_source", "_turns", "_unsigned", "_waiting", "_word", "forged", "held",
+        "_asked_for", "_brought", "_known", "_rng", "_source", "_turns", "_unsigned", "_waiting", "_word", "forged",
+        "held",
     )  # fmt: skip
 
     def __init__(self, source: tuple[int, int], word: GroundWord, rng: random.Random) -> None:
@@ -127,8 +135,10 @@ class Vouchers:
         self._waiting: dict[Statement, _Wait] = {}
         self.held = 0
         """How many statements wait for a voucher."""
-        self._asked_for: dict[Statement, _Relay] = {}
-        """What neighbours have asked for."""
+        self._brought: dict[Stream, dict[Held, None]] = {}
+        """What waits, by who has brought it, the oldest first."""
+        self._asked_for: dict[Statement, tuple[_Relay, Stream]] = {}
+        """What neighbours have asked for, and which one."""
         self._unsigned: list[tuple[int, bytes, int]] = []
         """At a base: serial and payload of what it has stated and not signed yet, and the turn."""
         self.forged = 0
@@ -151,31 +161,31 @@ class Vouchers:
             if held.payload == payload:
                 held.times = min(held.times + 1, MOST_TIMES)
                 return False
-        if wait is not None and len(wait.held) >= MAX_ALIKE:
+        if wait is not None and (len(wait.held) >= MAX_ALIKE or any(held.stream == stream for held in wait.held)):
             return False
         if self.held >= MAX_HELD:
-            self._make_room()
-        self._waiting.setdefault(statement, wait or _Wait(self._turns)).held.append(
-            Held(message, payload, stream, frame)
-        )
+            most = greediest({stream: len(held) for stream, held in self._brought.items()})
+            self._drop(next(iter(self._brought[most])))
+        held = Held(statement, message, payload, stream, frame)
+        self._waiting.setdefault(statement, _Wait(self._turns)).held.append(held)
+        self._brought.setdefault(stream, {})[held] = None
         self.held += 1
         return False
 
-    def _make_room(self) -> None:
-        """Drop the oldest statement of the stream that has brought the most."""
-        counts: dict[Stream, int] = {}
-        for wait in self._waiting.values():
-            for held in wait.held:
-                counts[held.stream] = counts.get(held.stream, 0) + 1
-        most = max(counts, key=lambda stream: counts[stream])
-        for statement, wait in self._waiting.items():
-            for held in wait.held:
-                if held.stream == most:
-                    wait.held.remove(held)
-                    self.held -= 1
-                    if not wait.held:
-                        del self._waiting[statement]
-                    return
+    def _drop(self, held: Held) -> None:
+        wait = self._waiting[held.statement]
+        wait.held.remove(held)
+        if not wait.held:
+            del self._waiting[held.statement]
+        self._let_go(held)
+
+    def _let_go(self, held: Held) -> None:
+        """It waits no more."""
+        self.held -= 1
+        brought = self._brought[held.stream]
+        del brought[held]
+        if not brought:
+            del self._brought[held.stream]
 
     def is_news(self, signed: Signed) -> bool:
         """Whether it is worth to verify a voucher."""
@@ -207,7 +217,7 @@ class Vouchers:
             self._known[statement] = _Known(voucher.salt, hash, relay)
             wait = self._waiting.pop(statement, None)
             for held in () if wait is None else wait.held:
-                self.held -= 1
+                self._let_go(held)
                 if hash_of(held.payload, voucher.salt) == hash:
                     out.append(held)
                 else:
@@ -224,14 +234,19 @@ class Vouchers:
         for statement in list(self._known)[: max(0, len(self._known) - MAX_KNOWN)]:
             del self._known[statement]
 
-    def asked(self, statement: Statement) -> None:
+    def asked(self, statement: Statement, stream: Stream) -> None:
         """A neighbour lacks a voucher."""
         known = self._known.get(statement)
-        if known is None or len(self._asked_for) >= MAX_ASKED_FOR:
+        if known is None:
             return
         if known.relay.due is None and self._turns - known.relay.last >= AGAIN_TURNS:
             known.relay.due = self._turns + self._rng.randrange(ANSWER_TURNS)
-            self._asked_for[statement] = known.relay
+            asked_for = self._asked_for
+            asked_for[statement] = known.relay, stream
+            if len(asked_for) > MAX_ASKED_FOR:
+                most = greediest(Counter(asker for _, asker in asked_for.values()))
+                relay, _ = asked_for.pop(next(other for other, (_, asker) in asked_for.items() if asker == most))
+                relay.due = None
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
@@ -255,7 +270,7 @@ class Vouchers:
     def _answers(self) -> list[bytes]:
         """Vouchers for neighbours that have asked, and have not been answered by others meanwhile."""
         out: list[bytes] = []
-        for statement, relay in list(self._asked_for.items()):
+        for statement, (relay, _) in list(self._asked_for.items()):
             if relay.due is None or (relay.due <= self._turns and len(out) < MAX_ANSWERS):
                 del self._asked_for[statement]
                 if relay.due is not None:
@@ -296,21 +311,32 @@ class Vouchers:
 
     def _lacking(self) -> tuple[Statement, ...]:
         """The statements whose vouchers to ask for in this turn. Those that nobody vouches for are dropped."""
-        turn, ready = self._turns, []
+        turn = self._turns
+        ready: dict[Stream, list[Statement]] = {}
         for statement, wait in list(self._waiting.items()):
             if wait.ask_at > turn:
                 continue
             if wait.asks == MAX_ASKS:
-                self.held -= len(wait.held)
-                del self._waiting[statement]
+                for held in list(wait.held):
+                    self._drop(held)
             else:
-                ready.append(statement)
-        asked = tuple(self._rng.sample(ready, min(len(ready), MAX_STATEMENTS_ASKED)))
+                ready.setdefault(wait.held[0].stream, []).append(statement)
+        asked = tuple(in_turn(ready, MAX_STATEMENTS_ASKED, self._rng))
         for statement in asked:
             wait = self._waiting[statement]
             wait.asks += 1
             wait.ask_at = turn + (ASK_TURNS << wait.asks)
         return asked
+
+
+def in_turn(waiting: Mapping[Stream, Sequence[T]], most: int, rng: random.Random) -> list[T]:
+    """Some of what several have brought: the same number of each, as far as possible."""
+    left = [rng.sample(some, len(some)) for some in rng.sample(list(waiting.values()), len(waiting))]
+    chosen: list[T] = []
+    while left and len(chosen) < most:
+        chosen += [some.pop() for some in left]
+        left = [some for some in left if some]
+    return chosen[:most]
 
 
 def _statements(voucher: Voucher) -> list[Statement]:

@@ -55,13 +55,14 @@ class Word:
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def hear(self, payload: bytes, stream: Stream) -> None:
-        """A TUNNEL payload for which `is_word`. Raises `MalformedError`."""
+        """A TUNNEL payload for which `is_word`. `stream`: who brings it (`Streams.bringer`). Raises
+        `MalformedError`."""
         word = decode_word(payload)
         if isinstance(word, Ask):
             for base in word.bases:
                 self.routes.asked(base)
             for statement in word.statements:
-                self.vouchers.asked(statement)
+                self.vouchers.asked(statement, stream)
         elif self._is_news(word):
             queue = self._queue.get(stream)
             if queue is None:
@@ -77,6 +78,7 @@ class Word:
         """A message as core should hear it; None: not now.
 
         :param payload: the TUNNEL payload from which it was decoded.
+        :param stream: who brings it (`Streams.bringer`).
         :param frame: in which it came, if somebody needs that later.
         """
         if type(message) is Beacon:
@@ -106,7 +108,7 @@ class Word:
             elif of_statements:
                 out += self.vouchers.learn(signed, set if self.node is None else self.node.receipts.kept)
             else:
-                self.routes.learn(signed)
+                self.routes.learn(signed, self.node)
         return out
 
     # -- what goes out -------------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ class Drone:
     def learns(self, base: Base) -> None:
         for signed in base.anchors:
             assert DRONE_WORD.anchors(signed.body, signed.signature)
-            self.announced.learn(signed)
+            self.announced.learn(signed, None)
 
     def hears(self, beacon: Beacon, stream: tuple[int, int, int] = STREAM) -> Beacon:
         return self.announced.heard(beacon, stream, self.node)
@@ -207,7 +207,7 @@ def test_a_base_whose_disk_was_set_back_goes_on_after_what_it_hears() -> None:
     again = Base(image)
     assert not drone.takes(again.beacon())
     for signed in base.anchors:
-        again.announced.learn(signed)
+        again.announced.learn(signed, None)
     assert again.announced.heard(drone.relays(late), STREAM, None).hops == 1, "core takes the number from here"
     again.anchors.clear()
     beacon = again.beacon(late.route_number + 1)
@@ -229,8 +229,8 @@ def test_a_drone_that_was_away_for_a_day() -> None:
     for _ in range(43_200):
         beacon = base.beacon()
     before = drone.announced._hashes
-    drone.announced.learn(base.anchors[-2])
-    drone.announced.learn(base.anchors[-1])
+    drone.announced.learn(base.anchors[-2], None)
+    drone.announced.learn(base.anchors[-1], None)
     assert drone.takes(beacon)
     assert before - drone.announced._hashes <= LENGTH
     # The numbers are more than half of their circle apart.
@@ -266,7 +266,7 @@ def test_bases_are_bounded_and_anchors_that_are_not_signed_are_not_learnt() -> N
     drone = Drone()
     for life in range(MAX_BASES + 5):
         body = body_of(Anchor(1, life, 0, 0, bytes(8)))
-        drone.announced.learn(Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_WORD.anchor(body)))
+        drone.announced.learn(Signed(body[1], Anchor(1, life, 0, 0, bytes(8)), body, BASE_WORD.anchor(body)), None)
     assert len(drone.announced._bases) == MAX_BASES
     for life in range(1000):
         drone.takes(Base().beacon()._replace(base_life=life, base=9, hops=3))
