@@ -360,6 +360,29 @@ def test_an_answer_whose_number_is_not_known_any_more_is_not_believed() -> None:
     assert giver.believes(taker.says(answer())) is not None
 
 
+def test_nobody_hands_anything_over_under_an_invented_name() -> None:
+    giver, taker, captured = acquainted(GIVER, TAKER, CAPTURED)
+    for message in (
+        offered(),
+        offered(spare=True),
+        Offer(GIVER, TAKER, 6, D.id, 0, 0.0, 0, D.crc, 5000, 123),
+        LossNote(GIVER, TAKER, (LossNoteEntry(7, D.id, 1, note_crc(D.id, 1)),)),
+    ):
+        giver.store.put(D)
+        assert taker.believes(giver.says(message)) == message
+        assert taker.believes(captured.says(message._replace(sender=1234))) is None
+    # Answers that ride on it have tags of their own.
+    taker.says(Data(TAKER, CAPTURED, (Handover(78, D),)))
+    stranger = Voice(CAPTURED)
+    riding = Data(
+        CAPTURED, BASE, (Handover(5, E),), answers=(answer(number=78, sender=CAPTURED)._replace(target=TAKER),)
+    )
+    heard = taker.believes(captured.says(riding))
+    assert isinstance(heard, Data)
+    assert (len(heard.handovers), len(heard.answers)) == (1, 1)
+    assert Voice(BASE).believes(stranger.says(riding)) is None, "it does not know the certificate"
+
+
 # -- old words --------------------------------------------------------------------------------------------------------
 
 

@@ -52,7 +52,7 @@ def test_a_captured_drone_that_lies_about_bases_costs_nothing(kind: str, policy:
     assert summary["routing"]["loops"] == 0
     found = counts(world)
     if kind != "request-forger":
-        assert found["routes_refused"] > 100 or found["waiting"] > 100, "it was there"
+        assert found["routes_refused"] > 80 or found["waiting"] > 100, "it was there"
 
 
 def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:

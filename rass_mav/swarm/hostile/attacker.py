@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
+from rass_mav.mavlink.frames import Stream
+from rass_mav.wire.challenge import Challenge
+
+
+class Disguised(NamedTuple):
+    """What an attacker that has the link key sends in another stream than its own."""
+
+    stream: Stream
+    said: Message | bytes
+
 
 #: What an attacker sends: a message, or a payload that is none of ours.
-Said = Message | bytes
+Said = Message | bytes | Disguised
 #: How many recent senders and data an attacker remembers.
 MAX_REMEMBERED = 4096
 
@@ -41,6 +51,9 @@ class Attacker:
         if isinstance(message, Beacon) and (message.sender in self.beacons or len(self.beacons) < MAX_REMEMBERED):
             self.beacons[message.sender] = message
         return ()
+
+    def overhear_challenge(self, challenge: Challenge) -> None:
+        """If captured: a nearby node asks whether streams are there."""
 
     def turn(self, now: float) -> Iterable[Said]:
         """Once a step, after the turns of the honest nodes. Returns what it sends."""

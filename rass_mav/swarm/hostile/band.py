@@ -11,16 +11,18 @@ from rass_mav.agent.peers import Opened, Peers, open_datagram
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.tags import OPEN
 from rass_mav.agent.word import Word
-from rass_mav.core.messages import Beacon
+from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.mission import SwarmKeys
 from rass_mav.swarm.scenario import HostileSection
 from rass_mav.wire import decode
+from rass_mav.wire.challenge import decode_challenge, is_challenge
 
-from .attacker import Attacker, Said
+from .attacker import Attacker, Disguised, Said
 from .kinds import KINDS
 
 #: The most frames that an attacker sends in a step: the air has no limit, but a run has an end.
@@ -39,9 +41,12 @@ class _Member:
         self._writer = FrameWriter(attacker.id % 255 + 1, 191)
         self._store = MemoryStore(attacker.id)
         signed, tags = None, OPEN
+        self._key: SigningKey | None = None
+        self._timestamp = 0
+        """Of the last frame in other streams than its own."""
         if section.captured and keys is not None:
-            key = keys.letters[section.near].signing
-            signed = Signed(attacker.id, key, self._writer, self._store, attacker.rng, step_s, payload_type)
+            self._key = keys.letters[section.near].signing
+            signed = Signed(attacker.id, self._key, self._writer, self._store, attacker.rng, step_s, payload_type)
             tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
@@ -55,6 +60,9 @@ class _Member:
 
     def frames(self, said: Iterable[Said], now: float) -> Iterator[bytes]:
         for message in said:
+            if isinstance(message, Disguised):
+                yield from self._disguised(message, now)
+                continue
             if self._peers.word is not None and isinstance(message, Beacon):
                 # With a better proof than that of the beacon it imitates, if it can.
                 message = self._peers.word.routes.shown(message)
@@ -65,13 +73,25 @@ class _Member:
                 for outgoing in frames_about_links([payload], self._writer, self._payload_type):
                     yield self._peers.leaving(outgoing).frame
 
-    def _payloads(self, said: Said, now: float) -> list[bytes]:
+    def _disguised(self, disguised: Disguised, now: float) -> Iterator[bytes]:
+        """Without keys streams mean nothing."""
+        system_id, component_id, link_id = disguised.stream
+        for payload in self._payloads(disguised.said, now):
+            if self.left > 0:
+                self.left -= 1
+                self._timestamp += 1
+                signer = None if self._key is None else self._key.signer(link_id, self._timestamp)
+                yield FrameWriter(system_id, component_id, signer).tunnel(payload, payload_type=self._payload_type)
+
+    def _payloads(self, said: Message | bytes, now: float) -> list[bytes]:
         return [said] if isinstance(said, bytes) else self._peers.tags.encoded(said, self._store, now)
 
     def hear(self, frame: bytes, opened: Opened, now: float) -> None:
         """If captured: note who asks whether this stream of frames, or this node, is there now."""
         if self.section.captured:
             self._peers.heard(frame, opened, now)
+            if is_challenge(opened[3]):
+                self.attacker.overhear_challenge(decode_challenge(opened[3]))
 
     def answers(self, now: float) -> Iterator[bytes]:
         """If captured: answer them."""

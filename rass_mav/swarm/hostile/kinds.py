@@ -23,10 +23,13 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_digest, make_receipt, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.policy import POTENTIAL_BASE
+from rass_mav.mavlink.frames import Stream
+from rass_mav.wire.challenge import MAX_ANSWERED, Challenge, encode_challenge
 from rass_mav.wire.codec import VERSION
+from rass_mav.wire.introduction import CERTIFICATE_BYTES, Introduction, encode_introduction
 from rass_mav.wire.word import Anchor, Ask, Voucher, body_of, encode_ask
 
-from .attacker import MAX_REMEMBERED, Attacker, Said
+from .attacker import MAX_REMEMBERED, Attacker, Disguised, Said
 
 _AHEAD = 30000
 
@@ -217,6 +220,52 @@ class JunkCustody(Attacker):
                 yield Data(self.id, node.sender, (Handover(self.rng.getrandbits(32) | 1, datum),))
 
 
+class Blamer(Attacker):
+    """Hands over data that no node created, in the names of nodes around it, and as if these had made them."""
+
+    EACH_TURN = 3
+
+    def turn(self, now: float) -> Iterable[Said]:
+        senders = list(self.beacons)
+        for node in self.nodes():
+            for _ in range(self.EACH_TURN):
+                id = DatumId(self.rng.choice(senders), self.rng.getrandbits(32), self.rng.randrange(100))
+                datum = make_datum(id, 0, now, self.rng.randbytes(20))
+                yield Data(self.rng.choice(senders), node.sender, (Handover(self.rng.getrandbits(32) | 1, datum),))
+
+
+class Crowd(Attacker):
+    """Sends as a crowd of nodes that do not exist: each has a stream of its own, a beacon, and a false certificate, and
+    answers all challenges that the attacker has heard."""
+
+    EACH_TURN = 60
+    KEPT = 400
+
+    def begin(self) -> None:
+        self._nonces: deque[int] = deque(maxlen=MAX_ANSWERED)
+        self._members: deque[tuple[Stream, Beacon]] = deque(maxlen=self.KEPT)
+
+    def overhear_challenge(self, challenge: Challenge) -> None:
+        if challenge.asked and challenge.nonce not in self._nonces:
+            self._nonces.append(challenge.nonce)
+
+    def turn(self, now: float) -> Iterable[Said]:
+        rng, drones = self.rng, self.nodes()
+        for i in range(self.EACH_TURN if drones else 0):
+            if i % 2 or not self._members:
+                id, life = rng.randrange(1000, 65000), rng.getrandbits(32)
+                stream = (rng.randrange(256), rng.randrange(256), rng.randrange(256))
+                self._members.append((stream, self.beacon(rng.choice(drones), sender=id, life=life)))
+            stream, beacon = rng.choice(self._members) if i % 2 == 0 else self._members[-1]
+            yield Disguised(stream, encode_challenge(Challenge((), 0, tuple(self._nonces))))
+            yield Disguised(stream, beacon._replace(number=rng.getrandbits(16)))
+            asked = (rng.choice(drones).sender,)
+            introduction = Introduction(
+                beacon.sender, rng.randbytes(CERTIFICATE_BYTES), asked, True, rng.getrandbits(64)
+            )
+            yield Disguised(stream, encode_introduction(introduction))
+
+
 class Flooder(Attacker):
     """Sends all that a radio carries: loss notes, and messages of every kind with random fields."""
 
@@ -316,6 +365,8 @@ KINDS: dict[str, type[Attacker]] = {
     "id-inventor": IdInventor,
     "replayer": Replayer,
     "junk-custody": JunkCustody,
+    "blamer": Blamer,
+    "crowd": Crowd,
     "flooder": Flooder,
     "bit-flipper": BitFlipper,
     "route-forger": RouteForger,
