@@ -163,6 +163,18 @@ def test_searches_are_bounded() -> None:
         assert entries <= 3 * 33
 
 
+def test_nobody_ends_a_nodes_own_search_by_asking_it_for_others() -> None:
+    node = make_node(1, mirror=True)
+    repairs = mirrors(node)._repairs
+    own = datum(sequence=5000).id
+    repairs.begin(own, None)
+    for s in range(MAX_SEARCHES + 5):
+        node.receive(Words(2, 1, (WordEntry(datum(sequence=s).id, Word.AGAIN),)), 0.0)
+    repairs.begin(datum(sequence=5001).id, None)
+    assert own in repairs.searches
+    assert len(repairs.searches) == MAX_SEARCHES
+
+
 @pytest.mark.parametrize("word", [Word.AGAIN, Word.WANTED])
 def test_a_late_committed_does_not_end_the_custody_that_its_sender_was_told_of(word: Word) -> None:
     """A giver answers *taken* to the node that it is handing the datum over to: that node then relies on the giver."""

@@ -53,7 +53,9 @@ class Repairs:
     def begin(self, id: DatumId, backer: int | None) -> None:
         """A copy in custody is corrupt: ask its backer for the datum or, if there is none, all neighbours."""
         if len(self.searches) >= MAX_SEARCHES:
-            self._give_up(next(iter(self.searches)))
+            # Nobody can end this node's own searches by asking it for other data.
+            others = (other for other, search in self.searches.items() if not search.own)
+            self._give_up(next(others, next(iter(self.searches))))
         self._begin(id, BROADCAST if backer is None else backer, own=True)
 
     def help(self, id: DatumId) -> None:
