@@ -56,6 +56,22 @@ def test_nor_while_nodes_start_again() -> None:
     assert summary["delivered"] == summary["created"]
 
 
+@pytest.mark.no_cover
+def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() -> None:
+    world = swarm("crowd", "data.until_step=110")
+    world.run(119, after=check)
+    agent, beside = world.agents[12], set(world.neighbours[12])
+    assert set(agent.node.routing.neighbours) == beside
+    signed, tags = agent.peers.signed, agent.peers.tags.report()
+    assert signed is not None
+    assert tags is not None
+    assert tags["certificates"] == signed.streams.report(0.0)["proven"] == len(beside)
+    assert signed.streams.refused.strange > 1000, "it was there"
+    world.run(40)
+    summary = world.statistics.summary()
+    assert summary["delivered"] == summary["created"] == 24 * 11
+
+
 def test_honest_nodes_believe_each_other() -> None:
     world = World(load_scenario("demo", {}, ["keys=true", "nodes=25", "radio.loss=0.1", "radio.reorder=0.1"]))
     world.run(30, after=check)
