@@ -163,6 +163,43 @@ def test_a_stream_holds_one_name_and_takes_none_from_another(brought: list[tuple
         assert not names.disagreement()
 
 
+ANY_STREAM = st.tuples(st.integers(20, 40), st.just(191), st.just(0))
+DONE = st.sampled_from(["frame", "answer", "prove", "wait"])
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.lists(st.tuples(DONE, ANY_STREAM, st.integers(50, 53)), max_size=120))
+def test_each_stream_has_one_rank_and_no_rank_takes_places_of_another(done: list[tuple[str, Stream, int]]) -> None:
+    """Four nodes prove themselves in any streams, and the others are invented."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(streams, "MAX_STRANGE", 3)
+        patch.setattr(streams, "MAX_UNPROVEN", 3)
+        signed = agent_with_keys(1).peers.signed
+        assert signed is not None
+        table, now, proven = signed.streams, 0.0, dict[int, Stream]()
+        for timestamp, (what, stream, node_id) in enumerate(done, 1):
+            state = table._table.get(stream)
+            if what == "wait":
+                now += 1.0
+                table.due(now)
+            elif what == "frame":
+                table.admit(stream, timestamp, b"", now)
+            elif what == "answer" and state is not None:
+                answer = Challenge((), 0, (state.nonce or 0,))
+                table.admit(stream, timestamp, encode_challenge(answer), now)
+            elif what == "prove" and state is not None and state.known:
+                table.prove(node_id, stream)
+                proven[node_id] = stream
+            ranks = [set(table._new), set(table._unproven), set(table._proven)]
+            assert set().union(*ranks) == table._table.keys()
+            assert sum(map(len, ranks)) == len(table)
+            assert len(ranks[0]) <= 3
+            assert len(ranks[1]) <= 3
+            assert ranks[2] == set(proven.values()), "nobody else's frames change that"
+            assert not any(table._table[one].known for one in table._new)
+            assert table._asks.keys() | table._answers.keys() <= table._table.keys()
+
+
 def test_streams_that_are_too_many_push_each_other_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(names, "MAX_NAMES", 3)
     table = Names()
