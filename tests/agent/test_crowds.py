@@ -183,10 +183,13 @@ def test_each_stream_has_one_rank_and_no_rank_takes_places_of_another(done: list
                 now += 1.0
                 table.due(now)
             elif what == "frame":
-                table.admit(stream, timestamp, b"", now)
-            elif what == "answer" and state is not None:
-                answer = Challenge((), 0, (state.nonce or 0,))
-                table.admit(stream, timestamp, encode_challenge(answer), now)
+                table.admit(stream, 2 * timestamp, b"", now)
+            elif what == "answer":
+                table.admit(stream, 2 * timestamp, b"", now)
+                table.due(now)
+                state = table._table.get(stream)
+                answer = Challenge((), 0, (state.nonce or 0 if state is not None else 0,))
+                table.admit(stream, 2 * timestamp + 1, encode_challenge(answer), now)
             elif what == "prove" and state is not None and state.known:
                 table.prove(node_id, stream)
                 proven[node_id] = stream
