@@ -16,7 +16,7 @@ from rass_mav.agent.acquaintances import Acquaintances, IsOut, Links
 from rass_mav.agent.tags import NoTags
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.fingerprints import CRC_MASK, Fingerprints, of_offers
-from rass_mav.core.messages import Beacon, Data, LossNote, Message, Offer
+from rass_mav.core.messages import Beacon, Message, giver_of
 from rass_mav.core.store import Store
 from rass_mav.keys.identity import NodeKeys
 from rass_mav.keys.pairs import TAG_SIZE
@@ -28,9 +28,6 @@ from rass_mav.wire.tags import Said, believed
 
 #: Hand-overs whose contents are remembered, the latest. More wait for an answer only where thousands are sent a step.
 MAX_OFFERED = 4096
-
-#: What hands something over, or begins to.
-_OFFERS = (Data, Offer, LossNote)
 
 _DATUM = Struct("<HIIBB")
 _NOTE = Struct("<HIIB")
@@ -143,8 +140,9 @@ class PairTags(NoTags):
             # Its answers would not be believed yet: what is handed over to it would be sent again.
             return None
         heard = believed(message, payload, self._own, self)
-        if isinstance(heard, _OFFERS):
-            known = self.acquaintances.get(heard.sender)
+        giver = giver_of(heard)
+        if giver is not None:
+            known = self.acquaintances.get(giver)
             if known is None or known.pair is None:
                 # Nothing that this node says about it would be believed, so it will come again. And nobody hands
                 # anything over under an invented name.

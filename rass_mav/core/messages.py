@@ -442,6 +442,11 @@ def sender_of(message: Message) -> int | None:
     return getattr(message, "sender", None)
 
 
+def giver_of(message: Message | None) -> int | None:
+    """The node in whose name a message hands something over, or offers to; None: it does not."""
+    return message.sender if type(message) in (Data, Offer, LossNote) else None  # type: ignore[union-attr]
+
+
 def let_ride(answers: list[Message], data: list[Message]) -> list[Message]:
     """All of them, with the answers to hand-overs on the first of the data: that takes fewer frames."""
     riding = tuple([answer for answer in answers if type(answer) is Committed])
