@@ -16,7 +16,7 @@ from functools import cache, partial
 from typing import Any
 from zlib import crc32
 
-from rass_mav.agent import acquaintances, announced, lettertable, streams, vouchers, word
+from rass_mav.agent import acquaintances, announced, lettertable, names, streams, vouchers, word
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way, frames_about_links
@@ -272,13 +272,19 @@ class _Talk:
         assert peers.signed is not None
         assert peers.word is not None
         assert isinstance(peers.tags, PairTags)
-        assert len(peers.signed.streams) <= streams.MAX_STREAMS
+        heard = peers.signed.streams
+        assert heard._new.keys() | heard._unproven.keys() | heard._proven.keys() >= heard._table.keys()
+        assert len(heard._new) <= streams.MAX_STRANGE
+        assert len(heard._unproven) <= streams.MAX_UNPROVEN
+        assert len(heard._proven) <= streams.MAX_PROVEN
         assert len(peers.signed.streams.twins) <= streams.MAX_TWINS
-        assert len(peers.signed.streams._nonces) <= 2
+        assert len(peers.signed.streams._nonces) <= streams.MAX_NONCES
         known = peers.tags.acquaintances
-        assert len(known) <= acquaintances.MAX_KNOWN
-        assert len(known._questions) <= acquaintances.MAX_QUESTIONS
-        assert known._asks.keys() <= known._known.keys()
+        assert len(known) - len(known._names) <= acquaintances.MAX_KNOWN
+        assert not known._names.disagreement()
+        assert len(known._intake) <= names.MAX_LATE
+        assert all(len(nonces) <= acquaintances.QUESTIONS_OF_ONE for nonces in known._questions.values())
+        assert known._asks.keys() | known._questions.keys() <= known._known.keys()
         assert len(known._nonces) <= acquaintances.MAX_NONCES
         assert len(peers.tags._offered) <= MAX_OFFERED
         assert len(self.letters[id]._table) <= lettertable.MAX_LETTERS
