@@ -1,4 +1,4 @@
-"""What a node's keys do for it, put together. A node without keys does not load this module, which needs PyNaCl."""
+"""All that a node's keys do for it. A node without keys does not load this module, which needs PyNaCl."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Trust(NamedTuple):
 def trust_of(
     keyring: Keyring, rng: random.Random, step_s: float, kept: Iterable[bytes] = (), *, accept_open: bool = False
 ) -> Trust:
-    """All that these keys do.
+    """What the keys of a keyring do, all of it.
 
     :param rng: chooses among letters.
     :param step_s: length of a step, seconds.

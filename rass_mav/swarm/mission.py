@@ -28,7 +28,7 @@ def ground_of(scenario: Scenario) -> Ground:
 
 
 def swarm_trusts(scenario: Scenario) -> dict[int, Trust]:
-    """By id, what the keys of each node do for it, and those of each attacker that is captured. Empty: there are none.
+    """By id, what keys do for each node and each captured attacker. Empty: the scenario has no keys.
 
     Raises `KeysError` if PyNaCl is missing.
     """

@@ -93,7 +93,7 @@ class VirtualSwarm(ABC):
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
-        :param trusts: by id, what its keys do for each node and each captured attacker; None: nobody has keys.
+        :param trusts: by id, what keys do for each node and each captured attacker; None: nobody has keys.
         """
         agents = list(agents)
         self.seed = seed

@@ -34,7 +34,7 @@ class _Member:
     def __init__(
         self, section: HostileSection, attacker: Attacker, payload_type: int, trust: Trust | None, step_s: float
     ) -> None:
-        """`trust`: of a captured drone, which has the link key, and its own; None: it has no keys."""
+        """`trust`: of a captured drone, which has the link key and keys of its own; None: it has none."""
         self.section = section
         self.attacker = attacker
         self.left = 0
