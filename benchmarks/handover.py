@@ -32,7 +32,10 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rass_mav.agent.trust import Trust
 
 SIDES = {"drone": 1, "base": 2}
 STEP_S = 0.01
@@ -76,7 +79,7 @@ def fill(directory: Path, count: int) -> None:
             store.put(make_datum(id, 0, 0.0, generator.randbytes(PAYLOAD_BYTES)))
 
 
-async def _hand_over(directory: Path, scrub_items: int | None, secrets: dict[str, dict[str, Any]]) -> dict[str, float]:
+async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str, Trust]) -> dict[str, float]:
     from rass_mav.agent.agent import Agent
     from rass_mav.app.clock import Clock
     from rass_mav.app.driver import Driver
@@ -107,7 +110,7 @@ async def _hand_over(directory: Path, scrub_items: int | None, secrets: dict[str
             for (side, link), executor in zip(links.items(), (first, second), strict=True):
                 agent = Agent(
                     _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
-                    observer=watch if side == "drone" else None, newborn=True, **secrets.get(side, {}),
+                    observer=watch if side == "drone" else None, newborn=True, trust=trusts.get(side),
                 )  # fmt: skip
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
             held = drivers["drone"].agent.node.holdings.custody
@@ -133,14 +136,12 @@ async def _hand_over(directory: Path, scrub_items: int | None, secrets: dict[str
     }
 
 
-def hand_over(
-    directory: Path, scrub_items: int | None, secrets: dict[str, dict[str, Any]] | None = None
-) -> dict[str, float]:
+def hand_over(directory: Path, scrub_items: int | None, trusts: dict[str, Trust] | None = None) -> dict[str, float]:
     """Hand over everything in the drone's store in `directory`. Figures are for one datum, except `per_s`.
 
-    `secrets`: arguments of the `Agent` of each side that are about keys; None: there are none.
+    `trusts`: what its keys do for each side; None: there are no keys.
     """
-    return asyncio.run(_hand_over(directory, scrub_items, secrets or {}))
+    return asyncio.run(_hand_over(directory, scrub_items, trusts or {}))
 
 
 def sync_seconds(directory: Path, rounds: int = 50) -> float:

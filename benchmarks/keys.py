@@ -20,9 +20,12 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks import handover, node
+
+if TYPE_CHECKING:
+    from rass_mav.agent.trust import Trust
 
 NODES = 49
 WARM_STEPS = 60
@@ -31,18 +34,15 @@ STEPS = 100
 KINDS = ("open", "keys")
 
 
-def secrets(directory: Path) -> dict[str, dict[str, Any]]:
-    """The arguments of the two agents of `benchmarks.handover` that are about keys; the drone's data are sealed."""
-    from rass_mav.agent.letters import Letters
-    from rass_mav.agent.pairs import PairTags
-    from rass_mav.agent.seals import DataKeys
+def trusts(directory: Path) -> dict[str, Trust]:
+    """What their keys do for the two nodes of `benchmarks.handover`; the drone's data are sealed."""
+    from rass_mav.agent.trust import trust_of
     from rass_mav.core.datum import make_datum
     from rass_mav.core.seals import SEALED
     from rass_mav.keys.identity import Ground
     from rass_mav.keys.keyring import Keyring
     from rass_mav.keys.sealing import Sealer
     from rass_mav.keys.secret import Secret
-    from rass_mav.keys.word import GroundWord
 
     drone, base = handover.SIDES["drone"], handover.SIDES["base"]
     ground = Ground(Secret(bytes(range(32))), serials={drone: 1})
@@ -54,16 +54,7 @@ def secrets(directory: Path) -> dict[str, dict[str, Any]]:
             assert datum is not None
             sealed = sealer.seal(id.sequence, 0, datum.payload)
             store.put(make_datum(id, SEALED, datum.created, sealed))
-    found = {}
-    for side, keyring in keyrings.items():
-        letters = Letters(keyring, random.Random(side), handover.STEP_S)
-        found[side] = {
-            "letters": letters,
-            "tags": lambda *life, own=keyring.own, is_out=letters.is_out: PairTags(own, is_out, *life),
-            "seals": DataKeys(keyring),
-            "word": GroundWord(keyring),
-        }
-    return found
+    return {side: trust_of(keyring, random.Random(side), handover.STEP_S) for side, keyring in keyrings.items()}
 
 
 def hand_overs(rounds: int, data: int) -> dict[str, dict[str, float]]:
@@ -73,8 +64,8 @@ def hand_overs(rounds: int, data: int) -> dict[str, dict[str, float]]:
         for kind in KINDS:
             with tempfile.TemporaryDirectory() as name:
                 handover.fill(Path(name), data)
-                about = secrets(Path(name)) if kind == "keys" else {}
-                found[kind].append(handover.hand_over(Path(name), 50, about))
+                keys = trusts(Path(name)) if kind == "keys" else None
+                found[kind].append(handover.hand_over(Path(name), 50, keys))
     return {
         kind: {key: statistics.median(one[key] for one in runs) for key in ("per_s", "cpu_us")}
         for kind, runs in found.items()

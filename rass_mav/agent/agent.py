@@ -31,7 +31,6 @@ from rass_mav.core.observer import Observer
 from rass_mav.core.participant import Participant
 from rass_mav.core.replica import Replica
 from rass_mav.core.routes.contacts import Motion
-from rass_mav.core.seals import NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreFullError
@@ -39,13 +38,11 @@ from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.signing import SigningKey
 from rass_mav.mavlink.telemetry import Accuracy, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 if TYPE_CHECKING:
-    from rass_mav.agent.letters import Letters
-    from rass_mav.keys.word import GroundWord
+    from rass_mav.agent.trust import Trust
 
 log = logging.getLogger(__name__)
 
@@ -80,9 +77,8 @@ class _Makings(NamedTuple):
     """What each life of the node is made with, besides settings and store."""
 
     participant: type[Participant] | None
-    seals: Callable[[Store], NoSeals] | None
+    trust: Trust | None
     tags: NoTags
-    vouched: bool
 
 
 class Agent:
@@ -127,22 +123,14 @@ class Agent:
         newborn: bool = False,
         forgiving: bool = False,
         participant: type[Participant] | None = None,
-        keys: SigningKey | None = None,
-        letters: Letters | None = None,
-        seals: Callable[[Store], NoSeals] | None = None,
-        tags: Callable[[Store, random.Random, float], NoTags] | None = None,
-        word: GroundWord | None = None,
+        trust: Trust | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
-        others with it. `keys`: of the links; None: they are open. `letters`: bring the keys of the links, instead of
-        `keys`. `seals`: what the node's keys do to data, for each of its lives (`agent.seals`); None: nothing. `tags`:
-        prove its words to other nodes (`agent.pairs`); made with the store, the generator and the length of a step.
-        None: there are none. `word`: of the ground, without which no base is believed, only with `keys` or `letters`;
-        None: all are.
+        others with it. `trust`: what the node's keys do for it; None: it has no keys.
         """
         configured = settings
         unfit: list[str] = []
@@ -151,8 +139,8 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
-        words = OPEN if tags is None else tags(store, rng, settings.step_s)
-        self._makings = _Makings(participant, seals, words, word is not None)
+        tags = OPEN if trust is None else trust.tags(store, rng, settings.step_s)
+        self._makings = _Makings(participant, trust, tags)
         self.answers = Answers(rng)
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
@@ -165,13 +153,12 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         writer = FrameWriter(system_id, mavlink.component_id)
-        if letters is not None:
-            keys = letters.signing
         signed = None
-        if keys is not None:
-            signed = Signed(settings.node_id, keys, writer, store, rng, settings.step_s, mavlink.payload_type, letters)
-        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, words)
-        self.peers.word = None if word is None else Word(settings.node_id, word, store, rng, self.node)
+        if trust is not None:
+            signed = Signed(settings.node_id, trust.letters, writer, store, rng, settings.step_s, mavlink.payload_type)
+        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, tags)
+        if trust is not None and trust.word is not None:
+            self.peers.word = Word(settings.node_id, trust.word, store, rng, self.node)
         self.peers.overhears = self.node.overhears
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -191,8 +178,8 @@ class Agent:
             self.services.append(Statuses(self, settings.data.status_s, now))
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
         """None: there is no ground station."""
-        if signed is not None and letters is not None:
-            letters.begin(signed.use, self.tell_ground)
+        if signed is not None:
+            signed.letters.begin(signed.use, self.tell_ground)
         for error in unfit:
             self.tell_ground(_WARNING, f"RASS: not restored: {error}")
 
@@ -200,7 +187,8 @@ class Agent:
         settings = self.settings
         policy = settings.policy.make()
         kind = self._makings.participant or (Replica if policy.replicates else Node)
-        seals = None if self._makings.seals is None else self._makings.seals(self.store)
+        trust = self._makings.trust
+        seals = None if trust is None else trust.seals(self.store)
         return kind(
             self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
             now=now, observer=observer, newborn=newborn, seals=seals, prints=self._makings.tags.prints,
@@ -208,7 +196,8 @@ class Agent:
 
     def _node_settings(self) -> NodeSettings:
         settings = self.settings.node_settings()
-        return replace(settings, vouched=True) if self._makings.vouched else settings
+        trust = self._makings.trust
+        return replace(settings, vouched=True) if trust is not None and trust.word is not None else settings
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
         """Continue with other settings, between two steps.

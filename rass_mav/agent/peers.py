@@ -211,7 +211,7 @@ class Peers:
         signed = self.signed
         if signed is None:
             return []
-        rolls, letters = ([], []) if signed.letters is None else signed.letters.due(now, pace.turn_s, pace.items)
+        rolls, letters = signed.letters.due(now, pace.turn_s, pace.items)
         payloads = signed.streams.due(now) + rolls + self.tags.introductions(now)
         out = frames_about_links(payloads, self.writer, self._payload_type)
         return self._claimed(out + frames_about_links(letters, self.writer, self._payload_type, Urgency.DATA))

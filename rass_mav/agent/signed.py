@@ -25,17 +25,17 @@ class Signed:
     __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
 
     def __init__(
-        self, node_id: int, key: SigningKey, writer: FrameWriter, store: Store, rng: random.Random, step_s: float,
-        payload_type: int, letters: Letters | None = None,
+        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, rng: random.Random, step_s: float,
+        payload_type: int,
     ) -> None:  # fmt: skip
-        """:param writer: its TUNNEL messages are signed from now on.
+        """:param letters: bring the key, and later ones.
+        :param writer: its TUNNEL messages are signed from now on.
         :param rng: draws nonces.
         :param step_s: length of a step, seconds.
         :param payload_type: of the swarm's TUNNEL messages.
-        :param letters: bring other keys; None: the key stays.
         """
         writer.tunnel_flags = FLAG_SIGNED
-        self.key = key
+        self.key = key = letters.signing
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
         self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0))
         self.streams = Streams(node_id, writer, self.timestamps, rng, step_s)
@@ -46,7 +46,7 @@ class Signed:
     def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:
         """For a reader. `needed`: returns whether messages with this id must be signed; by default all but
         RADIO_STATUS, which the node's own radio sends."""
-        check = SignatureCheck(self.key, needed, None if self.letters is None else self._hear_other_key)
+        check = SignatureCheck(self.key, needed, self._hear_other_key)
         self._checks.append(check)
         return check
 
@@ -64,11 +64,10 @@ class Signed:
             return False
         if not is_about_keys(payload):
             return True
-        if self.letters is not None:
-            self.letters.hear(self.streams.bringer(stream), payload, now)
+        self.letters.hear(self.streams.bringer(stream), payload, now)
         return False
 
     def _hear_other_key(self, frame: bytes) -> None:
         opened = tunnel_from_datagram(frame)
-        if self.letters is not None and opened is not None and opened[4] == self._payload_type:
+        if opened is not None and opened[4] == self._payload_type:
             self.letters.hear_other_key(opened[5])

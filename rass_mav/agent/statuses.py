@@ -98,5 +98,5 @@ class Statuses:
             alone_by_origin=alone,
             base=node.base,
             next_hop=node.routing.next_hop,
-            link_key=None if signed is None or signed.letters is None else signed.letters.link.number,
+            link_key=None if signed is None else signed.letters.link.number,
         )

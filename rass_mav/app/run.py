@@ -18,9 +18,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.copies import Copies
 from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.shortages import Shortages
-from rass_mav.agent.tags import NoTags
 from rass_mav.agent.version import VersionQuestion
-from rass_mav.core.store import Store
 from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
 from rass_mav.keys.settings import AboutKeys, in_words
 from rass_mav.link.address import parse_vehicle_url
@@ -39,10 +37,8 @@ from .narration import Narration
 from .notify import Notifier
 
 if TYPE_CHECKING:
-    from rass_mav.agent.letters import Letters
-    from rass_mav.agent.seals import DataKeys
+    from rass_mav.agent.trust import Trust
     from rass_mav.keys.keyring import Keyring
-    from rass_mav.keys.word import GroundWord
     from rass_mav.mavlink.signing import SigningKey
 
     from .companion import Companion
@@ -74,27 +70,19 @@ class Runtime:
         self._narrate = narrate
         keys = config.open_keys()
         self._keys = None if keys is None else keys.own.about
-        self._letters: Letters | None = None
-        self._seals: DataKeys | None = None
-        self._tags: Callable[[Store, random.Random, float], NoTags] | None = None
-        self._word: GroundWord | None = None
+        self._trust: Trust | None = None
         self._autopilot_key: SigningKey | None = None
         self._timestamps: KeptTimestamp | None = None
         if keys is not None and config.keys is not None:
             # With PyNaCl, which a node without keys does not need.
-            from rass_mav.agent.letters import Letters
-            from rass_mav.agent.pairs import PairTags
-            from rass_mav.agent.seals import DataKeys
-            from rass_mav.keys.word import GroundWord
+            from rass_mav.agent.trust import trust_of
 
             from .keyfiles import kept_letters
 
             kept = kept_letters(config.store_path, keys)
             step_s = config.agent_settings().step_s
-            self._letters = Letters(keys, random.Random(secrets.randbits(128)), step_s, kept)
-            self._tags = partial(PairTags, keys.own, self._letters.is_out)
-            self._seals = DataKeys(keys, accept_open=config.keys.accept_open)
-            self._word = GroundWord(keys)
+            rng = random.Random(secrets.randbits(128))
+            self._trust = trust_of(keys, rng, step_s, kept, accept_open=config.keys.accept_open)
             if config.autopilot.signing:
                 from .signing import signing_key
 
@@ -175,10 +163,7 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(
-                settings, store, rng, now=clock.now(), forgiving=True, letters=self._letters, seals=self._seals,
-                tags=self._tags, word=self._word,
-            )  # fmt: skip
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, trust=self._trust)
             self._watch_keys(agent, executor)
             vehicle = self._sign(agent, vehicle)
             if store.report.reason:
@@ -243,12 +228,13 @@ class Runtime:
     def _watch_keys(self, agent: Agent, executor: Executor) -> None:
         """Take the file of keys again when it changes, and keep letters."""
         config = self._config
-        if self._letters is None or config.keys is None:
+        if self._trust is None or config.keys is None:
             return
         from .keyfiles import KeyFiles
 
+        letters = self._trust.letters
         agent.services.append(
-            KeyFiles(self._letters, config.keys.file, config.store_path, self._reopen, executor, agent.tell_ground)
+            KeyFiles(letters, config.keys.file, config.store_path, self._reopen, executor, agent.tell_ground)
         )
 
     def _reopen(self) -> Keyring:
@@ -258,12 +244,12 @@ class Runtime:
 
     def _about_keys(self) -> AboutKeys | None:
         """What everybody may know of the keys, with the link key in use."""
-        if self._keys is None or self._letters is None:
+        if self._keys is None or self._trust is None:
             return None
-        return {**self._keys, "link_key": self._letters.link.number}
+        return {**self._keys, "link_key": self._trust.letters.link.number}
 
     def _watch_numbers(self, driver: Driver) -> None:
-        if self._seals is not None and not self._anew:
+        if self._trust is not None and not self._anew:
             driver.agent.services.append(Copies(driver.agent, partial(self._begin_anew, driver)))
 
     def _begin_anew(self, driver: Driver) -> None:
@@ -275,7 +261,8 @@ class Runtime:
 
     def _around(self) -> dict[str, Any]:
         """For `status`, what the driver does not know."""
-        letters = None if self._letters is None or self._driver is None else self._letters.report(self._driver.now())
+        trust, driver = self._trust, self._driver
+        letters = None if trust is None or driver is None else trust.letters.report(driver.now())
         beside = None if self._companion is None else self._companion.report()
         return {"keys": self._about_keys(), "letters": letters, "beside": beside}
 

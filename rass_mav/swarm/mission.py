@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import random
-from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from rass_mav.agent.tags import NoTags
-from rass_mav.core.store import Store
 from rass_mav.keys.settings import KeysSection, check_package
 from rass_mav.swarm.scenario import Scenario
 
 if TYPE_CHECKING:
-    from rass_mav.agent.letters import Letters
-    from rass_mav.agent.seals import DataKeys
+    from rass_mav.agent.trust import Trust
     from rass_mav.keys.identity import Ground
     from rass_mav.keys.keyring import Keyring
-    from rass_mav.keys.word import GroundWord
 
 
 def ground_of(scenario: Scenario) -> Ground:
@@ -33,46 +27,26 @@ def ground_of(scenario: Scenario) -> Ground:
     return Ground(secret, serials=dict.fromkeys(range(scenario.bases, scenario.nodes), 1))
 
 
-class SwarmKeys(NamedTuple):
-    """The keys of all nodes."""
+def swarm_trusts(scenario: Scenario) -> dict[int, Trust]:
+    """By id, what keys do for each node and each captured attacker. Empty: the scenario has no keys.
 
-    letters: Sequence[Letters]
-    """For each node id, what it has for its links."""
-    tags: Callable[[int], Callable[[Store, random.Random, float], NoTags]]
-    """For each node id, what proves its words (`Agent`)."""
-    seals: Sequence[DataKeys]
-    """For each node id, what its keys do to data."""
-    words: Sequence[GroundWord]
-    """For each node id, what it has of the ground's keys, and then what anybody has."""
-
-
-def swarm_keys(scenario: Scenario) -> SwarmKeys | None:
-    """None: the scenario has no keys. Raises `KeysError` if PyNaCl is missing."""
+    Raises `KeysError` if PyNaCl is missing.
+    """
     if not scenario.keys:
-        return None
+        return {}
     ground = ground_of(scenario)
-    from rass_mav.agent.letters import Letters
-    from rass_mav.agent.pairs import PairTags
-    from rass_mav.agent.seals import DataKeys
-    from rass_mav.keys.word import GroundWord
+    from rass_mav.agent.trust import trust_of
+    from rass_mav.keys.keyring import Keyring
 
-    def tags(node_id: int) -> Callable[[Store, random.Random, float], NoTags]:
-        serial = 0 if node_id < scenario.bases else ground.serials.get(node_id, 1)
-        own = letters[node_id if node_id < scenario.nodes else 0]
-        return partial(PairTags, ground.node(node_id, serial), own.is_out)
-
-    keyrings = [keyring_of(ground, node_id) for node_id in range(scenario.nodes)]
-    letters = [
-        Letters(keyring, random.Random(f"{scenario.seed}:letters:{node_id}"), scenario.node.step_s)
-        for node_id, keyring in enumerate(keyrings)
-    ]
-    anybody = keyrings[-1]._replace(ground=None)
-    return SwarmKeys(
-        letters,
-        tags,
-        [DataKeys(keyring) for keyring in keyrings],
-        [GroundWord(keyring) for keyring in (*keyrings, anybody)],
-    )
+    keyrings = {node_id: keyring_of(ground, node_id) for node_id in range(scenario.nodes)}
+    for id, section in enumerate(scenario.hostile, scenario.nodes):
+        if section.captured:
+            # The ground knows no drone with this id. But the certificate is true.
+            keyrings[id] = Keyring(ground.node(id, 1), None)
+    return {
+        id: trust_of(keyring, random.Random(f"{scenario.seed}:letters:{id}"), scenario.node.step_s)
+        for id, keyring in keyrings.items()
+    }
 
 
 def keyring_of(ground: Ground, node_id: int) -> Keyring:

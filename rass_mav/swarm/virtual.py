@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from math import inf
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
@@ -34,11 +34,13 @@ from rass_mav.swarm.medium.instant import Instant
 from rass_mav.swarm.medium.settings import RadioSection
 from rass_mav.swarm.medium.tally import Record
 from rass_mav.swarm.medium.timeline import Order, Timeline
-from rass_mav.swarm.mission import SwarmKeys
 from rass_mav.swarm.neighbours import Position
 from rass_mav.swarm.phases import Phases
 from rass_mav.swarm.scenario import DiskSection, HostileSection
 from rass_mav.swarm.statistics import Statistics
+
+if TYPE_CHECKING:
+    from rass_mav.agent.trust import Trust
 
 S = TypeVar("S", bound="VirtualSwarm")
 
@@ -77,7 +79,7 @@ class VirtualSwarm(ABC):
         strikes: int = 1,
         record: Record | None = None,
         participant: type[Participant] | None = None,
-        keys: SwarmKeys | None = None,
+        trusts: Mapping[int, Trust] | None = None,
     ) -> None:
         """:param agents: settings of each node, by node id from 0; at least one. All have the same step length.
         :param topology: its name in the summary.
@@ -91,7 +93,7 @@ class VirtualSwarm(ABC):
         :param strikes: how often in a step data are struck.
         :param record: called with every frame put on the air, and its step.
         :param participant: what every node is; None: what its policy asks for.
-        :param keys: of all nodes; None: they have none.
+        :param trusts: by id, what keys do for each node and each captured attacker; None: nobody has keys.
         """
         agents = list(agents)
         self.seed = seed
@@ -99,7 +101,7 @@ class VirtualSwarm(ABC):
         self.step_s = agents[0].step_s
         """Length of a step, seconds."""
         self._timeline = Timeline()
-        self._keys = keys
+        self._trusts = trusts or {}
         self.air: Air
         """What carries the nodes' frames."""
         # One generator for each purpose: the draws of one part do not disturb the others. Seeding with a text is the
@@ -139,7 +141,7 @@ class VirtualSwarm(ABC):
             self.agents.append(
                 Agent(
                     settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
-                    **self._secrets(settings.node_id),
+                    trust=self._trusts.get(settings.node_id),
                 )
             )  # fmt: skip
             self.air.start(settings.node_id, self.agents[-1], 0.0)
@@ -149,7 +151,7 @@ class VirtualSwarm(ABC):
         some = self.agents[0]
         self.hostile = Band(
             hostile, nodes=len(self.agents), seed=seed, payload_type=some.settings.mavlink.payload_type,
-            costs=some.node.policy.costs is not None, keys=keys, step_s=self.step_s,
+            costs=some.node.policy.costs is not None, trusts=self._trusts, step_s=self.step_s,
         )  if hostile else None  # fmt: skip
         """None: all nodes are honest."""
         self.ledger.lies = bool(hostile)
@@ -368,24 +370,12 @@ class VirtualSwarm(ABC):
         # A new generator, so that no message of the old life is repeated by accident.
         return random.Random(f"{self.seed}:node:{node_id}:off:{t}")
 
-    def _secrets(self, node_id: int) -> dict[str, Any]:
-        """The arguments of a node's `Agent` that are about keys; they outlive the agent."""
-        keys = self._keys
-        if keys is None:
-            return {}
-        return {
-            "letters": keys.letters[node_id],
-            "tags": keys.tags(node_id),
-            "seals": keys.seals[node_id],
-            "word": keys.words[node_id],
-        }
-
     def _restart(self, node_id: int, store: Store, rng: random.Random, start: int) -> None:
         """A new agent starts over its store, in step `start`."""
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
-            **self._secrets(node_id),
+            trust=self._trusts.get(node_id),
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

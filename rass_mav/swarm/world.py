@@ -10,7 +10,7 @@ from rass_mav.swarm.autopilot import MockAutopilot
 from rass_mav.swarm.blast import Blast
 from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.medium.tally import Record
-from rass_mav.swarm.mission import swarm_keys
+from rass_mav.swarm.mission import swarm_trusts
 from rass_mav.swarm.neighbours import Position, RangeGraph
 from rass_mav.swarm.radiation import Threshold
 from rass_mav.swarm.scenario import Scenario, system_id
@@ -68,7 +68,7 @@ class World(VirtualSwarm):
             strikes=scenario.radiation.strikes_per_step,
             record=record,
             participant=participant,
-            keys=swarm_keys(scenario),
+            trusts=swarm_trusts(scenario),
         )
         self.statistics.load = load
         if failures is not None and scenario.failures.blast is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
@@ -12,38 +11,49 @@ from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.tags import OPEN
+from rass_mav.agent.trust import Trust, trust_of
 from rass_mav.config.loading import convert
+from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
 from rass_mav.keys.identity import Ground
+from rass_mav.keys.keyring import Keyring
 from rass_mav.keys.secret import Secret
-from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
 
 from .conversation import SECTIONS
 
-KEY = bytes(range(7, 39))
-STRANGERS_KEY = bytes(32)
-KEYS = SigningKey(KEY)
 GROUND = Ground(Secret(bytes(range(32))))
+KEY = GROUND.link.key.reveal()
+STRANGERS = Ground(Secret(bytes(32)))
+STRANGERS_KEY = STRANGERS.link.key.reveal()
 
 
-def nobody_is_out(node_id: int, serial: int) -> bool:
-    return False
+def links_alone(letters: Letters) -> Trust:
+    """Frames are signed. What is said in them is as without keys."""
+    return Trust(letters, lambda *_: OPEN, lambda _: NoSeals(), None)
+
+
+def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:
+    return Keyring(ground.node(node_id), ground) if base else Keyring(ground.node(node_id, 1), None)
 
 
 def agent_with_keys(
     node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
-    keys: SigningKey = KEYS, letters: Letters | None = None, words: bool = False, **sections: Any,
+    ground: Ground = GROUND, letters: Letters | None = None, words: bool = False, **sections: Any,
 ) -> Agent:  # fmt: skip
-    """`life`: another one has other random numbers. `letters`: instead of `keys`. `words`: it proves its own to others,
-    and doubts theirs."""
+    """`life`: another one has other random numbers. `letters`: None: those of a node that has just started. `words`: it
+    proves its own to others, and doubts theirs."""
     raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    tags = partial(PairTags, GROUND.node(node_id, 0 if base else 1), nobody_is_out) if words else None
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=keys, letters=letters, tags=tags)
+    whole = trust_of(keyring_in(ground, node_id, base=base), random.Random(node_id), 1.0)
+    trust = links_alone(whole.letters if letters is None else letters)
+    if words:
+        trust = trust._replace(tags=whole.tags)
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, trust=trust)
 
 
 class Crew:

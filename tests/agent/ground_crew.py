@@ -6,6 +6,7 @@ import random
 from typing import Any
 
 from rass_mav.agent.agent import Agent
+from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.word import Word
@@ -19,7 +20,7 @@ from rass_mav.keys.word import GroundWord
 from rass_mav.store.memory import MemoryStore
 
 from .conversation import SECTIONS
-from .crew import KEYS, Crew
+from .crew import Crew, keyring_in, links_alone
 
 GROUND = Ground(Secret(bytes(range(32))))
 BASE_WORD = GroundWord(Keyring(GROUND.node(1), GROUND))
@@ -36,8 +37,9 @@ def member(
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{now}")
-    word = BASE_WORD if base else DRONE_WORD
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=KEYS, word=word)
+    letters = Letters(keyring_in(GROUND, node_id, base=base), random.Random(node_id), 1.0)
+    trust = links_alone(letters)._replace(word=BASE_WORD if base else DRONE_WORD)
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, trust=trust)
 
 
 class GroundCrew(Crew):

@@ -6,9 +6,9 @@ import random
 from typing import Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.outgoing import Way
-from rass_mav.agent.seals import DataKeys
+from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.trust import trust_of
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, datum_crc, make_datum
 from rass_mav.core.messages import Data, Handover, Message
@@ -22,6 +22,7 @@ from rass_mav.keys.sealing import Opener, Sealer
 from rass_mav.keys.secret import Secret
 from rass_mav.store.memory import MemoryStore
 
+from .crew import links_alone
 from .test_agent import SECTIONS, on
 
 BASE = 1
@@ -34,16 +35,21 @@ def keyring(node_id: int) -> Keyring:
 
 
 def make(
-    node_id: int, store: Store | None = None, *, keys: bool = True, accept_open: bool = False, **sections: Any
-) -> Agent:
-    """A node with keys; node `BASE` is a base."""
+    node_id: int, store: Store | None = None, *, keys: bool = True, sealing: bool = True, accept_open: bool = False,
+    **sections: Any,
+) -> Agent:  # fmt: skip
+    """A node with keys for its links and its data; node `BASE` is a base. `sealing`: False: its data are open."""
     raw = {"node_id": node_id, "base": node_id == BASE, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     settings = convert(raw, AgentSettings, "test")
-    return Agent(
-        settings, store or MemoryStore(1000 + node_id), random.Random(node_id), now=0.0, newborn=True,
-        seals=DataKeys(keyring(node_id), accept_open=accept_open) if keys else None,
-    )  # fmt: skip
+    trust = None
+    if keys:
+        whole = trust_of(keyring(node_id), random.Random(node_id), 1.0, accept_open=accept_open)
+        trust = links_alone(whole.letters)
+        if sealing:
+            trust = trust._replace(seals=whole.seals)
+    rng = random.Random(node_id)
+    return Agent(settings, store or MemoryStore(1000 + node_id), rng, now=0.0, newborn=True, trust=trust)
 
 
 class Row:
@@ -58,7 +64,7 @@ class Row:
     def step(self) -> None:
         self.now += 1.0
         for place, agent in enumerate(self.agents):
-            self._deliver([(place, outgoing.frame) for outgoing in on(Way.NEIGHBOURS, agent.step(self.now))])
+            self._deliver([(place, outgoing) for outgoing in on(Way.NEIGHBOURS, agent.step(self.now))])
 
     def until(self, now: float) -> None:
         while self.now < now:
@@ -68,23 +74,24 @@ class Row:
         """A node creates a datum, which moves on at once."""
         agent = self.agents[place]
         id = agent.node.put(payload, self.now, kind)
-        self._deliver([(place, outgoing.frame) for outgoing in on(Way.NEIGHBOURS, agent.forward(self.now))])
+        self._deliver([(place, outgoing) for outgoing in on(Way.NEIGHBOURS, agent.forward(self.now))])
         return id
 
     def say(self, place: int, message: Message) -> None:
         """Somebody at a place says anything, in any name."""
         agent = self.agents[place]
         frames = agent.peers.frames([message], agent.store, self.now)
-        self._deliver([(place, outgoing.frame) for outgoing in frames])
+        self._deliver([(place, outgoing) for outgoing in frames])
 
-    def _deliver(self, waiting: list[tuple[int, bytes]]) -> None:
+    def _deliver(self, waiting: list[tuple[int, Outgoing]]) -> None:
         while waiting:
-            place, frame = waiting.pop(0)
+            place, outgoing = waiting.pop(0)
+            frame = self.agents[place].peers.leaving(outgoing).frame
             self.frames.append(frame)
             for other in (place - 1, place + 1):
                 if 0 <= other < len(self.agents):
                     answers = on(Way.NEIGHBOURS, self.agents[other].peer_bytes(frame, self.now))
-                    waiting += [(other, answer.frame) for answer in answers]
+                    waiting += [(other, answer) for answer in answers]
 
 
 def forged_by(captured: int, id: DatumId, payload: bytes = b"a lie", *, now: float = 0.0) -> Datum:

@@ -212,7 +212,7 @@ def test_an_answer_that_a_forger_has_brought_about_costs_time_but_not_the_datum(
     assert true is not None
     # The frame is lost, but the forger has heard it.
     [sent] = on(Way.NEIGHBOURS, drone.forward(field.now))
-    fields = tunnel_from_datagram(sent.frame)
+    fields = tunnel_from_datagram(drone.peers.leaving(sent).frame)
     assert fields is not None
     message = decode(fields[5], field.now)
     assert isinstance(message, Data)
@@ -240,7 +240,7 @@ def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> Non
 
 @pytest.mark.parametrize("accept_open", [True, False])
 def test_open_data_arrive_only_if_the_base_is_told_to_take_them(accept_open: bool) -> None:
-    field = Row(make(8, keys=False), make(BASE, accept_open=accept_open))
+    field = Row(make(8, sealing=False), make(BASE, accept_open=accept_open))
     field.until(5.0)
     base = field.agents[1]
     id = field.put(0, TEXT)
@@ -279,9 +279,9 @@ class Listener:
     def __init__(self) -> None:
         self.left: dict[DatumId, bytes] = {}
 
-    def hear(self, frames: Sequence[Outgoing], now: float) -> None:
+    def hear(self, agent: Agent, frames: Sequence[Outgoing], now: float) -> None:
         for outgoing in on(Way.NEIGHBOURS, frames):
-            fields = tunnel_from_datagram(outgoing.frame)
+            fields = tunnel_from_datagram(agent.peers.leaving(outgoing).frame)
             assert fields is not None
             message = decode(fields[5], now)
             if type(message) is Data:
@@ -292,8 +292,8 @@ class Listener:
 
 def puts(agent: Agent, number: int, now: float) -> list[Outgoing]:
     """A node in range of another one creates a datum; what it has to say then."""
-    for outgoing in on(Way.NEIGHBOURS, make(9, keys=False).step(now)):
-        agent.peer_bytes(outgoing.frame, now)
+    for message in make(9).node.step(now):
+        agent.node.receive(message, now)
     frames = list(agent.step(now))
     agent.node.put(b"content %d" % number, now)
     return frames + list(agent.forward(now))
@@ -305,6 +305,8 @@ def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_rolls_back(seed
     store, now, created = DurableStore(1008), 0.0, 0
     for _ in range(30):
         agent, gate = make(8, store), CommitGate(store)
+        # The timestamps of its frames are claimed.
+        store.commit()
         crashed = False
         while not crashed:
             now += 1.0
@@ -326,7 +328,7 @@ def test_no_two_contents_of_one_id_leave_a_node_that_crashes_and_rolls_back(seed
                 if store.busy and rng.random() < 0.5:
                     store.disk = store._out or store.disk
                 store, crashed = store.crashed(), True
-            listener.hear(out, now)
+            listener.hear(agent, out, now)
     assert created > len(listener.left) > 10
 
 
@@ -345,13 +347,13 @@ def test_nor_one_whose_power_is_cut_in_the_middle_of_a_commit(seed: int) -> None
             try:
                 while not disk.off:
                     now, created = now + 1.0, created + 1
-                    listener.hear(gate.say(puts(agent, created, now)), now)
+                    listener.hear(agent, gate.say(puts(agent, created, now)), now)
                     if rng.random() < 0.2:
                         gate.roll_back(StoreError("a fault"))
                         agent.begin_again(agent.settings, "nobody", now)
                     if (batch := gate.begin()) is not None:
                         store.write(batch)
-                    listener.hear(gate.written(), now)
+                    listener.hear(agent, gate.written(), now)
             except StoreError:
                 cuts += 1
             store.abandon()

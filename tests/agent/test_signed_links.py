@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
+from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.peers import Peers, open_datagram
 from rass_mav.agent.signed import Signed
@@ -28,14 +29,14 @@ from rass_mav.wire.challenge import is_challenge
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
 
-from .crew import KEY, KEYS, STRANGERS_KEY, Crew, agent_with_keys
+from .crew import KEY, STRANGERS, STRANGERS_KEY, Crew, agent_with_keys
 from .picture import picture
 
 TYPE = 33200
 PAYLOADS = [payload for message in SAMPLES.values() for payload in encode(message, NOW)]
 BEACON = SAMPLES["beacon-drone"]
-#: Counters and the table of streams are not the state of a node.
-NOT_STATE = (Streams, FrameReader, Peers)
+#: Counters and the table of streams are not the state of a node, nor that somebody has another key and will be asked.
+NOT_STATE = (Streams, FrameReader, Peers, Letters)
 
 
 def state(agent: Agent) -> object:
@@ -162,8 +163,7 @@ def test_whatever_is_repeated_and_whenever_somebody_starts_again_all_find_each_o
 
 
 def test_a_swarm_of_strangers_and_ours_do_not_see_each_other() -> None:
-    theirs = SigningKey(STRANGERS_KEY)
-    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3, keys=theirs))
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2), agent_with_keys(3, ground=STRANGERS))
     crew.steps(10)
     assert [crew.hears(position) for position in range(3)] == [{2}, {1}, set()]
     assert crew.report(2)["strange"] == crew.report(2)["known"] == 0
@@ -336,7 +336,7 @@ def test_nobody_can_make_a_node_use_up_its_timestamps() -> None:
     crew = crew_of_three()
     stream = signed_of(crew.agents[1])
     # A recording of this node from nowhere: the highest timestamp there is.
-    last = FrameWriter(2, 191, KEYS.signer(stream.streams.own[2], 2**48 - 1)).tunnel(b"x", payload_type=TYPE)
+    last = FrameWriter(2, 191, SigningKey(KEY).signer(stream.streams.own[2], 2**48 - 1)).tunnel(b"x", payload_type=TYPE)
     crew.restart(0)
     crew.agents[0].peer_bytes(last, crew.now)
     crew.steps(5)

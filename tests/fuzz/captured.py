@@ -12,18 +12,17 @@ import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 from zlib import crc32
 
 from rass_mav.agent import acquaintances, announced, lettertable, names, streams, vouchers, word
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way, frames_about_links
 from rass_mav.agent.pairs import MAX_OFFERED, PairTags
 from rass_mav.agent.peers import open_datagram
-from rass_mav.agent.seals import DataKeys
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.trust import trust_of
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Committed, Message, PassedOn, WordEntry, Words
@@ -34,7 +33,6 @@ from rass_mav.keys.identity import Ground
 from rass_mav.keys.keyring import Keyring
 from rass_mav.keys.letters import write_letter
 from rass_mav.keys.secret import Secret
-from rass_mav.keys.word import GroundWord
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import TUNNEL_ID, FrameWriter
@@ -85,11 +83,6 @@ def keyring(node_id: int) -> Keyring:
 
 
 @cache
-def word_of(node_id: int) -> GroundWord:
-    return GroundWord(keyring(node_id))
-
-
-@cache
 def settings_of(node_id: int, mirror: bool) -> AgentSettings:
     raw: dict[str, Any] = {"node_id": node_id, "base": node_id == BASE, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: {} for name in SECTIONS if name != "ground"}
@@ -122,18 +115,16 @@ class _Talk:
         self.arrived: dict[DatumId, Datum] = {}
         """What the base has of them."""
         self.stores = {id: DurableStore(epoch=0x1000 + id) for id in (*HONEST, CAPTURED)}
-        self.letters = {id: Letters(keyring(id), random.Random(id), 1.0) for id in self.stores}
+        self.trusts = {id: trust_of(keyring(id), random.Random(id), 1.0) for id in self.stores}
         self.agents = {id: self.start(id) for id in self.stores}
         if not world & 4:
             self.settle()
 
     def start(self, id: int) -> Agent:
         self.lives += 1
-        letters = self.letters[id]
         agent = Agent(
             settings_of(id, self.mirror), self.stores[id], random.Random(self.lives), now=self.now,
-            newborn=self.lives <= len(self.stores), forgiving=self.forgiving, letters=letters,
-            seals=DataKeys(keyring(id)), tags=partial(PairTags, keyring(id).own, letters.is_out), word=word_of(id),
+            newborn=self.lives <= len(self.stores), forgiving=self.forgiving, trust=self.trusts[id],
         )  # fmt: skip
         self.stores[id].commit()
         return agent
@@ -265,7 +256,7 @@ class _Talk:
         assert isinstance(node.receipts, Receipts)
         assert not node.receipts.disagreement()
         assert all(statement[:2] == true for statement in node.receipts.kept())
-        assert LETTERS.issuperset(self.letters[agent.settings.node_id].packed())
+        assert LETTERS.issuperset(self.trusts[agent.settings.node_id].letters.packed())
 
     def check_bounds(self, id: int) -> None:
         peers = self.agents[id].peers
@@ -287,8 +278,9 @@ class _Talk:
         assert known._asks.keys() | known._questions.keys() <= known._known.keys()
         assert len(known._nonces) <= acquaintances.MAX_NONCES
         assert len(peers.tags._offered) <= MAX_OFFERED
-        assert len(self.letters[id]._table) <= lettertable.MAX_LETTERS
-        queue = self.letters[id]._queue
+        letters = self.trusts[id].letters
+        assert len(letters._table) <= lettertable.MAX_LETTERS
+        queue = letters._queue
         assert max(len(queue._asked), len(queue._awaited)) <= lettertable.MAX_ASKED
         assert len(peers.word._queue) <= word.MAX_STREAMS
         assert all(len(waiting) <= word.MAX_OF_STREAM for waiting in peers.word._queue.values())
@@ -336,7 +328,7 @@ def _lose(talk: _Talk, whom: int) -> None:
 def _change_keys(talk: _Talk, whom: int) -> None:
     """The base takes a changed file."""
     if talk.changes:
-        talk.letters[BASE].renew(keyring_of(talk.changes.pop(0), BASE))
+        talk.trusts[BASE].letters.renew(keyring_of(talk.changes.pop(0), BASE))
 
 
 # A stranger.

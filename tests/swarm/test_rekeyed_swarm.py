@@ -37,7 +37,6 @@ def swarm(name: str, *keys: str) -> Rekeyed:
 def letters(world: World, node_id: int) -> Letters:
     signed = world.agents[node_id].peers.signed
     assert signed is not None
-    assert signed.letters is not None
     return signed.letters
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
+from typing import TYPE_CHECKING
 
 from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.peers import Opened, Peers, open_datagram
@@ -17,7 +18,6 @@ from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
-from rass_mav.swarm.mission import SwarmKeys
 from rass_mav.swarm.scenario import HostileSection
 from rass_mav.wire import decode
 from rass_mav.wire.challenge import decode_challenge, is_challenge
@@ -25,15 +25,18 @@ from rass_mav.wire.challenge import decode_challenge, is_challenge
 from .attacker import Attacker, Disguised, Said
 from .kinds import KINDS
 
+if TYPE_CHECKING:
+    from rass_mav.agent.trust import Trust
+
 #: The most frames that an attacker sends in a step: the air has no limit, but a run has an end.
 MOST_FRAMES = 300
 
 
 class _Member:
     def __init__(
-        self, section: HostileSection, attacker: Attacker, payload_type: int, keys: SwarmKeys | None, step_s: float
+        self, section: HostileSection, attacker: Attacker, payload_type: int, trust: Trust | None, step_s: float
     ) -> None:
-        """`keys`: of the swarm. A captured drone has the link key, and its own."""
+        """`trust`: of a captured drone, which has the link key and keys of its own; None: it has none."""
         self.section = section
         self.attacker = attacker
         self.left = 0
@@ -44,15 +47,15 @@ class _Member:
         self._key: SigningKey | None = None
         self._timestamp = 0
         """Of the last frame in other streams than its own."""
-        if section.captured and keys is not None:
-            self._key = keys.letters[section.near].signing
-            signed = Signed(attacker.id, self._key, self._writer, self._store, attacker.rng, step_s, payload_type)
-            tags = keys.tags(attacker.id)(self._store, attacker.rng, step_s)
+        if trust is not None:
+            self._key = trust.letters.signing
+            signed = Signed(attacker.id, trust.letters, self._writer, self._store, attacker.rng, step_s, payload_type)
+            tags = trust.tags(self._store, attacker.rng, step_s)
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
         attacker.prints = tags.prints
-        if signed is not None and keys is not None:
-            self._peers.word = Word(attacker.id, keys.words[-1], self._store, attacker.rng, None)
+        if trust is not None and trust.word is not None:
+            self._peers.word = Word(attacker.id, trust.word, self._store, attacker.rng, None)
 
     def is_there(self, t: int) -> bool:
         section = self.section
@@ -108,15 +111,15 @@ class Band:
 
     def __init__(
         self, sections: Sequence[HostileSection], *, nodes: int, seed: int, payload_type: int, costs: bool,
-        keys: SwarmKeys | None, step_s: float,
+        trusts: Mapping[int, Trust], step_s: float,
     ) -> None:  # fmt: skip
-        """`costs`: see `Attacker`. `keys`: of the swarm; None: it has none."""
+        """`costs`: see `Attacker`. `trusts`: by id, of those that are captured; empty: nobody has keys."""
         self._members = {
             nodes + index: _Member(
                 section,
                 KINDS[section.kind](nodes + index, random.Random(f"{seed}:hostile:{index}"), costs=costs),
                 payload_type,
-                keys,
+                trusts.get(nodes + index),
                 step_s,
             )
             for index, section in enumerate(sections)
