@@ -57,6 +57,8 @@ class Drone:
         self.given: Counter[int] = Counter()
         """Who got how many data since this was cleared."""
         self.arrived: set[DatumId] = set()
+        self.dropped: list[DatumId] = []
+        """Taken by those who do not deliver."""
 
     def start(self, store: DurableStore | None = None) -> Node:
         settings: dict[str, Any] = {"mirror": True, **self.settings}
@@ -73,8 +75,8 @@ class Drone:
             said = beacon(id, turn, Route(*way) if way else None, policy=node.policy.tag, potential=cost)
             node.receive(said, self.now)
         if self.news:
-            self._confirm([DatumId(OTHERS, 7, turn)])
-        self._confirm(self.due.pop(turn, []))
+            self.confirm([DatumId(OTHERS, 7, turn)])
+        self.confirm(self.due.pop(turn, []))
         for _ in range(creates):
             node.put(b"x", self.now)
         self._take(node.step(self.now))
@@ -87,11 +89,13 @@ class Drone:
             self.given[data.target] += len(data.handovers)
             taken = tuple((number, datum.crc) for number, datum in data.handovers)
             self.node.receive(Committed(data.target, OWN, taken, ()), self.now)
+            ids = [datum.id for _, datum in data.handovers]
             if data.target in self.deliver:
-                ids = [datum.id for _, datum in data.handovers]
                 self.due.setdefault(int(self.now) + self.delay, []).extend(ids)
+            else:
+                self.dropped += ids
 
-    def _confirm(self, ids: list[DatumId]) -> None:
+    def confirm(self, ids: list[DatumId]) -> None:
         self.arrived.update(ids)
         for id in ids:
             self.serial += 1
@@ -174,14 +178,36 @@ def test_the_only_way_is_tried_with_few_data_and_used_as_before_when_it_delivers
     assert len(drone.node.holdings.custody) <= 10
 
 
-def test_a_late_confirmation_takes_back_the_blame() -> None:
+def test_late_confirmations_take_back_the_blame() -> None:
     drone = seasoned(mirror=False)
-    drone.delay = 3 * JUDGED_TURNS
-    drone.turns(200)
+    drone.delay = 2 * JUDGED_TURNS + 5
+    for _ in range(200):
+        drone.turn()
+        assert not drone.doubted
+    assert drone.given == {NEAR: 200}
+
+
+@pytest.mark.parametrize("times", [3, 5])
+def test_who_becomes_much_slower_is_trusted_again(times: int) -> None:
+    drone = seasoned(mirror=False)
+    drone.delay = times * JUDGED_TURNS
+    drone.turns(500)
     assert not drone.doubted
     drone.given.clear()
     drone.turns(20)
     assert drone.given == {NEAR: 20}
+
+
+def test_what_arrives_by_another_way_is_no_credit_to_who_has_dropped_it() -> None:
+    """As beside a drone that drops what it takes: those that had the data before have sent them again."""
+    drone = seasoned(mirror=False)
+    drone.deliver = {FAR, FARTHER}
+    while not drone.doubted:
+        drone.turn()
+    assert len(drone.dropped) > TRUSTED
+    drone.confirm(drone.dropped)
+    drone.turn()
+    assert drone.doubted == {NEAR}
 
 
 def test_who_is_farther_has_more_time() -> None:

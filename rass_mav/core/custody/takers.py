@@ -17,7 +17,8 @@ Blame must hit the right one:
   nobody is blamed on an island, or where receipts are off.
 - The data of each giver count alike, own data as those of one giver. Others' data count against a taker only if data of
   their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
-- A late confirmation takes back the blame.
+- A late confirmation takes back the blame, unless the neighbour is doubted by then. Those that had the datum before have
+  probably sent it again, by another way. So a doubted neighbour is judged by what it is given from then on.
 """
 
 from __future__ import annotations
@@ -250,11 +251,14 @@ class Takers(NoTakers):
         if found is None:
             return
         taker, given, late = found
-        taker.count(given.giver, good=1.0, bad=-1.0 if late else 0.0)
         if not given.again:
             took = min(self._turn - given.turn, MOST_TURNS)
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
+        if taker.doubted and (late or given.since < taker.doubted_since):
+            # It has probably arrived by another way.
+            return
+        taker.count(given.giver, good=1.0, bad=-1.0 if late else 0.0)
         if taker.doubted:
             taker.window *= 2
             taker.failed = 0
