@@ -17,8 +17,8 @@ Blame must hit the right one:
   nobody is blamed on an island, or where receipts are off.
 - The data of each giver count alike, own data as those of one giver. Others' data count against a taker only if data of
   their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
-- A late confirmation takes back the blame, unless the neighbour is doubted by then. Those that had the datum before have
-  probably sent it again, by another way. So a doubted neighbour is judged by what it is given from then on.
+- A late confirmation takes back the blame, unless the neighbour is doubted by then: those that had the datum before
+  have probably sent it again, by another way. So a doubted neighbour is judged by what it is given from then on.
 """
 
 from __future__ import annotations
