@@ -455,3 +455,18 @@ def test_whoever_is_doubted_there_is_never_a_cycle_and_all_have_a_route_in_the_e
     swarm.check()
     if swarm.seq_period:
         assert set(swarm.hops()) == set(swarm.distances())
+
+
+def test_who_delivers_this_nodes_own_data_is_not_doubted_for_junk_of_others() -> None:
+    """As when junk under the numbers of honest drones comes from a neighbour among its other data."""
+    taker = Taker()
+    for giver in (7, 8, 9):
+        for _ in range(20):
+            taker.count(giver, bad=1.0)
+    assert taker.delivers < DOUBTED
+    taker.count(None, good=1.0)
+    taker.count(None, good=1.0)
+    assert taker.delivers == 1.0
+    for _ in range(20):
+        taker.count(None, bad=1.0)
+    assert taker.delivers < DOUBTED

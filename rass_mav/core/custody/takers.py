@@ -17,6 +17,8 @@ Blame must hit the right one:
   nobody is blamed on an island, or where receipts are off.
 - The data of each giver count alike, own data as those of one giver. Others' data count against a taker only if data of
   their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
+- Junk may have the numbers of honest drones, and reach this node among other data. So who delivers the node's own data,
+  which are no junk, is not doubted for others'.
 - A late confirmation takes back the blame, unless the neighbour is doubted by then: those that had the datum before
   have probably sent it again, by another way. So a doubted neighbour is judged by what it is given from then on.
 """
@@ -51,6 +53,8 @@ FADE = 1 / 12
 MATURE = 4.0
 #: and before any is judged it counts for this many givers that all goes well.
 PRIOR = 0.25
+#: From so many of the node's own data on, a neighbour delivers at least as large a share as of these.
+OWN = 2.0
 #: A neighbour that delivers less than this share is doubted.
 DOUBTED = 0.5
 #: A neighbour that delivers more than this share costs no more than others: some receipts are always late.
@@ -163,13 +167,16 @@ class Taker:
     def delivers(self) -> float:
         """The chance that it delivers what it takes, 0..1."""
         weight = share = PRIOR
-        for good, bad in self.givers.values():
+        own = 0.0
+        for giver, (good, bad) in self.givers.items():
             judged = good + bad
             if judged > 0.0:
                 counts = min(1.0, judged / MATURE)
                 weight += counts
                 share += counts * good / judged
-        return share / weight
+                if giver is None and judged >= OWN:
+                    own = good / judged
+        return max(own, share / weight)
 
 
 class Takers(NoTakers):
