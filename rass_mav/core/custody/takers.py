@@ -53,7 +53,8 @@ FADE = 1 / 12
 MATURE = 4.0
 #: and before any is judged it counts for this many givers that all goes well.
 PRIOR = 0.25
-#: From so many of the node's own data on, a neighbour delivers at least as large a share as of these.
+#: From so many of the node's own data on, older ones counting less, a neighbour delivers at least as large a share as
+#: of these.
 OWN = 2.0
 #: A neighbour that delivers less than this share is doubted.
 DOUBTED = 0.5
