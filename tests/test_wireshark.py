@@ -279,7 +279,7 @@ def shown_beside(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Shown]:
     return dict(zip(names, found, strict=True))
 
 
-@pytest.mark.parametrize("name", EXAMPLES.keys() - GOLDEN.keys())
+@pytest.mark.parametrize("name", sorted(EXAMPLES.keys() - GOLDEN.keys()))
 def test_every_field_of_what_is_beside_the_messages_is_shown(name: str, shown_beside: dict[str, Shown]) -> None:
     fields = shown_beside[name]
     assert fields["rass.type_more"] == [str(EXAMPLES[name][1])]
