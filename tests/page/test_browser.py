@@ -40,6 +40,7 @@ from rass_mav.page.server import serve
 from .serving import TOKEN
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+expect.set_options(timeout=PATIENCE_S * 1000)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 
 DESK, PHONE = {"width": 1400, "height": 900}, {"width": 390, "height": 844}
