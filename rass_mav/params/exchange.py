@@ -97,17 +97,36 @@ class Talk(ABC):
         """The questions that are due."""
 
 
-class Introduction(Talk):
+class Asking(Talk):
+    """Asks one question until it is answered or patience ends."""
+
+    def __init__(self, patience: Patience) -> None:
+        """`patience`: how often to ask, and how long to wait each time."""
+        self._patience = patience
+        self._tries = 0
+
+    def _again(self, question: Question, now: float) -> list[Question]:
+        """The question if it is due. Without an answer to the last one the talk ends."""
+        if now < self.next_at:
+            return []
+        if self._tries == self._patience.tries:
+            self.done = True
+            return []
+        self._tries += 1
+        self.next_at = now + self._patience.answer_s
+        return [question]
+
+
+class Introduction(Asking):
     """Waits for an autopilot's heartbeat, and asks for its version and capabilities."""
 
     def __init__(self, system_id: int, patience: Patience) -> None:
         """`system_id`: of the autopilot; 0: the first one heard."""
+        super().__init__(patience)
         self.autopilot: Autopilot | None = None
         self.others: set[int] = set()
         """System ids of other autopilots that were heard."""
         self._wanted = system_id
-        self._patience = patience
-        self._tries = 0
 
     def hear(self, frame: Frame, now: float) -> None:
         """Take heartbeats and the version."""
@@ -135,14 +154,8 @@ class Introduction(Talk):
         if self.autopilot is None or self.done:
             self.next_at = math.inf
             return []
-        if now < self.next_at:
-            return []
-        if self._tries == self._patience.tries:
-            self.done = True
-            return []
-        self._tries += 1
-        self.next_at = now + self._patience.answer_s
-        return [Question(COMMAND_LONG, request_message(AUTOPILOT_VERSION, **_target(self.autopilot)))]
+        question = Question(COMMAND_LONG, request_message(AUTOPILOT_VERSION, **_target(self.autopilot)))
+        return self._again(question, now)
 
 
 class Exchange(Talk):

@@ -12,7 +12,7 @@ from rass_mav.mavlink.messages import RADIO_STATUS
 from rass_mav.mavlink.signedport import MOST, PER_SECOND, SignedPort
 from rass_mav.mavlink.signing import SETUP_SIGNING, SigningKey, setup_signing
 
-from .exchange import Autopilot, Patience, Question, Talk, VehicleError
+from .exchange import Asking, Autopilot, Patience, Question, VehicleError
 from .session import Session
 
 #: Signing timestamps count from the first day of 2015, seconds since 1970.
@@ -58,18 +58,16 @@ class Watch(SignedPort):
         return right or self.open
 
 
-class _Setup(Talk):
+class _Setup(Asking):
     """Sends SETUP_SIGNING until the autopilot signs as it should."""
 
     def __init__(self, question: Question, autopilot: Autopilot, watch: Watch, wanted: Signature, patience: Patience):
+        super().__init__(patience)
         self._question = question
         self._autopilot = autopilot
         self._watch = watch
         self._wanted = wanted
-        self._patience = patience
-        self._tries = 0
         self.reached = False
-        self.next_at = -math.inf
 
     def hear(self, frame: Frame, now: float) -> None:
         """The watch has seen the signature."""
@@ -78,14 +76,7 @@ class _Setup(Talk):
 
     def say(self, now: float) -> list[Question]:
         """The message is due, for the first time or again."""
-        if now < self.next_at:
-            return []
-        if self._tries == self._patience.tries:
-            self.done = True
-            return []
-        self._tries += 1
-        self.next_at = now + self._patience.answer_s
-        return [self._question]
+        return self._again(self._question, now)
 
 
 def refusal(autopilot: Autopilot, watch: Watch) -> str:
