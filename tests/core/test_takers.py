@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 import random
-from collections import Counter
+from collections import Counter, deque
 from typing import Any
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.takers import (
-    DOUBTED,
-    JUDGED_TURNS,
-    LEAST,
-    MAX_GIVEN,
-    MAX_GIVERS,
-    MAX_TAKERS,
-    MOST_HOPS,
-    NEWS_TURNS,
-    TRUSTED,
-    Taker,
-    Takers,
-)
+from rass_mav.core.custody.taker import DOUBTED, MAX_GIVERS, TRUSTED, Taker
+from rass_mav.core.custody.takers import JUDGED_TURNS, LEAST, MAX_GIVEN, MAX_TAKERS, MOST_HOPS, NEWS_TURNS, Takers
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Committed, Data, Handover, ReceiptEntry, Route, Word, WordEntry, Words
 from rass_mav.core.news.checksums import make_receipt
@@ -38,6 +27,8 @@ from .routing_harness import rough_times
 OWN, NEAR, FAR, FARTHER = 2, 3, 4, 5
 #: An origin whose data arrive all the time without this node, so that there is news.
 OTHERS = 99
+#: It hands data over to the drone. No base ever confirms those with this content.
+GIVER, JUNK = 6, b"junk"
 
 
 class Drone:
@@ -47,6 +38,8 @@ class Drone:
     def __init__(self, *, policy: str = "survival", store: DurableStore | None = None, **settings: Any) -> None:
         self.ways = {NEAR: 1, FAR: 2, FARTHER: 3}
         self.deliver = {NEAR, FAR, FARTHER}
+        self.own_only: set[int] = set()
+        """They deliver only what this drone has created."""
         self.delay = 5
         self.news = True
         self.settings = {"capacity_items": 500, "digest": False, **settings, "policy": policy}
@@ -89,11 +82,18 @@ class Drone:
             self.given[data.target] += len(data.handovers)
             taken = tuple((number, datum.crc) for number, datum in data.handovers)
             self.node.receive(Committed(data.target, OWN, taken, ()), self.now)
-            ids = [datum.id for _, datum in data.handovers]
-            if data.target in self.deliver:
-                self.due.setdefault(int(self.now) + self.delay, []).extend(ids)
-            else:
-                self.dropped += ids
+            for _, taken_over in data.handovers:
+                delivers = self.deliver if taken_over.id.origin == OWN else self.deliver - self.own_only
+                if data.target in delivers and taken_over.payload != JUNK:
+                    self.due.setdefault(int(self.now) + self.delay, []).append(taken_over.id)
+                else:
+                    self.dropped.append(taken_over.id)
+
+    def relay(self, sequence: int, payload: bytes) -> None:
+        """A neighbour hands one of its data over."""
+        node = self.node
+        node.receive(beacon(GIVER, sequence, policy=node.policy.tag), self.now)
+        node.receive(Data(GIVER, OWN, (Handover(sequence, datum(GIVER, sequence, payload)),)), self.now)
 
     def confirm(self, ids: list[DatumId]) -> None:
         self.arrived.update(ids)
@@ -401,9 +401,12 @@ def test_whatever_happens_the_tables_agree_and_are_bounded(seed: int) -> None:
         kind = rng.random()
         id = rng.choice(ids)
         if kind < 0.5:
-            takers.gave(
-                id, rng.choice([None, 1, 2]), rng.randrange(3, 3 + rng.choice([4, 100])), again=rng.random() < 0.2
+            giver, to, before = (
+                rng.choice([None, 1, 2]),
+                rng.randrange(3, 3 + rng.choice([4, 100])),
+                rng.choice([None, 3]),
             )
+            takers.gave(id, giver, to, before)
         elif kind < 0.6:
             takers.came_back(id)
         elif kind < 0.7:
@@ -423,13 +426,13 @@ def test_whatever_happens_the_tables_agree_and_are_bounded(seed: int) -> None:
 def test_the_memory_is_shared_fairly_and_a_flood_of_names_pushes_out_no_doubt() -> None:
     takers = Takers(lambda pair: True)
     for sequence in range(10):
-        takers.gave(DatumId(1, 1, sequence), None, 7, again=False)
+        takers.gave(DatumId(1, 1, sequence), None, 7, None)
     for sequence in range(2 * MAX_GIVEN):
-        takers.gave(DatumId(2, 1, sequence), None, 8, again=False)
+        takers.gave(DatumId(2, 1, sequence), None, 8, None)
     assert len(takers._takers[7].open) == 10
     takers._takers[7].doubted = True
     for name in range(1000, 1000 + 2 * MAX_TAKERS):
-        takers.gave(DatumId(3, 1, name), None, name, again=False)
+        takers.gave(DatumId(3, 1, name), None, name, None)
     assert takers._takers[7].doubted
     assert takers.disagreement() == ""
 
@@ -457,6 +460,9 @@ def test_whoever_is_doubted_there_is_never_a_cycle_and_all_have_a_route_in_the_e
         assert set(swarm.hops()) == set(swarm.distances())
 
 
+# -- own data, and others' ---------------------------------------------------------------------------------------------
+
+
 def test_who_delivers_this_nodes_own_data_is_not_doubted_for_junk_of_others() -> None:
     """As when junk under the numbers of honest drones comes from a neighbour among its other data."""
     taker = Taker()
@@ -470,3 +476,35 @@ def test_who_delivers_this_nodes_own_data_is_not_doubted_for_junk_of_others() ->
     for _ in range(20):
         taker.count(None, bad=1.0)
     assert taker.delivers < DOUBTED
+
+
+def test_junk_among_real_data_of_one_giver_discredits_nobody() -> None:
+    drone = seasoned()
+    for sequence in range(1, 600):
+        drone.relay(sequence, JUNK if sequence % 4 else b"real")
+        drone.turn()
+        assert not drone.doubted
+
+
+@pytest.mark.parametrize("other_way", [None, 60, 200])
+def test_who_delivers_only_this_nodes_own_data_is_found_out_and_stays_so(other_way: int | None) -> None:
+    """`other_way`: after so many turns what it drops arrives all the same, for those that had the data before send them
+    again."""
+    drone = seasoned()
+    drone.own_only = {NEAR}
+    on_their_way: deque[list[DatumId]] = deque()
+    dropped = 0
+    for sequence in range(1, 600):
+        drone.relay(sequence, b"real")
+        drone.turn()
+        on_their_way.append(drone.dropped)
+        dropped += len(drone.dropped)
+        drone.dropped = []
+        if other_way is not None and len(on_their_way) > other_way:
+            drone.confirm(on_their_way.popleft())
+        if sequence == 300:
+            drone.given.clear()
+            dropped = 0
+        assert drone.doubted == ({NEAR} if sequence >= 300 else drone.doubted & {NEAR})
+    assert drone.given[FAR] > 500
+    assert dropped < 10

@@ -79,3 +79,17 @@ def test_honest_nodes_believe_each_other() -> None:
     assert before.total() < 60, "only while they do not know each other"
     world.run(50, after=check)
     assert not_believed(world) == before
+
+
+@pytest.mark.no_cover
+def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
+    """It delivers what they have created. What they relay arrives by other ways."""
+    attacker = "hostile=[{kind: two-faced, near: 12, begin: 50, captured: true}]"
+    world = World(load_scenario("hostile", {}, ["keys=true", attacker, "seed=14", "data.until_step=350"]))
+    world.run(400)
+    summary = world.statistics.summary()
+    assert summary["delivered"] >= 0.98 * summary["created"]
+    assert summary["lost"]["unfounded"] == 0
+    it = world.scenario.nodes
+    doubts = [it in {n.id for n in agent.node.routing.neighbours.values() if n.doubted} for agent in world.agents]
+    assert sum(doubts) >= 3

@@ -218,7 +218,7 @@ class Keeper:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
-        self.takers.gave(holding.id, holding.giver, to, again=holding.resent > 0)
+        self.takers.gave(holding.id, holding.giver, to, holding.given_to if holding.resent else None)
         if not self.spares.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
 

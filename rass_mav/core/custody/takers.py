@@ -19,14 +19,16 @@ Blame must hit the right one:
   their origin have arrived. So whoever hands over junk that no base confirms cannot discredit those that take it.
 - Junk may have the numbers of honest drones, and reach this node among other data. So who delivers the node's own data,
   which are no junk, is not doubted for others'.
-- A late confirmation takes back the blame, unless the neighbour is doubted by then: those that had the datum before
-  have probably sent it again, by another way. So a doubted neighbour is judged by what it is given from then on.
+- But a neighbour may deliver what the node has created, and drop all else. So samples of what it did not deliver are
+  handed over to another neighbour. If they arrive soon, they were no junk, and it is judged by others' data.
+- A late confirmation takes back the blame, for all may be slow. But it does not if the neighbour is doubted by then,
+  nor for others' data if it delivers the node's own in time: those that had the datum before have probably sent it
+  again, by another way. For the same reason the node's own data show how long data usually take.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import NamedTuple
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Digest
@@ -37,44 +39,33 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import greediest
 
+from .taker import DOUBTED, MAX_GIVERS, Given, Taker
+
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its taker and the base,
 JUDGED_TURNS = 20
 #: up to this many hops,
 MOST_HOPS = 4
 #: but not before the usual time and this many times its deviation have passed.
 DEVIATIONS = 6.0
+#: A sample arrives soon if it takes no longer than the usual time and this many times its deviation.
+SOON = 2.0
+#: Which datum is the sample changes every so many turns.
+SAMPLE_TURNS = 15
 #: However slow data seem to be, a datum is overdue after this many turns.
 MOST_TURNS = 1200
 #: How fast the usual time and its deviation follow.
 TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
-#: Each datum that is judged makes those judged before count for this much less.
-FADE = 1 / 12
-#: The data of one giver count in full from this many on,
-MATURE = 4.0
-#: and before any is judged it counts for this many givers that all goes well.
-PRIOR = 0.25
-#: From so many of the node's own data on, older ones counting less, a neighbour delivers at least as large a share as
-#: of these.
-OWN = 2.0
-#: A neighbour that delivers less than this share is doubted.
-DOUBTED = 0.5
 #: A neighbour that delivers more than this share costs no more than others: some receipts are always late.
 FINE = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
-#: A doubted neighbour that failed again is left alone for as long as it had time, twice as long each time, up to this
-#: many times.
-MOST_DOUBLINGS = 3
-#: A doubted neighbour may have twice as many data with each one that arrives. With this many it is doubted no more.
-TRUSTED = 16
 #: Without news of arrivals for this many turns nobody is judged.
 NEWS_TURNS = 30
 #: After this many turns without a route all waits begin again.
 GAP_TURNS = 10
-#: The most data, neighbours, and givers for each neighbour, that a node remembers.
+#: The most data, and neighbours, that a node remembers.
 MAX_GIVEN = 2048
 MAX_TAKERS = 64
-MAX_GIVERS = 8
 
 
 class NoTakers:
@@ -86,9 +77,9 @@ class NoTakers:
         self.doubting = False
         """Whether any neighbour is doubted."""
 
-    def gave(self, id: DatumId, giver: int | None, to: int, *, again: bool) -> None:
+    def gave(self, id: DatumId, giver: int | None, to: int, before: int | None) -> None:
         """A neighbour has taken custody of a datum. `giver`: the node that this one had it from; None: it is its own.
-        `again`: it was handed over before, so its receipt may be due to the taker before."""
+        `before`: who took it before and did not deliver it."""
 
     def came_back(self, id: DatumId) -> None:
         """A datum is in custody here again."""
@@ -119,71 +110,10 @@ class NoTakers:
         return {}
 
 
-class Given(NamedTuple):
-    """A datum that a neighbour took."""
-
-    to: int
-    giver: int | None
-    since: int
-    """By the taker's clock."""
-    turn: int
-    """By the node's."""
-    again: bool
-
-
-class Taker:
-    """What is remembered of one neighbour."""
-
-    __slots__ = ("clock", "doubted", "doubted_since", "failed", "givers", "late", "open", "rests_until", "window")
-
-    def __init__(self) -> None:
-        self.clock = 0
-        """Turns in which it could have delivered."""
-        self.open: dict[DatumId, Given] = {}
-        """What it took and has not been judged, the oldest first."""
-        self.late: dict[DatumId, Given] = {}
-        """What was overdue and may still arrive, the oldest first."""
-        self.givers: dict[int | None, tuple[float, float]] = {}
-        """By the node that the data were from: how many arrived, and how many were overdue; older ones count less."""
-        self.doubted = False
-        self.doubted_since = 0
-        """By its clock."""
-        self.window = 1
-        """While it is doubted: how many data it may have at a time."""
-        self.failed = 0
-        """While it is doubted: how often it failed in a row."""
-        self.rests_until = 0
-        """While it is doubted: when it may have the next one, by its clock."""
-
-    def count(self, giver: int | None, *, good: float = 0.0, bad: float = 0.0) -> None:
-        """A datum from a giver is judged, or judged otherwise than before."""
-        givers = self.givers
-        was = givers.pop(giver, (0.0, 0.0))
-        fade = 1.0 - FADE
-        if len(givers) >= MAX_GIVERS:
-            del givers[min(givers, key=lambda other: sum(givers[other]))]
-        givers[giver] = (fade * was[0] + good, max(0.0, fade * was[1] + bad))
-
-    @property
-    def delivers(self) -> float:
-        """The chance that it delivers what it takes, 0..1."""
-        weight = share = PRIOR
-        own = 0.0
-        for giver, (good, bad) in self.givers.items():
-            judged = good + bad
-            if judged > 0.0:
-                counts = min(1.0, judged / MATURE)
-                weight += counts
-                share += counts * good / judged
-                if giver is None and judged >= OWN:
-                    own = good / judged
-        return max(own, share / weight)
-
-
 class Takers(NoTakers):
     """What one node knows of those that take data from it."""
 
-    __slots__ = ("_arrives", "_deviation", "_gap", "_heard", "_of", "_takers", "_takes", "_turn")
+    __slots__ = ("_arrives", "_by_own", "_deviation", "_gap", "_heard", "_of", "_takers", "_takes", "_turn")
 
     def __init__(self, arrives: Callable[[Pair], bool]) -> None:
         """`arrives`: whether any datum of an (origin, epoch) has arrived."""
@@ -201,15 +131,17 @@ class Takers(NoTakers):
         self._takes = 0.0
         """The usual time from a hand-over to its confirmation, turns,"""
         self._deviation = 0.0
-        """and its mean deviation."""
+        """and its mean deviation,"""
+        self._by_own = False
+        """by the node's own data. False: none has arrived yet, so by others'."""
 
-    def gave(self, id: DatumId, giver: int | None, to: int, *, again: bool) -> None:
+    def gave(self, id: DatumId, giver: int | None, to: int, before: int | None) -> None:
         self._forget(id)
         taker = self._takers.pop(to, None) or Taker()
         self._takers[to] = taker
         if len(self._takers) > MAX_TAKERS:
             self._drop_taker()
-        taker.open[id] = Given(to, giver, taker.clock, self._turn, again)
+        taker.open[id] = Given(to, giver, taker.clock, self._turn, before)
         self._of[id] = to
         if len(self._of) > MAX_GIVEN:
             self._drop_given()
@@ -259,21 +191,21 @@ class Takers(NoTakers):
         if found is None:
             return
         taker, given, late = found
-        if not given.again:
-            took = min(self._turn - given.turn, MOST_TURNS)
+        own = given.giver is None
+        took = min(self._turn - given.turn, MOST_TURNS)
+        if given.before is not None:
+            self._sampled(given, arrived=took <= self._usual(SOON))
+        elif own or not self._by_own:
+            self._by_own |= own
             self._deviation += DEVIATION_GAIN * (abs(took - self._takes) - self._deviation)
             self._takes += TAKES_GAIN * (took - self._takes)
-        if taker.doubted and (late or given.since < taker.doubted_since):
+        elsewhere = late and not own and taker.of_own >= FINE
+        if elsewhere or (taker.doubted and (late or given.since < taker.doubted_since)):
             # It has probably arrived by another way.
             return
         taker.count(given.giver, good=1.0, bad=-1.0 if late else 0.0)
         if taker.doubted:
-            taker.window *= 2
-            taker.failed = 0
-            taker.rests_until = 0
-            if taker.window >= TRUSTED:
-                taker.doubted = False
-                taker.givers.clear()
+            taker.delivered(given)
 
     def _failed(self, id: DatumId) -> None:
         found = self._forget(id)
@@ -285,21 +217,21 @@ class Takers(NoTakers):
         if given.giver is not None and not self._arrives(id[:2]):
             # It may be junk, which no base ever confirms.
             return
-        if given.again and not taker.doubted:
+        self._sampled(given, arrived=False)
+        if given.before is not None and not taker.doubted:
             # Another taker did not deliver it either: the cause may be the datum.
             return
         taker.count(given.giver, bad=1.0)
         if taker.doubted:
-            if given.since >= taker.doubted_since and taker.clock >= taker.rests_until:
-                taker.rests_until = taker.clock + (taker.clock - given.since << taker.failed)
-                taker.failed = min(taker.failed + 1, MOST_DOUBLINGS)
-            taker.window = 1
+            taker.dropped(given)
         elif taker.delivers < DOUBTED:
-            taker.doubted = True
-            taker.doubted_since = taker.clock
-            taker.window = 1
-            taker.failed = 0
-            taker.rests_until = taker.clock + JUDGED_TURNS
+            taker.doubt(JUDGED_TURNS)
+
+    def _sampled(self, given: Given, *, arrived: bool) -> None:
+        """What became of a datum. If another neighbour had it before, that says whether it was junk."""
+        before = None if given.before is None else self._takers.get(given.before)
+        if before is not None and given.giver is not None and given.before != given.to:
+            before.sampled(arrived=arrived)
 
     # -- judgement -----------------------------------------------------------------------------------------------------
 
@@ -329,14 +261,21 @@ class Takers(NoTakers):
                     taker.late[id] = taker.open.pop(id)
                     self._judge(id, taker, given)
             p = taker.delivers
+            taker.sample = None
+            if taker.late and not taker.doubted and taker.of_others < DOUBTED:
+                others = [id for id, given in taker.late.items() if given.giver is not None]
+                # A node may have copies of only some.
+                taker.sample = others[self._turn // SAMPLE_TURNS % len(others)] if others else None
             neighbour.doubted = taker.doubted
             self.doubting |= taker.doubted
             neighbour.odds = 1.0 if p > FINE and not taker.doubted else 1.0 / max(p, LEAST)
 
     def _wait(self, hops: int) -> float:
         """After how many turns a datum is overdue at a neighbour that is this far from a base."""
-        usual = self._takes + DEVIATIONS * self._deviation
-        return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), usual), MOST_TURNS)
+        return min(max(JUDGED_TURNS * (1 + min(hops, MOST_HOPS)), self._usual(DEVIATIONS)), MOST_TURNS)
+
+    def _usual(self, deviations: float) -> float:
+        return self._takes + deviations * self._deviation
 
     def _begin_again(self) -> None:
         for taker in self._takers.values():
@@ -349,8 +288,10 @@ class Takers(NoTakers):
         if to is None:
             return False
         taker = self._takers[to]
+        if not taker.doubted:
+            return id == taker.sample
         given = taker.open.get(id)
-        return taker.doubted and (given is None or given.since < taker.doubted_since)
+        return given is None or given.since < taker.doubted_since
 
     def allowance(self, neighbour: int) -> int | None:
         taker = self._takers.get(neighbour)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
+    NO_ROUTE,
     Beacon,
     Committed,
     Data,
@@ -66,6 +67,32 @@ class BlackHole(Sinkhole):
         drones = [b for b in self.nodes() if b.hops < 250]
         nearest = min(drones, key=lambda b: (b.hops, b.sender), default=None)
         return () if nearest is None else (self.beacon(nearest, hops=nearest.hops + 1),)
+
+
+class TwoFaced(Sinkhole):
+    """Announces the route of the neighbour nearest to the base as its own, without risk, and confirms every hand-over.
+    It hands on what the givers themselves have created, so that they see it arrive, and drops all other data."""
+
+    def begin(self) -> None:
+        self._passing: dict[int, Datum] = {}
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        if isinstance(message, Committed) and message.target == self.id:
+            for number, _ in message.committed:
+                self._passing.pop(number, None)
+        elif isinstance(message, Data) and message.target == self.id and not message.spare:
+            for _, datum in message.handovers:
+                if datum.id.origin == message.sender and len(self._passing) < MAX_REMEMBERED:
+                    self._passing[self.rng.getrandbits(32) | 1] = datum
+        return super().overhear(message, payload, now)
+
+    def turn(self, now: float) -> Iterable[Said]:
+        nearest = min(self.nodes(), key=lambda b: (b.hops, b.sender), default=None)
+        if nearest is None or nearest.hops == NO_ROUTE:
+            return
+        yield self.beacon(nearest, risk=0, free=0xFFFE)
+        for number, datum in self._passing.items():
+            yield Data(self.id, nearest.sender, (Handover(number, datum),))
 
 
 class CommittedForger(Attacker):
@@ -356,6 +383,7 @@ KINDS: dict[str, type[Attacker]] = {
     "sinkhole": Sinkhole,
     "false-base": FalseBase,
     "black-hole": BlackHole,
+    "two-faced": TwoFaced,
     "committed-forger": CommittedForger,
     "receipt-forger": ReceiptForger,
     "digest-forger": DigestForger,

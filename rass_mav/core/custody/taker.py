@@ -1,0 +1,157 @@
+"""What a node remembers of one neighbour that has taken data from it, and what it makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from rass_mav.core.datum import DatumId
+
+#: Each datum that is judged makes those judged before count for this much less.
+FADE = 1 / 12
+#: The data of one giver count in full from this many on,
+MATURE = 4.0
+#: and before any is judged it counts for this many givers that all goes well.
+PRIOR = 0.25
+#: From so many of the node's own data on, older ones counting less, a neighbour delivers at least as large a share as
+#: of these,
+OWN = 2.0
+#: until so many samples, older ones counting less, show that others' data were no junk,
+REAL = 1.5
+#: and at least so many for each that shows nothing: it may have been junk, or was dropped behind the other neighbour.
+REAL_EACH = 0.5
+#: A neighbour that delivers less than this share is doubted.
+DOUBTED = 0.5
+#: A doubted neighbour that failed again is left alone for as long as it had time, twice as long each time, up to this
+#: many times.
+MOST_DOUBLINGS = 3
+#: A doubted neighbour may have twice as many data with each one that arrives. With this many it is doubted no more.
+TRUSTED = 16
+#: The most givers for each neighbour that a node remembers.
+MAX_GIVERS = 8
+
+
+class Given(NamedTuple):
+    """A datum that a neighbour took."""
+
+    to: int
+    giver: int | None
+    since: int
+    """By the taker's clock."""
+    turn: int
+    """By the node's."""
+    before: int | None
+    """Who took it before and did not deliver it: its confirmation may be due to that one."""
+
+
+class Taker:
+    """One neighbour."""
+
+    __slots__ = (
+        "clock", "doubted", "doubted_for_others", "doubted_since", "failed", "givers", "late", "open", "real",
+        "rests_until", "sample", "unknown", "window",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.clock = 0
+        """Turns in which it could have delivered."""
+        self.open: dict[DatumId, Given] = {}
+        """What it took and has not been judged, the oldest first."""
+        self.late: dict[DatumId, Given] = {}
+        """What was overdue and may still arrive, the oldest first."""
+        self.givers: dict[int | None, tuple[float, float]] = {}
+        """By the node that the data were from: how many arrived, and how many were overdue; older ones count less."""
+        self.sample: DatumId | None = None
+        """Which of the overdue data should be handed over to another neighbour."""
+        self.real = 0.0
+        """Samples that arrived soon by another neighbour,"""
+        self.unknown = 0.0
+        """and those that did not; older ones count less."""
+        self.doubted = False
+        self.doubted_for_others = False
+        """While it is doubted: whether it delivered the node's own data."""
+        self.doubted_since = 0
+        """By its clock."""
+        self.window = 1
+        """While it is doubted: how many data it may have at a time."""
+        self.failed = 0
+        """While it is doubted: how often it failed in a row."""
+        self.rests_until = 0
+        """While it is doubted: when it may have the next one, by its clock."""
+
+    # -- what it delivers ----------------------------------------------------------------------------------------------
+
+    def count(self, giver: int | None, *, good: float = 0.0, bad: float = 0.0) -> None:
+        """A datum from a giver is judged, or judged otherwise than before."""
+        givers = self.givers
+        was = givers.pop(giver, (0.0, 0.0))
+        fade = 1.0 - FADE
+        if len(givers) >= MAX_GIVERS:
+            del givers[min(givers, key=lambda other: sum(givers[other]))]
+        givers[giver] = (fade * was[0] + good, max(0.0, fade * was[1] + bad))
+
+    def sampled(self, *, arrived: bool) -> None:
+        """A datum that it did not deliver was handed over to another neighbour. `arrived`: soon after that."""
+        fade = 1.0 - FADE
+        self.real = fade * self.real + arrived
+        self.unknown = fade * self.unknown + (not arrived)
+
+    @property
+    def delivers(self) -> float:
+        """The chance that it delivers what it takes, 0..1."""
+        if self.real >= max(REAL, REAL_EACH * self.unknown):
+            return self.of_others
+        return max(self.of_own, self._mean(self.givers))
+
+    @property
+    def of_others(self) -> float:
+        """The share that it delivers of what others gave to the node, 0..1."""
+        return self._mean(giver for giver in self.givers if giver is not None)
+
+    def _mean(self, givers: Iterable[int | None]) -> float:
+        """The share that it delivers of each giver's data, 0..1, the mean."""
+        weight = share = PRIOR
+        for giver in givers:
+            good, bad = self.givers[giver]
+            judged = good + bad
+            if judged > 0.0:
+                counts = min(1.0, judged / MATURE)
+                weight += counts
+                share += counts * good / judged
+        return share / weight
+
+    @property
+    def of_own(self) -> float:
+        """The share that it delivers of the node's own data, 0..1; 0: of too few to tell."""
+        good, bad = self.givers.get(None, (0.0, 0.0))
+        return good / (good + bad) if good + bad >= OWN else 0.0
+
+    # -- while it is doubted -------------------------------------------------------------------------------------------
+
+    def doubt(self, rest: int) -> None:
+        """From now on. `rest`: for how long it is given nothing, by its clock."""
+        self.doubted = True
+        self.doubted_for_others = self.of_own >= DOUBTED
+        self.doubted_since = self.clock
+        self.window = 1
+        self.failed = 0
+        self.rests_until = self.clock + rest
+
+    def delivered(self, given: Given) -> None:
+        """It delivered a datum in time."""
+        if self.doubted_for_others and given.giver is None:
+            # It has always delivered these.
+            return
+        self.window *= 2
+        self.failed = 0
+        self.rests_until = 0
+        if self.window >= TRUSTED:
+            self.doubted = False
+            self.givers.clear()
+
+    def dropped(self, given: Given) -> None:
+        """A datum is overdue."""
+        if given.since >= self.doubted_since and self.clock >= self.rests_until:
+            self.rests_until = self.clock + (self.clock - given.since << self.failed)
+            self.failed = min(self.failed + 1, MOST_DOUBLINGS)
+        self.window = 1
