@@ -3,7 +3,7 @@
     python benchmarks/store.py [--directory DIR] [--seconds S]
 
 `DIR` determines which disk is measured. The absolute figures say more about the disk than about the program, so look at
-the ratios: a commit costs one fsync, however many data it contains.
+the ratios: a commit costs one fsync, two with large data, however many data it contains.
 """
 
 from __future__ import annotations
@@ -25,9 +25,34 @@ from rass_mav.store import MemoryStore, SqliteStore
 PAYLOAD = os.urandom(100)
 
 
-def new_datum(store: Store) -> Datum:
+def new_datum(store: Store, payload: bytes = PAYLOAD) -> Datum:
     """A datum created by the node that owns the store."""
-    return make_datum(DatumId(1, store.epoch, store.next_sequence()), 1, 0.0, PAYLOAD)
+    return make_datum(DatumId(1, store.epoch, store.next_sequence()), 1, 0.0, payload)
+
+
+def written() -> int:
+    """The bytes that this process has written with system calls."""
+    counts = dict(line.split(": ") for line in Path("/proc/self/io").read_text(encoding="ascii").splitlines())
+    return int(counts["wchar"])
+
+
+def parts(directory: Path, size: int, group: int, seconds: float) -> tuple[float, float]:
+    """Store parts, `group` of them a commit, and remove each 64 parts later; from opening to closing. Returns bytes
+    written for each byte stored, and milliseconds a commit."""
+    before, commits, held = written(), 0, list[DatumId]()
+    with SqliteStore.open(directory / f"{size}-{group}.db", node_id=7, draw_epoch=lambda: 1) as store:
+        begin = time.perf_counter()
+        while (spent := time.perf_counter() - begin) < seconds:
+            for _ in range(group):
+                datum = new_datum(store, os.urandom(size))
+                store.put(datum)
+                held.append(datum.id)
+            for id in held[:-64]:
+                store.remove(id, Fate.PASSED_ON)
+            del held[:-64]
+            store.write(store.take())
+            commits += 1
+    return (written() - before) / (commits * group * size), 1000 * spent / commits
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
@@ -98,6 +123,12 @@ def main() -> None:
                 target.write(batch)
             speed = rate(reads(target), options.seconds)
             print(f"{name}, get                              {speed:>10.0f} {speed / first:>8.1f}")
+    print("parts                   bytes written a byte  ms a commit")
+    with tempfile.TemporaryDirectory(dir=options.directory) as directory:
+        for size in (16 << 10, 32 << 10, 64 << 10):
+            for group in (1, 4, 8):
+                ratio, each = parts(Path(directory), size, group, options.seconds)
+                print(f"{size >> 10} KiB, {group} a commit       {ratio:>10.2f} {each:>12.1f}")
 
 
 if __name__ == "__main__":

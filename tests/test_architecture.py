@@ -35,7 +35,9 @@ MAY_IMPORT["replay"] = MAY_IMPORT["experiment"] = MAY_IMPORT["swarm"] | {"swarm"
 MAY_IMPORT["commands"] = set(MAY_IMPORT) - {"commands"}
 
 #: The same inside core, for its modules and its sub-rooms. The ground floor is what all of core may import.
-GROUND_FLOOR = {"alarms", "datum", "fingerprints", "messages", "observer", "pace", "risk", "seals", "shares", "store"}
+GROUND_FLOOR = {
+    "alarms", "datum", "fingerprints", "messages", "observer", "pace", "risk", "seals", "shares", "store", "terms",
+}  # fmt: skip
 IN_CORE: dict[str, set[str]] = {part: set() for part in GROUND_FLOOR}
 IN_CORE["routes"] = {"settings"}
 IN_CORE["policy"] = IN_CORE["news"] = {"routes"}

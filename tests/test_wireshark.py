@@ -22,6 +22,7 @@ from rass_mav.core.messages import (
     Message,
     PassedOn,
     ReceiptEntry,
+    Report,
     Sack,
     WordEntry,
     Words,
@@ -29,6 +30,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.marks import pack_marks
 from rass_mav.core.seals import SEALED
+from rass_mav.core.terms import TERMS
 from rass_mav.keys.letters import Letter
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -110,12 +112,12 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
         if (
             (kind, name) == ("Chunk", "target")
             or value is None
-            or (name in ("moves", "proof", "backers") and not value)
+            or (name in ("moves", "proof", "backers", "data") and not value)
         ):
             continue  # not on the wire
         if name == "created":
             yield "age", round((now - value) * 1000)
-        elif name in ("handovers", "entries", "ids"):
+        elif name in ("handovers", "entries", "ids", "others"):
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
@@ -137,9 +139,10 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield from said_of_a_payload(value, record.kind)
         elif name == "bitmap":
             size = (value.bit_length() + 7) // 8
-            yield "bitmap_size" if kind == "Sack" else "entry_size", size
+            chunks = kind in ("Accept", "Sack", "Report")
+            yield "bitmap_size" if chunks else "entry_size", size
             if size:
-                yield name if kind == "Sack" else "entry_bitmap", value.to_bytes(size, "little")
+                yield name if chunks else "entry_bitmap", value.to_bytes(size, "little")
         else:
             yield NAMES.get(f"{kind}.{name}", name), value
 
@@ -147,6 +150,9 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
 def said_of_a_payload(payload: bytes, kind: int) -> Iterator[tuple[str, int | bytes]]:
     yield "size", len(payload)
     yield "payload", payload
+    if kind & TERMS:
+        yield from [("priority", payload[0]), ("lifetime", int.from_bytes(payload[1:4], "little"))]
+        payload = payload[4:]
     if kind & SEALED:
         yield from [("sealed", payload[:-16]), ("seal", payload[-16:])]
 
@@ -353,6 +359,8 @@ def test_full_frames_and_measurements(tmp_path: Path) -> None:
         *(Data(7, 8, (Handover(1, each),)) for each in (*told, cut)),
         Chunk(65535, 0xFFFF, 16383, True, bytes(range(123))),
         Sack(1, 65535, 2, 3, (1 << 256) - 1),
+        Sack(1, 65535, 2, 3, (1 << 256) - 1, 16383, (Report(4, 5, (1 << 128) - 1),) * 3),
+        Accept(1, 65535, 2, 3, 4, (1 << 256) - 1),
         make_receipt(1, 2, 3, [ReceiptEntry(n, n + 1, 100 * n, n + 3, 2 * n, n % 2 == 0) for n in range(1, 9)]),
         make_receipt(1, 2, 4, [ReceiptEntry(1, 2, 0, 0xFFFFFF00, (1 << 128) - 2, False)]),
         PassedOn(7, 8, tuple(DatumId(n, n + 1, n + 2) for n in range(11))),

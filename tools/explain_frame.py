@@ -34,6 +34,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
 from rass_mav.core.seals import SEALED
+from rass_mav.core.terms import MOST_PRIORITY, TERMS, parted
 from rass_mav.errors import MalformedError
 from rass_mav.keys.letters import Letter
 from rass_mav.keys.sealing import SEAL_SIZE
@@ -414,12 +415,17 @@ def _field(record: Any, name: str, value: Any, depth: int) -> Iterator[str]:
     elif isinstance(value, Datum):
         yield line(name, "", depth=depth).rstrip()
         yield from _fields(value, depth + 1)
-        contents = _CONTENTS.get(value.kind)
+        contents = _CONTENTS.get(value.kind & ~TERMS)
+        open_part, payload = parted(value.kind, value.payload)
+        if payload and open_part:
+            priority, ttl_s = value.terms
+            yield line("priority", priority, f"0..{MOST_PRIORITY}", depth=depth + 1)
+            yield line("lifetime", "none" if ttl_s is None else f"{ttl_s} s", depth=depth + 1)
         if contents and value.intact:
-            yield from contents(value.payload, depth + 1)
-        elif value.kind & SEALED and len(value.payload) >= SEAL_SIZE:
-            yield line("sealed", f"{len(value.payload) - SEAL_SIZE} bytes", "contents, encrypted", depth=depth + 1)
-            yield line("seal", value.payload[-SEAL_SIZE:].hex(), "tag; not checked: that needs keys", depth=depth + 1)
+            yield from contents(payload, depth + 1)
+        elif value.kind & SEALED and len(payload) >= SEAL_SIZE:
+            yield line("sealed", f"{len(payload) - SEAL_SIZE} bytes", "contents, encrypted", depth=depth + 1)
+            yield line("seal", payload[-SEAL_SIZE:].hex(), "tag; not checked: that needs keys", depth=depth + 1)
     elif isinstance(value, Distance):
         yield line(name, "", "distant spares", depth=depth)
         yield from _fields(value, depth + 1)
@@ -457,9 +463,9 @@ def _flags(flags: int) -> str:
 
 
 def _kind(kind: int) -> str:
-    plain = kind & ~SEALED
+    plain = kind & ~(SEALED | TERMS)
     name = Kind(plain).name.lower() if plain in list(Kind) else "unknown"
-    return f"sealed, {name}" if kind & SEALED else name
+    return f"{'sealed, ' if kind & SEALED else ''}{name}{', with terms' if kind & TERMS else ''}"
 
 
 def _potential(value: int) -> str:
@@ -512,6 +518,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "further": lambda _, value: "more copies should go on from the receiver",
     "word": lambda _, value: _WORDS[Word(value)] if value in list(Word) else "unknown",
     "Handover.number": lambda _, value: "hand-over" if value else "no custody offered",
+    "question": lambda _, value: "that it answers" if value else "it answers none",
     "size": lambda _, value: "bytes",
     "chunk_size": lambda _, value: "bytes",
     "moves": lambda _, value: _motion(value) if value else "not told",
@@ -520,6 +527,7 @@ _NOTES: dict[str, Callable[[Any, int], str]] = {
     "bits": lambda _, value: f"it matches one in {1 << value} of the data that have not arrived",
     "given": lambda _, value: "the sequences below have been given, and no other",
     "bitmap": _bitmap,
+    "position": lambda chunk, _: "" if chunk.data else "a question: what has come?",
 }
 
 
@@ -575,7 +583,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="explain_frame.py",
         description="Explain MAVLink frames given in hex, down to the fields of rass_mav's own messages.",
-        epilog="example: explain_frame.py --payload 240200030005030201b2a10a00",
+        epilog="example: explain_frame.py --payload 240200030005030201b2a10a0000",
     )
     parser.add_argument("hex", metavar="HEX", nargs="*", help="bytes in hex, spaces allowed; none: read from stdin")
     parser.add_argument("--payload", action="store_true", help="the bytes are a TUNNEL payload, not a whole frame")

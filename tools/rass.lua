@@ -22,8 +22,11 @@ local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed
 local BLOCKS = { [1] = "answers", [2] = "a distant spare", [3] = "motion", [4] = "proof of the route",
     [5] = "tags of the answers" }
 local VERSION = 2
-local KINDS = { [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status", [128] = "sealed bytes",
-    [129] = "sealed measurement", [130] = "sealed file", [131] = "sealed status" }
+local KINDS = {}
+for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status" }) do
+    KINDS[kind], KINDS[kind + 64] = name, name .. " with terms"
+    KINDS[kind + 128], KINDS[kind + 192] = "sealed " .. name, "sealed " .. name .. " with terms"
+end
 local REASONS = { [1] = "corrupted", [2] = "expired", [3] = "overflow", [4] = "died", [5] = "vanished",
     [6] = "numbers unknown from here on", [7] = "store damaged" }
 local WORDS = { [0] = "again", [1] = "none", [2] = "taken", [3] = "still", [4] = "wanted", [5] = "here", [6] = "enclosed" }
@@ -31,6 +34,7 @@ local UNITS = { "uSv/h", "cpm", "cps", "counts" }
 local TARGETS = { [65535] = "everybody" }
 local LETTERS = { [0] = "with a key", [1] = "revoked" }
 local SEAL_SIZE = 16 -- bytes of the tag behind sealed contents
+local TERMS_SIZE = 4
 local TAG_SIZE = 8
 
 local f = {}
@@ -101,12 +105,15 @@ field("crc", ProtoField.uint32, "rass.crc", "CRC", base.HEX)
 field("size", ProtoField.uint32, "rass.size", "Size, bytes")
 field("small_size", ProtoField.uint8, "rass.size", "Size, bytes")
 field("payload", ProtoField.bytes, "rass.payload", "Payload of the datum")
+field("priority", ProtoField.uint8, "rass.priority", "Priority")
+field("lifetime", ProtoField.uint24, "rass.lifetime", "Lifetime, s; 0: none")
 field("chunk_size", ProtoField.uint8, "rass.chunk_size", "Chunk size, bytes")
 field("handle", ProtoField.uint16, "rass.handle", "Handle", base.HEX)
 field("next_index", ProtoField.uint16, "rass.next_index", "First missing chunk")
 field("position", ProtoField.uint16, "rass.position", "Chunk", base.DEC, nil, 0x7fff)
 field("poll", ProtoField.bool, "rass.poll", "Wants a sack", 16, nil, 0x8000)
 field("data", ProtoField.bytes, "rass.data", "Data of the chunk")
+field("question", ProtoField.uint16, "rass.question", "Answers the question")
 field("bitmap_size", ProtoField.uint8, "rass.bitmap_size", "Bytes of bitmap")
 field("bitmap", ProtoField.bytes, "rass.bitmap", "Bitmap")
 field("committed", ProtoField.uint8, "rass.committed", "Committed pairs")
@@ -396,6 +403,11 @@ local function whole_datum(r)
     local size = r:number("small_size", 1)
     if size == 0 then error(CUT, 0) end
     local payload = r:bytes("payload", size)
+    if kind % 128 >= 64 and size > TERMS_SIZE then
+        r.tree:add(f.priority, payload(0, 1))
+        r.tree:add_le(f.lifetime, payload(1, 3))
+        kind, size, payload = kind - 64, size - TERMS_SIZE, payload(TERMS_SIZE)
+    end
     if kind == 1 then measurement(r, payload) end
     if kind == 3 then status(r, payload) end
     if kind >= 128 and size >= SEAL_SIZE then
@@ -548,11 +560,19 @@ READ[3] = function(r)
     return string.format("%s, %d bytes", info, size)
 end
 
+local function bitmap(r, most)
+    local size = r:number("bitmap_size", 1)
+    if size > most then error(CUT, 0) end
+    r:bytes("bitmap", size)
+end
+
 READ[4] = function(r)
     local info = to_one(r)
     r:number("number", 4)
     local handle = r:number("handle", 2)
-    return string.format("%s %04x, from chunk %d on", info, handle, r:number("next_index", 2))
+    local next_index = r:number("next_index", 2)
+    if r.at < r.tvb:len() then bitmap(r, 32) end
+    return string.format("%s %04x, from chunk %d on", info, handle, next_index)
 end
 
 READ[5] = function(r)
@@ -562,6 +582,7 @@ READ[5] = function(r)
     r.tree:add_le(f.poll, index)
     local size = r.tvb:len() - r.at
     r:bytes("data", size)
+    if size == 0 then return string.format("%04x, question %d", handle, index:le_uint() % 32768) end
     return string.format("%04x, chunk %d, %d bytes", handle, index:le_uint() % 32768, size)
 end
 
@@ -569,9 +590,17 @@ READ[6] = function(r)
     local info = to_one(r)
     local handle = r:number("handle", 2)
     local next_index = r:number("next_index", 2)
-    local size = r:number("bitmap_size", 1)
-    if size > 32 then error(CUT, 0) end
-    r:bytes("bitmap", size)
+    bitmap(r, 32)
+    if r.at < r.tvb:len() then
+        r:number("question", 2)
+        local count = r:number("count", 1)
+        if count > 3 then error(CUT, 0) end
+        for _ = 1, count do
+            r:number("handle", 2)
+            r:number("next_index", 2)
+            bitmap(r, 16)
+        end
+    end
     return string.format("%s %04x, all below chunk %d", info, handle, next_index)
 end
 

@@ -440,13 +440,21 @@ class Agent:
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].rate = (1.0 - _HEARTBEAT_PART) * rate
 
+    @property
+    def due(self) -> float:
+        """When answers that wait leave, or transfers want to be tended, seconds; infinity: never."""
+        return min(self.answers.due, self.node.due)
+
     def tend(self, now: float) -> tuple[Sequence[Outgoing], float]:
-        """Between steps: send what is due to the autopilot and the ground, and answers that have waited.
+        """Between steps: send what is due to the autopilot, the ground and the neighbours, and answers that have
+        waited.
 
         Returns the frames that leave, and when to call again.
         """
-        answers = self._leave(now) if self.answers.due <= now else ()
-        due = self.answers.due
+        answers = [*self._leave(now)] if self.answers.due <= now else []
+        if self.node.due <= now:
+            answers += self.peers.frames(self.node.tend(now), self.store, now)
+        due = self.due
         if self.ground is not None:
             self._beat(now)
             due = min(due, self._beats.next_at, self.ground.tend(now, self._said))

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.floods import Flood
 from rass_mav.agent.outgoing import Outgoing
-from rass_mav.link.airtime import Budget, Pacer
-from rass_mav.mavlink.frames import Frame
+from rass_mav.agent.streams import WINDOW
+from rass_mav.link.airtime import Budget, Pacer, Queued
+from rass_mav.mavlink.frames import Frame, timestamp_of
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
 
 #: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
 MOST_RADIO_STATUS, WATCH_S = 30, 10.0
+#: A frame that was overtaken by more timestamps than this is signed again: hearers take it only within a window.
+MOST_OVERTAKEN = WINDOW // 2
 _WARNING = 4
 # Their names in `status`, in the order of `Urgency`.
-_KINDS = ("vehicle", "beacons", "answers", "data")
+_KINDS = ("vehicle", "beacons", "answers", "data", "chunks")
 
 
 class Lane:
@@ -55,6 +58,8 @@ class Lane:
         self._stream = stream
         self._only = only
         self._generation = 0
+        self._newest = -1
+        """The highest timestamp that has left, of a link with a budget."""
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -81,7 +86,7 @@ class Lane:
             self._hear_radio(frame, now)
             return ()
         if pacer is not None:
-            pacer.heard(now)
+            pacer.heard(now, frame.size if frame.message_id == TUNNEL else 0)
         if frame.message_id != TUNNEL:
             return ()
         if not self.duplicates.is_new(frame, now):
@@ -111,17 +116,32 @@ class Lane:
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 
-    def meet(self, neighbours: int) -> None:
-        """So many nodes are heard on this link now."""
+    def meet(self, neighbours: Collection[int]) -> None:
+        """These nodes are heard on this link now."""
         if self.pacer is not None:
             # The ground may have changed the length of a step.
             self.pacer.step_s = self.agent.settings.step_s
-            self.pacer.neighbours = neighbours
+            self.pacer.meet(neighbours)
 
     def push(self, outgoing: Outgoing, now: float, *, first: bool = False) -> None:
         """Queue a frame; `first`: before all others of the same urgency. Only for a lane with a budget."""
         assert self.pacer is not None
         self.pacer.push(outgoing.frame, outgoing.target, outgoing.urgency, now, first=first)
+
+    def pop(self, now: float) -> Queued | None:
+        """The frame that leaves now, or None; as `Pacer.pop`. Only for a lane with a budget."""
+        assert self.pacer is not None
+        queued = self.pacer.pop(now)
+        signed = self.agent.peers.signed
+        if queued is None or signed is None or (timestamp := timestamp_of(queued.frame)) is None:
+            return queued
+        if timestamp < self._newest - MOST_OVERTAKEN:
+            frame = signed.timestamps.sign_again(queued.frame)
+            self.duplicates.said(frame, now)
+            queued = queued._replace(frame=frame)
+            timestamp = timestamp_of(frame) or 0
+        self._newest = max(self._newest, timestamp)
+        return queued
 
     def report(self) -> dict[str, Any]:
         """For `status`."""
@@ -152,7 +172,7 @@ def set_pace(agent: Agent, lanes: Sequence[Lane], now: float, waiting: int = 0) 
     node, step_s = agent.node, agent.settings.step_s
     turn_s, items = common_pace(lanes, step_s, node.settings.bandwidth_items)
     node.keep_pace(turn_s, items, now, slowest_turn(lanes, step_s))
-    node.pace.queue = waiting + sum(lane.pacer.waiting for lane in lanes if lane.pacer is not None)
+    node.pace.queue = waiting + sum(lane.pacer.pressing for lane in lanes if lane.pacer is not None)
 
 
 def common_pace(lanes: Sequence[Lane], step_s: float, bandwidth_items: int) -> tuple[float, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.seals import SEALED, NoSeals
 from rass_mav.core.store import Store
+from rass_mav.core.terms import parted
 from rass_mav.errors import ForgedError, MalformedError
 from rass_mav.keys.keyring import Keyring
 from rass_mav.keys.sealing import SEAL_SIZE, Opener, Sealer
@@ -43,16 +44,17 @@ class Seals(NoSeals):
         self._opener = opener
         self._accept_open = accept_open
 
-    def seal(self, id: DatumId, kind: int, payload: bytes) -> tuple[int, bytes]:
-        return kind | SEALED, self._sealer.seal(id.sequence, kind, payload)
+    def seal(self, id: DatumId, kind: int, payload: bytes, terms: bytes = b"") -> tuple[int, bytes]:
+        return kind | SEALED, terms + self._sealer.seal(id.sequence, kind, payload, terms)
 
     def is_made(self, datum: Datum) -> bool:
         if self._opener is None:
             return True
         if not datum.kind & SEALED:
             return self._accept_open
+        terms, sealed = parted(datum.kind, datum.payload)
         try:
-            self._opener.open(datum.id, datum.kind & ~SEALED, datum.payload)
+            self._opener.open(datum.id, datum.kind & ~SEALED, sealed, terms)
         except (ForgedError, MalformedError):
             return False
         return True

@@ -27,7 +27,7 @@ class DataSettings(Section):
     """Smallest size of a measurement. Random bytes fill the space after the measurement itself, which has up to 23.
     With keys it is at most 16 less than what a datum, or under `stigmergy` a frame, holds."""
     lifetime_s: Positive | None = None
-    """Data older than this expire; null: never."""
+    """Data older than this expire, or sooner by their own lifetimes; null: only by these."""
     status_s: NonNegative | None = 0.0
     """Seconds between two status data of a drone; 0: none; null: 60, and more on a slow link."""
 

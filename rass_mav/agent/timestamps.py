@@ -6,7 +6,7 @@ They are claimed on disk before a frame with them leaves, so the next life start
 from __future__ import annotations
 
 from rass_mav.core.store import Store
-from rass_mav.mavlink.signing import Signer, SigningKey
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, Signer, SigningKey
 
 #: Timestamps claimed at a time, one for each frame. Half a claim is left when the next one is made: at 100 frames a
 #: second a disk may fail for 23 hours before the node falls silent.
@@ -60,6 +60,10 @@ class Timestamps:
         self.cover()
         assert self._signer.timestamp < self._durable, "a frame leaves before its timestamp is claimed"
         return self._signer.sign(frame)
+
+    def sign_again(self, frame: bytes) -> bytes:
+        """A signed frame of this node with a new timestamp, because too many others have overtaken it."""
+        return self.sign(frame[:-SIGNATURE_SIZE])
 
     def use(self, key: SigningKey) -> None:
         """Sign with another key from now on. No timestamp is used under two keys."""

@@ -36,7 +36,7 @@ class Channel:
         if self._closed():
             return
         now = self._now()
-        while (queued := pacer.pop(now)) is not None:
+        while (queued := self.lane.pop(now)) is not None:
             self.link.send(queued.frame, queued.target)
         self.stop()
         due = pacer.next_at(now)

@@ -81,6 +81,15 @@ class LogSection(Section):
     level: Literal["debug", "info", "warning", "error"] = "warning"
 
 
+class WatchSection(Section):
+    """A folder whose files are put."""
+
+    folder: Annotated[str, Meta(min_length=1)]
+    """Its path. The node only reads it."""
+    settle_s: Positive = 5.0
+    """A file is complete when its size and its date have not changed for so many seconds."""
+
+
 class RunStoreSettings(StoreSettings):
     """The store on a disk. Reading all of it in every step would wear out the card and drain the battery."""
 
@@ -93,6 +102,8 @@ class RunDataSettings(DataSettings):
 
     status_s: NonNegative | None = None
     """Seconds between two status data of a drone; 0: none; null: 60, and more on a slow link."""
+    part_bytes: Annotated[int, Meta(ge=1 << 14, le=1 << 16)] = 1 << 15
+    """Bytes of the parts into which a large file is cut, at most."""
 
 
 class RunConfig(Section):
@@ -121,6 +132,8 @@ class RunConfig(Section):
     """At a base, figures for Prometheus; null: none."""
     postgres: PostgresSection | None = None
     """At a base, a database that gets what arrives; null: none."""
+    watch: WatchSection | None = None
+    """A folder whose files are put; null: none."""
     log: LogSection = LogSection()
 
     @property

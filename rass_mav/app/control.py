@@ -1,5 +1,7 @@
 """The local control socket: newline-delimited JSON over a unix stream socket, for `status` and `put`.
 
+A file that is larger than a datum comes in several requests: `file`, so many times `piece`, and `done`.
+
 A request is one object on one line, `{"command": "put", "kind": 0, "payload": "<base64>"}`. So is an answer,
 `{"ok": true, ...}` or `{"ok": false, "error": "..."}`. What the node holds is read from its store. Any user who can
 open the socket's file can use it; only the node's own user can.
@@ -22,10 +24,17 @@ from typing import Annotated, Any, TypeVar
 from rass_mav.config.sections import Meta, Section
 from rass_mav.config.typed import build
 from rass_mav.core.datum import MAX_PAYLOAD, Kind
+from rass_mav.core.terms import MOST_PRIORITY, MOST_TTL_S, TERMS, USUAL_PRIORITY, Terms
 from rass_mav.errors import ConfigError, ControlError, MalformedError, RassError, StoreDamagedError, why
+from rass_mav.wire.file import MOST_FILE, MOST_NAME, PACKINGS, PLAIN
 
 from .driver import Driver
+from .files import Files
 from .jsonlines import dump_line, load_bytes, load_line
+from .payloads import parse_name
+from .redundancy import MOST_SHARES
+from .spool import Draft
+from .staging import About
 from .status import status
 
 log = logging.getLogger(__name__)
@@ -52,21 +61,74 @@ class StatusRequest(Section):
     """The state of the node."""
 
 
-class PutRequest(Section):
+class _WithTerms(Section):
+    """What creates data."""
+
+    priority: Annotated[int, Meta(ge=0, le=MOST_PRIORITY)] = USUAL_PRIORITY
+    ttl_s: Annotated[int, Meta(ge=1, le=MOST_TTL_S)] | None = None
+    """They expire when they are older, seconds; null: never."""
+
+    @property
+    def terms(self) -> Terms:
+        """Both."""
+        return Terms(self.priority, self.ttl_s)
+
+
+class PutRequest(_WithTerms):
     """Create a datum. The answer comes when it is on disk."""
 
     payload: str
     """1 byte to 1 MiB, in base64."""
-    kind: Annotated[int, Meta(ge=0, le=127)] = Kind.BYTES
+    kind: Annotated[int, Meta(ge=0, lt=TERMS)] = Kind.BYTES
 
 
-_REQUESTS: dict[str, type[Section]] = {"status": StatusRequest, "put": PutRequest}
+class FileRequest(_WithTerms):
+    """Begin a file, one at a time."""
+
+    name: Annotated[str, Meta(min_length=1)]
+    size: Annotated[int, Meta(ge=1, le=MOST_FILE)]
+    """Bytes."""
+    digest: Annotated[str, Meta(min_length=64, max_length=64)]
+    """SHA-256, in hexadecimal."""
+    packing: Annotated[int, Meta(ge=0, le=max(PACKINGS))]
+    length: Annotated[int, Meta(ge=1, le=MOST_FILE)]
+    """Bytes when packed."""
+    time: float
+    """When it was last changed, seconds since 1970."""
+    needed: Annotated[int, Meta(ge=0, le=MOST_SHARES)] = 0
+    """K: so many of each `shares` data are enough; 0: no redundancy."""
+    shares: Annotated[int, Meta(ge=0, le=MOST_SHARES)] = 0
+    """N."""
+
+
+class PieceRequest(Section):
+    """The next bytes of the file."""
+
+    payload: str
+    """1 byte to 64 KiB, in base64."""
+
+
+class DoneRequest(Section):
+    """The file is complete. The answer comes when it is on disk."""
+
+
+class ProgressRequest(Section):
+    """How much of a datum or of a file has arrived."""
+
+    id: str
+    """As `put` and `done` answer it."""
+
+
+_REQUESTS: dict[str, type[Section]] = {
+    "progress": ProgressRequest,
+    "status": StatusRequest, "put": PutRequest, "file": FileRequest, "piece": PieceRequest, "done": DoneRequest,
+}  # fmt: skip
 
 
 class _Client:
     """A connected client."""
 
-    __slots__ = ("_writer", "answered", "task", "waited_for")
+    __slots__ = ("_writer", "answered", "draft", "task", "waited_for")
 
     def __init__(self, task: asyncio.Task[None], writer: asyncio.StreamWriter) -> None:
         self.task = task
@@ -75,6 +137,8 @@ class _Client:
         writer.transport.set_write_buffer_limits(high=0)
         self.answered = False
         """Whether a request of the client is being answered."""
+        self.draft: Draft | None = None
+        """The file that it puts."""
         self.waited_for: float | None = _now()
         """Since when we wait for its request, for the end of it, or for it to take the answer; None: we do not wait."""
 
@@ -102,9 +166,11 @@ class _Client:
 class ControlServer:
     """Answers on a unix socket for a driver."""
 
-    def __init__(self, driver: Driver, path: Path, around: Callable[[], dict[str, Any]] = dict) -> None:
-        """`path`: the socket's file. `around`: what else `status` shows, which the driver does not know."""
+    def __init__(self, driver: Driver, path: Path, files: Files, around: Callable[[], dict[str, Any]] = dict) -> None:
+        """`path`: the socket's file. `files`: those that are put. `around`: what else `status` shows, which the driver
+        does not know."""
         self._driver = driver
+        self._files = files
         self._around = around
         self._path = path
         self._started = driver.now()
@@ -148,6 +214,7 @@ class ControlServer:
             raise
         finally:
             self._clients.discard(client)
+            self._drop_draft(client)
             client.cut()
 
     def _make_room(self) -> bool:
@@ -174,7 +241,7 @@ class ControlServer:
                 return
             client.answered = True
             try:
-                await client.say({"ok": True, **await self._answer(line)})
+                await client.say({"ok": True, **await self._answer(line, client)})
             except StoreDamagedError as error:
                 self._driver.fail(error)
                 await client.say({"ok": False, "error": str(error)})
@@ -184,15 +251,45 @@ class ControlServer:
             finally:
                 client.answered = False
 
-    async def _answer(self, line: bytes) -> dict[str, Any]:
+    async def _answer(self, line: bytes, client: _Client) -> dict[str, Any]:
         try:
             request = _request(line)
-            payload = load_bytes(request.payload) if isinstance(request, PutRequest) else b""
+            payload = load_bytes(request.payload) if isinstance(request, (PutRequest, PieceRequest)) else b""
+            about = _about(request) if isinstance(request, FileRequest) else None
         except (MalformedError, ConfigError) as error:
             raise ControlError(f"not a request: {'; '.join(error.lines())}") from None
         if isinstance(request, PutRequest):
-            return {"id": str(await self._driver.put(payload, request.kind))}
-        return {"status": {**status(self._driver, self._started), **self._around()}}
+            return {"id": str(await self._driver.put(payload, request.kind, request.terms))}
+        if about is not None:
+            self._drop_draft(client)
+            client.draft = await self._files.begin(about, redundancy=_redundancy(request))
+            return {"part_bytes": client.draft.manifest.cut.part_bytes}
+        if isinstance(request, ProgressRequest):
+            return {**self._files.progress(parse_name(request.id)[0])}
+        if isinstance(request, (PieceRequest, DoneRequest)):
+            return await self._go_on(client, request, payload)
+        return {"status": {**status(self._driver, self._started), "files": self._files.report(), **self._around()}}
+
+    async def _go_on(self, client: _Client, request: Section, payload: bytes) -> dict[str, Any]:
+        """With the file of a client. After an error nothing is left of it."""
+        draft = client.draft
+        if draft is None:
+            raise ControlError("no file was begun")
+        try:
+            if isinstance(request, PieceRequest):
+                await self._files.write(draft, payload)
+                return {}
+            id = await self._files.finish(draft)
+        except BaseException:
+            self._drop_draft(client)
+            raise
+        client.draft = None
+        return {"id": str(id), "parts": draft.manifest.cut.data()}
+
+    def _drop_draft(self, client: _Client) -> None:
+        if client.draft is not None:
+            self._files.give_up(client.draft)
+            client.draft = None
 
 
 def _request(line: bytes) -> Section:
@@ -206,6 +303,26 @@ def _request(line: bytes) -> Section:
     if any(isinstance(value, (dict, list)) for value in raw.values()):
         raise MalformedError("expected text and numbers only")
     return build(raw, _REQUESTS[command])
+
+
+def _about(request: FileRequest) -> About:
+    """Raises `MalformedError`."""
+    try:
+        digest = bytes.fromhex(request.digest)
+    except ValueError:
+        raise MalformedError("expected a digest in hexadecimal") from None
+    if len(request.name.encode(errors="replace")) > MOST_NAME or len(digest) != 32:
+        raise MalformedError(f"expected a name of at most {MOST_NAME} bytes, and a digest of 32")
+    if request.needed >= request.shares > 0 or bool(request.needed) != bool(request.shares):
+        raise MalformedError("expected more shares than are needed")
+    if request.packing == PLAIN and request.length != request.size:
+        raise MalformedError("expected the same size and length, for it is not packed")
+    return About(request.name, request.size, request.time, digest, request.packing, request.length, request.terms)
+
+
+def _redundancy(request: Section) -> tuple[int, int] | None:
+    assert isinstance(request, FileRequest)
+    return (request.needed, request.shares) if request.needed else None
 
 
 def _now() -> float:

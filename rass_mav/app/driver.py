@@ -24,6 +24,7 @@ from rass_mav.agent.lane import Lane, set_pace
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.turns import jitter
 from rass_mav.core.datum import DatumId
+from rass_mav.core.terms import USUAL, Terms
 from rass_mav.errors import StoreError, StoreFullError
 from rass_mav.link.base import Address, Link
 from rass_mav.link.radio import AutopilotLink
@@ -128,16 +129,22 @@ class Driver:
         self._bug = self._bug or error
         self._wake.set()
 
-    async def put(self, payload: bytes, kind: int) -> DatumId:
+    async def put(self, payload: bytes, kind: int, terms: Terms = USUAL) -> DatumId:
         """Create a datum. Returns when it is on disk. Raises `StoreFullError` or `DatumError`, and `StoreError` if it
         cannot be written now (it is kept, and written as soon as possible) or was dropped with a frame that hit a
         fault."""
+        id = self.create(payload, kind, terms)
+        await self.writer.durable()
+        return id
+
+    def create(self, payload: bytes, kind: int, terms: Terms = USUAL) -> DatumId:
+        """Create a datum, which the next commit writes. Raises `StoreFullError` or `DatumError`, and `StoreError` when
+        the node is stopping."""
         if self._stopping:
             raise StoreError("the node is stopping")
         now = self.now()
-        id = self.agent.node.put(payload, now, kind)
+        id = self.agent.node.put(payload, now, kind, terms)
         self._hand_out(self.agent.forward(now))
-        await self.writer.durable()
         return id
 
     # -- the loop ------------------------------------------------------------------------------------------------------
@@ -244,7 +251,7 @@ class Driver:
         """Send as many beacons and data as the links can carry with the present neighbours."""
         neighbours = self.agent.node.routing.neighbours
         for channel in self.channels:
-            channel.lane.meet(sum(map(channel.link.reaches, neighbours)))
+            channel.lane.meet({id for id in neighbours if channel.link.reaches(id)})
         if self._through is not None and (pacer := self._through.lane.pacer) is not None:
             self.agent.pace_vehicle(pacer.vehicle_rate)
         waiting = sum(channel.link.waiting for channel in self.channels if channel.lane.pacer is None)

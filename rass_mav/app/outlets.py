@@ -12,7 +12,7 @@ from rass_mav.errors import ConfigError, os_errors_as
 from rass_mav.link.address import parse_address
 
 #: Of data, as people write them.
-KindName = Literal["measurement", "file", "bytes", "status"]
+KindName = Literal["measurement", "file", "part", "bytes", "status"]
 
 
 class OnArrivalSection(Section):
@@ -23,7 +23,7 @@ class OnArrivalSection(Section):
     timeout_s: Positive = 30.0
     """After this many seconds the command is killed."""
     kinds: tuple[KindName, ...] | None = None
-    """Only for data of these kinds; null: for all."""
+    """Only for data of these kinds; null: for all but parts of files."""
 
 
 #: The shortest token that is taken, and the longest, characters: nobody can guess it.

@@ -7,6 +7,9 @@ import re
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId
 from rass_mav.errors import DatumError, MalformedError
 
+#: A file of at most so many bytes is one datum of kind FILE. A larger one is cut into parts (`app.staging`).
+MOST_SMALL = 1 << 15
+
 _ID = re.compile(r"(\d{1,5})-([0-9a-f]{8})-(\d{1,10})(?:#([0-9a-f]{8}))?", re.ASCII)
 
 

@@ -8,10 +8,11 @@ import os
 import random
 import secrets
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, contextmanager
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.agent.agent import Agent
@@ -26,15 +27,18 @@ from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.sensor.base import Sensor
+from rass_mav.store.files import beside
 from rass_mav.store.sqlite import SqliteStore
 
 from .clock import LivedClock, TimeSources
 from .config import RunConfig
 from .control import ControlServer
 from .driver import Driver
+from .files import Files
 from .machine import Machine
 from .narration import Narration
 from .notify import Notifier
+from .spool import FILES, Spool
 
 if TYPE_CHECKING:
     from rass_mav.agent.trust import Trust
@@ -43,6 +47,7 @@ if TYPE_CHECKING:
 
     from .companion import Companion
     from .signing import KeptTimestamp
+    from .watch import Watch
 
 log = logging.getLogger(__name__)
 
@@ -92,6 +97,7 @@ class Runtime:
         self._anew = False
         self._driver: Driver | None = None
         self._companion: Companion | None = None
+        self._watched: Watch | None = None
         if config.outlets:
             from .companion import Companion  # most nodes have none
 
@@ -183,7 +189,8 @@ class Runtime:
             driver = Driver(agent, links, vehicle, clock.now, executor, rng, sensor, ground=ground, lived=clock)
             driver.notifier = self._notifier
             self._watch_numbers(driver)
-            control = ControlServer(driver, config.socket_path, self._around)
+            files, tasks = self._open_files(driver, stack)
+            control = ControlServer(driver, config.socket_path, files, self._around)
             try:
                 await control.start()
             except ControlError as error:
@@ -197,7 +204,8 @@ class Runtime:
             self._announce(store, vehicle, links)
             try:
                 try:
-                    await driver.run()
+                    with _meanwhile(tasks):
+                        await driver.run()
                 finally:
                     await control.close()
             except StoreDamagedError:
@@ -208,6 +216,24 @@ class Runtime:
                 self._close(store)
                 raise
             self._close(store)
+
+    def _open_files(
+        self, driver: Driver, stack: AsyncExitStack
+    ) -> tuple[Files, list[Callable[[], Coroutine[Any, Any, None]]]]:
+        """The files that are put, the watched folder if there is one, and what they do while the driver runs."""
+        config = self._config
+        spool = Spool(beside(config.store_path, FILES))
+        files = Files(driver, spool, config.data.part_bytes, stack.enter_context(ThreadPoolExecutor(1, "files")))
+        self._watched = None
+        if config.watch is None:
+            return files, [files.run]
+        from .watch import WATCHED, Watch  # most nodes have none
+
+        self._watched = Watch(
+            Path(config.watch.folder), config.watch.settle_s, driver, files, beside(config.store_path, WATCHED),
+            stack.enter_context(ThreadPoolExecutor(1, "watch")),
+        )  # fmt: skip
+        return files, [files.run, self._watched.run]
 
     def _sign(self, agent: Agent, vehicle: VehiclePort | None) -> VehiclePort | None:
         """The autopilot's port, with signatures if it has MAVLink signing."""
@@ -264,7 +290,8 @@ class Runtime:
         trust, driver = self._trust, self._driver
         letters = None if trust is None or driver is None else trust.letters.report(driver.now())
         beside = None if self._companion is None else self._companion.report()
-        return {"keys": self._about_keys(), "letters": letters, "beside": beside}
+        watch = None if self._watched is None else self._watched.report()
+        return {"keys": self._about_keys(), "letters": letters, "beside": beside, "watch": watch}
 
     def _announce(self, store: SqliteStore, vehicle: VehiclePort | None, links: Sequence[Link]) -> None:
         if self._companion is not None:
@@ -293,6 +320,17 @@ class Runtime:
         )  # fmt: skip
         if self._narrate is not None:
             agent.services.append(Narration(agent, self._narrate, now, autopilot=vehicle is not None, reading=reads))
+
+
+@contextmanager
+def _meanwhile(tasks: Sequence[Callable[[], Coroutine[Any, Any, None]]]) -> Iterator[None]:
+    """Run these during the block."""
+    running = [asyncio.create_task(task()) for task in tasks]
+    try:
+        yield
+    finally:
+        for each in running:
+            each.cancel()
 
 
 def _introduction(config: RunConfig, vehicle: VehiclePort | None, links: Sequence[Link]) -> str:

@@ -190,6 +190,7 @@ def _files(config: RunConfig) -> dict[str, str]:
         "store.path": config.store.path,
         "control.socket": config.control.socket,
         "sensor.path": config.sensor.path,
+        "watch.folder": None if config.watch is None else config.watch.folder,
         "keys.file": None if config.keys is None else config.keys.file,
     }
     return {key: file for key, file in named.items() if file is not None and Path(file).is_absolute()}

@@ -195,7 +195,7 @@ class Poster:
             "error_s": entry.error_s, "at_least": entry.at_least, "age_s": entry.age_s,
             "arrived": entry.arrived, "arrived_at": iso(entry.arrived) if entry.arrived and entry.dated else None,
             "latitude": latitude, "longitude": longitude,
-            "altitude": None if m is None else m.altitude, "reading": entry.reading,
+            "altitude": entry.altitude, "reading": entry.reading,
             "unit": None if m is None else m.unit, "risk": None if m is None else m.risk,
             "payload": datum.payload,
         }  # fmt: skip

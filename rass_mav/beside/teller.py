@@ -112,7 +112,7 @@ class Teller:
         for entry in found.entries:
             if stopping.is_set() or time.monotonic() >= until:
                 break
-            wanted = self._kinds is None or entry.kind_name in self._kinds
+            wanted = entry.kind_name != "part" if self._kinds is None else entry.kind_name in self._kinds
             if wanted and not self._tell(entry, stopping):
                 break
             self._mark = found.start._replace(arrival=entry.arrival)

@@ -7,6 +7,7 @@ import contextlib
 import json
 import logging
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 VIRTUAL_START_S = 1_577_836_800.0
 #: Seconds between two lines about progress, where there is no progress bar.
 LINE_EVERY_S = 30.0
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
+_DURATION = re.compile(r"(\d{1,9}(?:\.\d{1,9})?)([smhd])", re.ASCII)
 #: The type of the object that argparse's `add_subparsers` returns.
 Subparsers = Any
 
@@ -123,6 +126,12 @@ def add_set(parser: argparse.ArgumentParser) -> None:
         dest="assignments",
         help="override a key of the file; the value is YAML; may be repeated",
     )
+
+
+def duration(text: str) -> float | None:
+    """The seconds in a text like 90s, 10m, 2h, 1d; None: it is no such text."""
+    match = _DURATION.fullmatch(text)
+    return None if match is None else float(match[1]) * _SECONDS[match[2]]
 
 
 def start_logging(verbose: int, level: str = "warning") -> None:

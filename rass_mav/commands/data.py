@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rass_mav.errors import ConfigError, RassError, installing, os_errors_as
 
@@ -17,6 +17,7 @@ from .common import Subparsers, add_command, clean, print_json, say, start_loggi
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
+    from rass_mav.mission.assembly import Extent, Group
     from rass_mav.mission.entry import Data, Entry, Filter
     from rass_mav.mission.opening import Opens
 
@@ -45,12 +46,13 @@ def register(subparsers: Subparsers) -> None:
         help="then show what arrives, until Ctrl-C; with --json an object a line",
     )  # fmt: skip
     get = add_command(
-        subparsers, "get", _get, help="fetch a datum from a store",
+        subparsers, "get", _get, help="fetch a datum or a file from a store",
         example="rass-mav get -c base.yaml 7-0123abcd-42 -o photo.jpg",
     )  # fmt: skip
     get.add_argument("-c", "--config", metavar="STORE|CONFIG", dest="store", help=STORE_HELP)
     _add_keys(get)
-    get.add_argument("id", metavar="ID", help="an id as printed by put and ls")
+    get.add_argument("id", metavar="ID|NAME", help="an id as printed by put and ls, or the name of a file")
+    get.add_argument("--partial", action="store_true", help="of a file that is not whole, its beginning")
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
 
@@ -114,13 +116,72 @@ def _ls(options: argparse.Namespace) -> int:
     with read_archive(options) as archive:
         if options.follow:
             _follow(archive, filter, as_json=options.json)
-        elif options.json:
-            print_json({"data": [entry.plain() for entry in _sorted(archive.entries(filter), options)]})
+            return 0
+        listed = _Listed(archive, filter)
+        if options.json:
+            data = [listed.plain(entry) for entry in _sorted(listed.entries(), options)]
+            print_json({"data": data, "without_manifest": [orphan.plain() for orphan in listed.orphans()]})
         else:
             say(HEADER)
-            for entry in _sorted(archive.entries(filter), options):
-                say(datum_line(entry))
+            for entry in _sorted(listed.entries(), options):
+                say(listed.line(entry))
+            for orphan in listed.orphans():
+                say(orphan_line(orphan))
     return 0
+
+
+class _Listed:
+    """What a list shows: files rather than their parts."""
+
+    def __init__(self, archive: Data, filter: Filter, *, follow: bool = False) -> None:
+        """`follow`: nothing is known yet; `arrived` is called with all data."""
+        from rass_mav.mission.assembly import Groups
+
+        self._archive, self._filter = archive, filter
+        self._singly = filter.kinds == {"part"}
+        self._groups = Groups() if self._singly or follow else Groups.of(archive)
+        self._files: dict[object, Entry] = {}
+
+    def entries(self) -> Iterator[Entry]:
+        """The data to list."""
+        # Parts that nobody can read are listed singly.
+        parts = True if self._singly else None if self._groups.unread else False
+        for entry in self._archive.entries(self._filter, parts=parts):
+            if self._singly or entry.part is None:
+                yield entry
+
+    def orphans(self) -> list[Group]:
+        """The files whose manifest is not there, unless the options ask for what only a manifest tells."""
+        drones, kinds, *others = self._filter
+        if self._singly or (kinds is not None and "file" not in kinds) or any(each is not None for each in others):
+            return []
+        orphans = self._groups.orphans(self._archive)
+        return [group for group in orphans if drones is None or group.origin in drones]
+
+    def extent(self, entry: Entry) -> Extent | None:
+        """How much of a file is there."""
+        return None if entry.manifest is None else self._groups.parts_of(entry).extent
+
+    def line(self, entry: Entry) -> str:
+        """For people."""
+        extent = self.extent(entry)
+        return datum_line(entry) if extent is None else f"{datum_line(entry)} {extent.words}"
+
+    def plain(self, entry: Entry) -> dict[str, Any]:
+        """For JSON."""
+        extent = self.extent(entry)
+        return entry.plain() if extent is None else {**entry.plain(), "parts": extent._asdict()}
+
+    def arrived(self, entries: Iterable[Entry]) -> Iterator[Entry]:
+        """What to show of the next data: a file once its manifest is there, and again once it is whole."""
+        for entry in entries:
+            shown: Entry | None = entry
+            if entry.manifest is not None:
+                self._files[self._groups.parts_of(entry).key] = entry
+            elif entry.part is not None and not self._singly and (group := self._groups.add(entry)) is not None:
+                shown = self._files.get(group.key) if group.extent.whole else None
+            if shown is not None and self._filter.admits(shown):
+                yield shown
 
 
 def _sorted(entries: Iterable[Entry], options: argparse.Namespace) -> Iterable[Entry]:
@@ -138,20 +199,21 @@ def _sorted(entries: Iterable[Entry], options: argparse.Namespace) -> Iterable[E
 
 
 def _follow(archive: Data, filter: Filter, *, as_json: bool) -> None:
+    listed = _Listed(archive, filter, follow=True)
     if not as_json:
         say(HEADER)
-    new = archive.entries(filter)
+    new = archive.entries()
     while True:
-        for entry in new:
+        for entry in listed.arrived(new):
             if as_json:
-                print_json(entry.plain())
+                print_json(listed.plain(entry))
             else:
-                say(datum_line(entry))
+                say(listed.line(entry))
         sys.stdout.flush()
         archive.rest()
         time.sleep(LOOK_S)
         archive.renew()
-        new = archive.entries(filter, after=archive.seen)
+        new = archive.entries(after=archive.seen)
 
 
 #: The first line of a list.
@@ -167,8 +229,20 @@ def datum_line(entry: Entry) -> str:
     return clean(f"{entry.name:<28} {date:<24} {error:>6} {entry.hops:>4} {entry.size:>7}  {content(entry)}")
 
 
+def orphan_line(group: Group) -> str:
+    """A file whose manifest is not there."""
+    blank = f"{group.name:<28} {'unknown':<24} {'':>6} {'':>4} {group.cut.length:>7}"
+    return f"{blank}  file of drone {group.origin} without its manifest {group.extent.words}"
+
+
 def content(entry: Entry) -> str:
-    """What a datum contains, in words."""
+    """What a datum contains, in words, and its terms."""
+    if entry.priority is None:
+        return _words(entry)
+    return f"{_words(entry)} (priority {entry.priority}{'' if entry.ttl_s is None else f', ttl {entry.ttl_s} s'})"
+
+
+def _words(entry: Entry) -> str:
     from rass_mav.mission.entry import UNIT_NAMES
 
     if entry.malformed:
@@ -176,6 +250,8 @@ def content(entry: Entry) -> str:
     if (status := entry.status) is not None:
         return f"status, {status.held} in custody, {status.alone} of them nowhere else, risk {status.risk:.3f}"
     if (m := entry.measurement) is None:
+        if entry.part is not None:
+            return f"part {entry.part.number} of file-{entry.part.cut.key.hex()}"
         return entry.kind_name if entry.file is None else f"file {entry.file}"
     parts = ["no reading"]
     if m.reading is not None:
@@ -191,22 +267,43 @@ def content(entry: Entry) -> str:
 
 
 def _get(options: argparse.Namespace) -> int:
-    from rass_mav.app.payloads import unpack_file
-    from rass_mav.core.datum import Kind
+    from rass_mav.mission.assembly import find
 
     start_logging(options.verbose)
     with read_archive(options) as archive:
-        entry, payload = archive.entry(options.id), archive.payload(options.id)
-    whole = entry.kind == Kind.FILE and not entry.malformed
-    data = unpack_file(payload)[1] if whole else payload
-    found = {**entry.plain(), "bytes": len(data)}
-    if options.output is not None:
-        with os_errors_as(RassError, options.output):
-            options.output.write_bytes(data)
-    elif options.json:
-        found["content"] = base64.b64encode(data).decode()
-    else:
-        sys.stdout.buffer.write(data)
+        entry, file = find(archive, options.id)
+        if file is None:
+            assert entry is not None
+            pieces = iter([_content(archive, entry)])
+        else:
+            if not options.partial:
+                file.check()
+            pieces = file.pieces(partial=options.partial)
+        found: dict[str, Any] = {} if entry is None else entry.plain()
+        if file is not None:
+            found = {"name": file.name, **found, "parts": file.extent._asdict()}
+        if options.output is not None:
+            with os_errors_as(RassError, options.output), options.output.open("wb") as out:
+                found["bytes"] = sum(map(out.write, pieces))
+        elif options.json:
+            content = b"".join(pieces)
+            found |= {"bytes": len(content), "content": base64.b64encode(content).decode()}
+        else:
+            for piece in pieces:
+                sys.stdout.buffer.write(piece)
     if options.json:
         print_json(found)
+    elif file is not None and not file.extent.whole:
+        warn(
+            clean(f"{file.name}: {file.extent.words} are here; this is its beginning, up to the first that is missing")
+        )
     return 0
+
+
+def _content(archive: Data, entry: Entry) -> bytes:
+    """Of a datum that is a whole."""
+    from rass_mav.app.payloads import unpack_file
+    from rass_mav.core.datum import Kind
+
+    payload = archive.payload(entry.name)
+    return unpack_file(payload)[1] if entry.kind == Kind.FILE and not entry.malformed else payload

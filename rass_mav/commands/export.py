@@ -57,9 +57,11 @@ def _export(options: argparse.Namespace) -> int:
 
             def entries() -> Iterator[Entry]:
                 nonlocal sealed
+                singly = filter.kinds == {"part"}
                 for entry in archive.entries():
                     advance(1)
-                    if filter.admits(entry):
+                    # Parts are in their files.
+                    if filter.admits(entry) and (singly or entry.part is None):
                         sealed += entry.sealed
                         if not entry.sealed:
                             yield entry

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 from rass_mav.errors import ConfigError
 
+from .common import duration
+
 if TYPE_CHECKING:
     from rass_mav.mission.entry import Filter
 
 #: The highest id of a node.
 MAX_NODE = 65534
-_KINDS = ("measurement", "file", "bytes", "status", "sealed")
-_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86_400.0}
-_AGE = re.compile(r"(\d{1,9}(?:\.\d{1,9})?)([smhd])", re.ASCII)
+_KINDS = ("measurement", "file", "part", "bytes", "status", "sealed")
 
 
 def add_filters(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +27,7 @@ def add_filters(parser: argparse.ArgumentParser) -> None:
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)")
     group = parser.add_argument_group("which data (all)")
     group.add_argument("--drone", metavar="N", nargs="+", help="created by these nodes")
-    group.add_argument("--kind", metavar="KIND", help="of this kind: measurement, file, bytes, status or sealed")
+    group.add_argument("--kind", metavar="KIND", help="of this kind: measurement, file, part, bytes, status or sealed")
     group.add_argument(
         "--since",
         metavar="TIME",
@@ -70,8 +70,8 @@ def _kind(text: str) -> str:
 
 def _date(option: str, text: str, now: float) -> float:
     """Seconds since 1970."""
-    if age := _AGE.fullmatch(text):
-        return now - float(age[1]) * _SECONDS[age[2]]
+    if (age_s := duration(text)) is not None:
+        return now - age_s
     try:
         # Before Python 3.11 it does not know the Z.
         date = datetime.fromisoformat(re.sub("[Zz]$", "+00:00", text))

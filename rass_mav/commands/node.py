@@ -4,15 +4,30 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
+import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rass_mav.errors import ConfigError, DatumError, os_errors_as
+from rass_mav.core.datum import MAX_PAYLOAD, Kind
+from rass_mav.core.terms import MOST_PRIORITY, MOST_TTL_S, USUAL_PRIORITY, Terms
+from rass_mav.errors import ConfigError, ControlError, DatumError
 
-from .common import Subparsers, add_command, add_set, answer, print_json, say, start_logging
+from .common import (
+    Subparsers,
+    add_command,
+    add_set,
+    answer,
+    duration,
+    keeping,
+    print_json,
+    progress,
+    say,
+    start_logging,
+)
 from .report import status_lines
 
 if TYPE_CHECKING:
@@ -20,8 +35,9 @@ if TYPE_CHECKING:
     from rass_mav.app.config import RunConfig
 
 
-#: Seconds between two looks with --watch.
+#: Seconds between two looks with --watch, and with --wait.
 WATCH_S = 1.0
+WAIT_S = 0.5
 # To the top left corner, and clear the screen.
 _CLEAR = "\x1b[H\x1b[2J"
 
@@ -49,7 +65,7 @@ def register(subparsers: Subparsers) -> None:
     )  # fmt: skip
     put = add_command(
         subparsers, "put", _put, help="give a file or a line to the running node; returns when it is on its disk",
-        example="rass-mav put -c drone.yaml --line 'all well'",
+        example="rass-mav put -c drone.yaml --line 'fire at the north gate' --priority 9 --ttl 2h",
     )  # fmt: skip
     status.add_argument(
         "--watch", action="store_true", help="again every second, until Ctrl-C; with --json an object a line"
@@ -58,11 +74,23 @@ def register(subparsers: Subparsers) -> None:
     put.add_argument("-c", "--config", metavar="CONFIG.yaml", help="the node's configuration")
     for parser in (status, put):
         parser.add_argument("--socket", metavar="PATH", help="the node's control socket, instead of a configuration")
+    put.add_argument(
+        "--priority", metavar="N",
+        help=f"0 to {MOST_PRIORITY}; higher ones leave each node first (data without: {USUAL_PRIORITY})",
+    )  # fmt: skip
+    put.add_argument(
+        "--ttl", metavar="TIME", help="how long it is of use: 90s, 10m, 2h, 1d; then it expires, unless it has arrived"
+    )  # fmt: skip
     what = put.add_mutually_exclusive_group(required=True)
     what.add_argument(
-        "file", metavar="FILE", nargs="?", help="a file, stored with its name; -: stdin, stored without a name"
-    )
+        "files", metavar="FILE", nargs="*", default=[],
+        help="a file, stored with its name; -: stdin, stored without a name",
+    )  # fmt: skip
     what.add_argument("--line", metavar="TEXT", help="a line of text")
+    put.add_argument(
+        "--redundancy", metavar="K/N", help="any K of N parts of a file are enough, as 8/12; they get no spare copies"
+    )  # fmt: skip
+    put.add_argument("--wait", action="store_true", help="return when all of it is known to have arrived at a base")
 
 
 def _config(options: argparse.Namespace) -> RunConfig:
@@ -157,23 +185,88 @@ def _status(options: argparse.Namespace) -> int:
 
 
 def _put(options: argparse.Namespace) -> int:
-    from rass_mav.app.payloads import pack_file
-    from rass_mav.core.datum import MAX_PAYLOAD, Kind
+    terms, redundancy = _terms(options), None
+    if options.redundancy is not None:
+        from rass_mav.app.redundancy import parse_redundancy
 
-    kind = Kind.BYTES
-    # Read at most one byte more than a datum holds: enough to see that the file is too large.
-    if options.line is not None:
-        payload = options.line.encode(errors="surrogateescape")
-    elif options.file == "-":
-        payload = sys.stdin.buffer.read(MAX_PAYLOAD + 1)
-    else:
-        kind = Kind.FILE
-        path = Path(options.file)
-        with os_errors_as(ConfigError, path), path.open("rb") as file:
-            payload = pack_file(path.name, file.read(MAX_PAYLOAD + 1))
+        redundancy = parse_redundancy(options.redundancy)
+        if not options.files or "-" in options.files:
+            raise ConfigError("--redundancy: only files have parts")
+    with _client(options) as client:
+        if options.line is not None:
+            done = [_put_bytes(client, options.line.encode(errors="surrogateescape"), terms)]
+        else:
+            # Read at most one byte more than a datum holds: enough to see that it is too large.
+            done = [
+                _put_bytes(client, sys.stdin.buffer.read(MAX_PAYLOAD + 1), terms)
+                if name == "-"
+                else _put_file(client, name, terms, redundancy)
+                for name in options.files
+            ]
+        if options.wait:
+            with keeping(lambda: "what was put stays put"):
+                _wait(client, [each["id"] for each in done], quiet=options.json)
+    answer(options, done[0] if len(done) == 1 else {"put": done}, [each["id"] for each in done])
+    return 0
+
+
+def _wait(client: ControlClient, ids: Sequence[str], *, quiet: bool) -> None:
+    """Until these data and files have arrived. Raises `ControlError` if some are lost."""
+    total = sum(client.ask("progress", id=id)["data"] for id in ids)
+    shown = 0
+    with progress(total, "data", quiet=quiet) as advance:
+        while True:
+            found = [client.ask("progress", id=id) for id in ids]
+            arrived = sum(each["arrived"] for each in found)
+            advance(arrived - shown)
+            shown = arrived
+            if arrived == total:
+                return
+            if lost := sum(each["lost"] for each in found):
+                raise ControlError(f"{lost} of {total} data are lost, {arrived} have arrived")
+            time.sleep(WAIT_S)
+
+
+def _put_bytes(client: ControlClient, payload: bytes, terms: Terms, kind: Kind = Kind.BYTES) -> dict[str, Any]:
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise DatumError(f"a datum holds 1 to {MAX_PAYLOAD} bytes, got {'more' if payload else 'none'}")
-    with _client(options) as client:
-        id = client.ask("put", payload=payload, kind=int(kind))["id"]
-    answer(options, {"id": id, "bytes": len(payload)}, [id])
-    return 0
+    return {"id": client.ask("put", payload=payload, kind=int(kind), **terms._asdict())["id"], "bytes": len(payload)}
+
+
+def _put_file(client: ControlClient, name: str, terms: Terms, redundancy: tuple[int, int] | None) -> dict[str, Any]:
+    from rass_mav.app.payloads import MOST_SMALL, pack_file
+    from rass_mav.app.redundancy import shares_of
+    from rass_mav.app.staging import Staging, in_pieces
+    from rass_mav.wire.file import Cut
+
+    path = Path(name)
+    with Staging(path) as staging:
+        if staging.size <= MOST_SMALL and (redundancy is None or not staging.size):
+            return _put_bytes(client, pack_file(path.name, staging.whole()), terms, Kind.FILE)
+        about = staging.look()
+        needed, shares = redundancy or (0, 0)
+        begun = client.ask(
+            "file", name=about.name, size=about.size, digest=about.digest.hex(), packing=about.packing,
+            length=about.length, time=about.time, needed=needed, shares=shares, **terms._asdict(),
+        )  # fmt: skip
+        cut = Cut(about.packing, needed, shares, begun["part_bytes"], about.length, b"")
+        for piece in in_pieces(shares_of(staging.packed(about), cut)):
+            client.ask("piece", payload=piece)
+        return {**client.ask("done"), "bytes": about.size}
+
+
+def _terms(options: argparse.Namespace) -> Terms:
+    """What the options say. Raises `ConfigError`."""
+    priority, ttl_s = USUAL_PRIORITY, None
+    if (text := options.priority) is not None:
+        if not (re.fullmatch(r"\d{1,3}", text, re.ASCII) and int(text) <= MOST_PRIORITY):
+            raise ConfigError(f"--priority: expected 0 to {MOST_PRIORITY}, got {text!r}")
+        priority = int(text)
+    if (text := options.ttl) is not None:
+        found_s = duration(text)
+        if found_s is None or not 0 < found_s <= MOST_TTL_S:
+            raise ConfigError(
+                f"--ttl: expected a time like 90s, 10m, 2h, 1d, up to {MOST_TTL_S // 86400}d, got {text!r}"
+            )
+        ttl_s = math.ceil(found_s)
+    return Terms(priority, ttl_s)

@@ -8,6 +8,8 @@ from typing import Any
 from rass_mav.keys.settings import in_words
 from rass_mav.mission.entry import UNIT_NAMES
 
+from .common import clean
+
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
@@ -50,6 +52,7 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         )
         if link["trouble"]:
             yield f"WARNING: link {link['name']}: {link['trouble']}"
+    yield from _files(s["files"], s.get("watch"))
     yield "ledger: " + ", ".join(f"{name} {count}" for name, count in s["ledger"].items())
     if (beside := s.get("beside")) is not None:
         yield from _beside(beside)
@@ -74,6 +77,18 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
         yield from _signatures(s, streams)
     for rival in s["rivals"]:
         yield f"WARNING: another node with this id, life {rival['life']}, heard {rival['age_s']:.0f} s ago"
+
+
+def _files(files: Sequence[dict[str, Any]], watch: dict[str, Any] | None) -> Iterator[str]:
+    """Those that are put, and the folder that is watched."""
+    if watch is not None:
+        yield clean(f"folder {watch['folder']}: {watch['put']} files put, {watch['waiting']} wait")
+        if watch["trouble"]:
+            yield clean(f"WARNING: folder {watch['folder']}: {watch['trouble']}")
+    for file in files:
+        created = f"{file['created']} of {file['parts']} parts created"
+        arrived = "" if file["arrived"] is None else f", {file['arrived']} arrived"
+        yield clean(f"file {file['name']}: {created}, {file['handed_over']} handed over{arrived}")
 
 
 def _port_signatures(refused: dict[str, int] | None) -> str:

@@ -7,6 +7,8 @@ import struct
 from typing import NamedTuple
 from zlib import crc32
 
+from rass_mav.core.terms import Terms, terms_of
+
 _pack_head = struct.Struct("<HIIB").pack
 
 #: Largest datum that may be created, in bytes of payload.
@@ -36,9 +38,24 @@ class Kind(enum.IntEnum):
     MEASUREMENT = 1
     """A position and a reading, see `rass_mav.wire.measurement`."""
     FILE = 2
-    """A named file: one byte with the length of its name, the name in UTF-8, the content."""
+    """A small named file: one byte with the length of its name, the name in UTF-8, the content."""
     STATUS = 3
     """What a node says about itself, see `rass_mav.wire.nodestatus`."""
+    MANIFEST = 4
+    """What a larger file is, see `rass_mav.wire.file`. Its contents are in data of the next kinds."""
+    PART = 5
+    """A part of a file."""
+    SHARE = 6
+    """One of the data of a file of which some may be lost. It needs no spare copy, and goes another way than others."""
+
+
+#: Kinds of data that are parts of a file.
+PARTS = (Kind.PART, Kind.SHARE)
+
+
+def is_share(kind: int) -> bool:
+    """Whether a datum is a share, sealed or not."""
+    return kind & 63 == Kind.SHARE
 
 
 class Fate(enum.Enum):
@@ -75,7 +92,8 @@ class Datum(NamedTuple):
 
     id: DatumId
     kind: int
-    """A `Kind`, with the bit `seals.SEALED` if the payload is sealed; data of unknown kinds are carried unchanged."""
+    """A `Kind`, with the bits `seals.SEALED` if the payload is sealed, and `terms.TERMS` if it begins with terms; data
+    of unknown kinds are carried unchanged."""
     created: float
     """When it was created, in seconds on the holder's timeline. On the wire it travels as an age."""
     hops: int
@@ -91,6 +109,11 @@ class Datum(NamedTuple):
         """Whether the checksum from the origin still matches."""
         (origin, epoch, sequence), kind, _, _, crc, payload, _ = self
         return crc32(payload, crc32(_pack_head(origin, epoch, sequence, kind))) == crc
+
+    @property
+    def terms(self) -> Terms:
+        """How urgent it is, and how long it is of use."""
+        return terms_of(self.kind, self.payload)
 
     def arrived(self) -> Datum:
         """The same datum, one hand-over further."""

@@ -17,6 +17,10 @@ from rass_mav.core.datum import Datum, DatumId
 BROADCAST = 0xFFFF
 #: What a `Distance` takes on the wire.
 DISTANT_BYTES = 7
+#: Bits in the report of a transfer: of an Accept or of a Sack, and of the other transfers in a Sack.
+REPORT_BITS, OTHER_BITS = 256, 128
+#: The most other transfers in a Sack.
+MAX_OTHERS = 3
 #: As a hop count: no route.
 NO_ROUTE = 255
 #: Free items or potential of a node without bounds (a base).
@@ -44,6 +48,8 @@ class Urgency(enum.IntEnum):
     ANSWER = 2
     """A neighbour waits for it: until it arrives, the neighbour keeps its datum and sends it again."""
     DATA = 3
+    BULK = 4
+    """A piece of a large datum. There may be thousands: they take the airtime that all else leaves."""
 
 
 #: What a message depends on: these data are on disk (none: it depends on nothing), or None: on all earlier changes.
@@ -226,9 +232,11 @@ class Accept(NamedTuple):
     """Chosen by the receiver, 16 bits: the name of the transfer in its chunks."""
     next_index: int
     """First chunk still missing (a transfer is resumed after an interruption)."""
+    bitmap: int = 0
+    """Bit i: chunk next_index + 1 + i has been received. 256 bits."""
 
 
-@_kind(Target.HANDLE, Urgency.DATA, _on_nothing)
+@_kind(Target.HANDLE, Urgency.BULK, _on_nothing)
 class Chunk(NamedTuple):
     """A piece of a datum."""
 
@@ -236,10 +244,26 @@ class Chunk(NamedTuple):
     """To whom, for links that send to one neighbour; not on the wire (BROADCAST when received)."""
     handle: int
     position: int
-    """0..16383."""
+    """0..16383. Without data: the number of a question, 1..16383; the answer names it."""
     poll: bool
     """The sender wants a `Sack` now."""
     data: bytes
+    """Empty: a question, by which the sender learns what has arrived of all that it sent before."""
+
+
+class Report(NamedTuple):
+    """Which chunks of a transfer have been received."""
+
+    handle: int
+    next_index: int
+    """All chunks below this one."""
+    bitmap: int
+    """Bit i: chunk next_index + 1 + i."""
+
+    @property
+    def chunks(self) -> int:
+        """Bit i: chunk i."""
+        return (1 << self.next_index) - 1 | self.bitmap << self.next_index + 1
 
 
 @_kind(Target.NAMED, Urgency.ANSWER, _on_nothing)
@@ -253,6 +277,10 @@ class Sack(NamedTuple):
     """All chunks below this one have been received."""
     bitmap: int
     """Bit i: chunk next_index + 1 + i has been received. 256 bits."""
+    question: int = 0
+    """The number of the question that this answers; 0: it answers none."""
+    others: tuple[Report, ...] = ()
+    """The same of at most three other transfers between the two nodes, with 128 bits each."""
 
 
 class ReceiptEntry(NamedTuple):

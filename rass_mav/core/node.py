@@ -105,6 +105,7 @@ class Node(Participant):
         # If not is_fit() and |N| > 0: evict_data(). While the node is fit (Eq. 4), its policy has no plan.
         if self.holdings.custody:
             self.percolation.evict(self.potential, now, out)
+        out += self.transfers.tend(now)
         keeper.spares.spread_far(now, out)
         keeper.spares.flush(out)
         if has_turn and (note := keeper.notes.turn(self.id, self.routing.next_hop, keeper.numbers.draw)) is not None:
@@ -118,8 +119,7 @@ class Node(Participant):
         self.keeper.scrub()
         self.keeper.stirred = False
         self.pace.begin_turn()
-        if self.settings.lifetime_s is not None:
-            self.keeper.expire(now - self.settings.lifetime_s)
+        self.keeper.expire(now)
         self.transfers.age(now)
 
     def forward(self, now: float) -> list[Message]:
@@ -133,6 +133,15 @@ class Node(Participant):
             self.percolation.forward(self.potential, now, out)
         keeper.spares.flush(out)
         return out
+
+    @property
+    def due(self) -> float:
+        """When transfers want to be tended, seconds."""
+        return self.transfers.due
+
+    def tend(self, now: float) -> list[Message]:
+        """Ask for reports of chunks that are late, and repeat offers."""
+        return self.transfers.tend(now)
 
     # -- own data ------------------------------------------------------------------------------------------------------
 
@@ -267,7 +276,7 @@ class Node(Participant):
 
     def _on_committed(self, message: Committed, now: float, *, again: bool = False) -> list[Message]:
         """`again`: the answer waited for a beacon, so it says nothing of how long answers take."""
-        keeper, holdings, sender = self.keeper, self.holdings, message.sender
+        keeper, holdings, sender, out = self.keeper, self.holdings, message.sender, list[Message]()
         for number, crc in message.committed:
             holding = holdings.answered(number, sender)
             if holding is None:
@@ -275,14 +284,16 @@ class Node(Participant):
             elif holding.crc == crc:
                 if not again:
                     self.percolation.answered(holding, now)
+                sending = None if holding.pending is None else holding.pending.sending
                 keeper.give_away(holding, sender)
+                if sending is not None:
+                    out += self.transfers.taken(sending, now)
         for number in message.refused:
             holding = holdings.answered(number, sender)
             if holding is None:
                 keeper.notes.refused(number, sender)
             else:
                 holdings.cancel(holding)
-        out: list[Message] = []
         keeper.spares.answered(message, now, out)
         return out
 

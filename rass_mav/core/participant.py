@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from abc import ABC, abstractmethod
+from math import inf
 
 from rass_mav.core.alarms import Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
@@ -21,9 +22,10 @@ from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
-from rass_mav.core.seals import SEALED, NoSeals
+from rass_mav.core.seals import NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
+from rass_mav.core.terms import TERMS, USUAL, Terms
 from rass_mav.errors import DatumError, StoreFullError
 
 
@@ -133,24 +135,34 @@ class Participant(ABC):
         For `NodeSettings.immediate`, after `receive` and `put`; empty if nothing came in.
         """
 
+    @property
+    def due(self) -> float:
+        """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
+        return inf
+
+    def tend(self, now: float) -> list[Message]:
+        """What is due between two steps. Returns what to send."""
+        return []
+
     @abstractmethod
     def figures(self) -> dict[str, int]:
         """Counters of this life, by name, for `status`."""
 
-    def put(self, payload: bytes, now: float, kind: int = 0) -> DatumId:
-        """Create a datum here, sealed where there are keys. `kind`: 0..127. Raises `StoreFullError` (counted as
-        overflow) or `DatumError` (too large or empty, or another kind)."""
-        most = self.most_put
+    def put(self, payload: bytes, now: float, kind: int = 0, terms: Terms = USUAL) -> DatumId:
+        """Create a datum here, sealed where there are keys. `kind`: 0..63. Raises `StoreFullError` (counted as
+        overflow) or `DatumError` (too large or empty, or another kind, or terms out of range)."""
+        head = terms.pack()
+        most = self.most_put - len(head)
         if not 0 < len(payload) <= most:
             raise DatumError(f"a datum holds 1 to {most} bytes, got {len(payload)}")
-        if not 0 <= kind < SEALED:
-            raise DatumError(f"a kind is 0 to {SEALED - 1}, got {kind}")
-        if not self._has_room_for_own(len(payload) + self.seals.added):
+        if not 0 <= kind < TERMS:
+            raise DatumError(f"a kind is 0 to {TERMS - 1}, got {kind}")
+        if not self._has_room_for_own(len(head) + len(payload) + self.seals.added):
             self.store.count("overflow")
             self.observer.overflow()
             raise StoreFullError("no space for a new datum")
         id = DatumId(self.id, self.store.epoch, self.store.next_sequence())
-        stored_kind, stored = self.seals.seal(id, kind, payload)
+        stored_kind, stored = self.seals.seal(id, kind | TERMS if head else kind, payload, head)
         datum = make_datum(id, stored_kind, now, stored)
         self.observer.created(datum)
         self._keep_own(datum)
@@ -158,7 +170,7 @@ class Participant(ABC):
 
     @property
     def most_put(self) -> int:
-        """Largest payload that `put` takes."""
+        """Largest payload that `put` takes without terms."""
         return self.most_bytes - self.seals.added
 
     @property

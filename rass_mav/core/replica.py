@@ -60,6 +60,9 @@ class Replica(Participant):
         if self.settings.lifetime_s is not None:
             for holding in self.holdings.older(now - self.settings.lifetime_s):
                 self._drop(holding, Fate.EXPIRED)
+        for holding in self.holdings.by_terms.ended(now):
+            if self._load(holding) is not None:
+                self._drop(holding, Fate.EXPIRED)
         self.update_routing_table(now)
         out: list[Message] = [self.update_fitness(now)]
         self._ask(out)

@@ -16,12 +16,13 @@ class NoSeals:
     #: Bytes that sealing adds to a payload.
     added = 0
 
-    def seal(self, id: DatumId, kind: int, payload: bytes) -> tuple[int, bytes]:
-        """The kind and the payload of a new datum as they are stored. `kind`: 0..127.
+    def seal(self, id: DatumId, kind: int, payload: bytes, terms: bytes = b"") -> tuple[int, bytes]:
+        """The kind and the payload of a new datum as they are stored. `kind`: 0..127. `terms`: they stay open, at the
+        beginning.
 
         Raises `ValueError` for a number of this node that is not above those sealed before.
         """
-        return kind, payload
+        return kind, terms + payload
 
     def is_made(self, datum: Datum) -> bool:
         """At a base: whether a datum was made by the node that it names, as far as that can be known."""

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.terms import USUAL, Terms, terms_of
 
 #: How many second contents a store keeps apart in all, and under one id.
 MAX_APART = 4096
@@ -24,12 +25,14 @@ class StoredInfo(NamedTuple):
     """Bytes of payload."""
     at_least: bool = False
     """As in `Datum`."""
+    terms: Terms = USUAL
+    """The same."""
 
 
 def info_of(datum: Datum) -> StoredInfo:
     """The info of a datum whose bytes are at hand."""
     id, kind, created, hops, crc, payload, at_least = datum
-    return StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
+    return StoredInfo(id, kind, created, hops, crc, len(payload), at_least, terms_of(kind, payload))
 
 
 class Store(Protocol):

@@ -1,7 +1,8 @@
 """Sealed data: readable for the ground alone, and made by nobody but their origin.
 
 ChaCha20-Poly1305 (RFC 8439) with a key on which the origin and the ground agree once. The nonce is the id of the datum,
-which never names two data. Its kind is authenticated with it; its age and hops are not, because relays change them.
+which never names two data. Its kind and what stays open beside the contents are authenticated with it; its age and hops
+are not, because relays change them.
 """
 
 from __future__ import annotations
@@ -49,18 +50,18 @@ class Sealer:
         self._key = _sealing_key(agreed(keys.secret, keys.ground.sealing), keys.certificate.body, keys.ground)
         self._origin, self._epoch, self._next = keys.certificate.node_id, epoch, first
 
-    def seal(self, sequence: int, kind: int, payload: bytes) -> bytes:
+    def seal(self, sequence: int, kind: int, payload: bytes, beside: bytes = b"") -> bytes:
         """The sealed payload, 16 bytes longer.
 
         :param sequence: of the datum in this epoch, above those sealed before. Two data under one id would reveal both.
-        :param kind: of the datum, 0..255.
+        :param kind: of the datum, 0..255. :param beside: what stays open, and must not be altered either.
         :raises ValueError: a sequence that is not above those sealed before.
         """
         if sequence < self._next:
             raise ValueError(f"{self._origin}-{self._epoch:08x}-{sequence} would be sealed a second time")
         self._next = sequence + 1
         nonce = _NONCE.pack(self._origin, self._epoch, sequence)
-        return crypto_aead_chacha20poly1305_ietf_encrypt(payload, _KIND.pack(kind), nonce, self._key.reveal())
+        return crypto_aead_chacha20poly1305_ietf_encrypt(payload, _about(kind, beside), nonce, self._key.reveal())
 
 
 class Opener:
@@ -70,16 +71,16 @@ class Opener:
         self._ground = ground
         self._key = lru_cache(KEPT_KEYS)(self._agree)
 
-    def open(self, id: tuple[int, int, int], kind: int, sealed: bytes) -> bytes:
+    def open(self, id: tuple[int, int, int], kind: int, sealed: bytes, beside: bytes = b"") -> bytes:
         """The payload.
 
         :param id: origin (0..65534), epoch and sequence (32 bits) of the datum.
-        :param kind: of the datum, 0..255.
+        :param kind: of the datum, 0..255. :param beside: what is open.
         :raises MalformedError: too short to be sealed. :raises ForgedError: not sealed by its origin, or altered.
         """
         if len(sealed) < SEAL_SIZE:
             raise MalformedError(f"a sealed datum has at least {SEAL_SIZE} bytes, got {len(sealed)}")
-        nonce, about = _NONCE.pack(*id), _KIND.pack(kind)
+        nonce, about = _NONCE.pack(*id), _about(kind, beside)
         for serial in self._serials(id[0]):
             key = self._key(id[0], serial).reveal()
             try:
@@ -98,6 +99,11 @@ class Opener:
         public = crypto_scalarmult_base(self._ground.node_secret(origin, serial).reveal())
         common = agreed(self._ground.opening, public)
         return _sealing_key(common, certificate_body(origin, serial, public), self._ground.public)
+
+
+def _about(kind: int, beside: bytes) -> bytes:
+    """What is authenticated, and not encrypted."""
+    return _KIND.pack(kind) + beside
 
 
 def _sealing_key(common: Secret, origin: bytes, ground: GroundPublic) -> Secret:

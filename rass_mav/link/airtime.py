@@ -1,9 +1,10 @@
 """Airtime: what a node may send on a link, when, and what goes first. Pure: time is an argument.
 
 All nodes that hear each other share a slow radio. The swarm takes a configured share of it (`duty`), whatever the
-number of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data. Through
-the autopilot, frames to the autopilot and to the ground station behind it count too. Frames leave one by one, so that
-forwarders keep up (an autopilot with buffers for two messages, a radio's small buffer).
+number of nodes: each node counts its neighbours and takes its part. Beacons go first, then answers, then data, then
+chunks of large data. Chunks may also take what the other nodes leave of their parts: a node counts what it sends and
+what it hears. Through the autopilot, frames to the autopilot and to the ground station behind it count too. Frames
+leave one by one, so that forwarders keep up (an autopilot with buffers for two messages, a radio's small buffer).
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from __future__ import annotations
 import math
 import random
 from collections import deque
+from collections.abc import Collection
 from typing import NamedTuple
 
 from rass_mav.core.messages import Urgency
 
-#: Frames that may wait, by urgency. A waiting beacon is replaced by the next one: only the newest is useful.
-MAX_WAITING = (8, 1, 32, 64)
+#: Frames that may wait, by urgency. A waiting beacon is replaced by the next one: only the newest is useful. Chunks:
+#: those of two transfers of which all that an acknowledgement can name is under way.
+MAX_WAITING = (8, 1, 32, 64, 512)
 #: The longest frame of ours on the air, bytes: a full TUNNEL with a signature.
 FRAME_BYTES = 158
 #: Size of a beacon on the air with a signature, bytes.
@@ -27,7 +30,8 @@ DATA_PART = 0.7
 VEHICLE_PART = 0.15
 #: The longest time between two beacons, seconds. A slower neighbourhood would be useless.
 MAX_TURN_S = 120.0
-#: An answer or datum is dropped after waiting this many turns, because it is being sent again by then.
+#: An answer or datum is dropped after waiting this many turns, because it is being sent again by then. A chunk is not:
+#: its sender sends no more of them than are acknowledged, and so sends again what is late.
 STALE_TURNS = 2.0
 #: RADIO_STATUS.txbuf, percent of the radio's buffer that is free. Below the first value slow down a lot, below the
 #: second a little, above the third speed up (as the firmware of SiK radios recommends).
@@ -92,6 +96,10 @@ class _Bucket:
             self.level = min(self._size, self.level + (now - self._at) * rate)
             self._at = now
 
+    def spend(self, amount: float) -> None:
+        """Take away so many, though there may be fewer: then they are owed, up to the size."""
+        self.level = max(-self._size, self.level - amount)
+
     def wait(self, amount: float, rate: float) -> float:
         """Seconds until there are `amount` tokens."""
         return max(0.0, min(amount, self._size) - self.level) / rate
@@ -121,6 +129,10 @@ class Pacer:
         self._frames = _Bucket(max(1, budget.burst_frames), max(1, budget.burst_frames), now)
         # Empty at first, so that a swarm that is switched on does not fill the air.
         self._data = _Bucket(2 * FRAME_BYTES, 0.0, now)
+        # What the whole swarm may still send. Others fill the air too, so there may be less than nothing.
+        self._left = _Bucket(size, 0.0, now)
+        # All count the same, so they would all begin at the same moment: each spares a random part of a frame.
+        self._spared = 0.0
         self._beacon_at = now
         self._clear_at = now
         self._status_at = now
@@ -157,14 +169,32 @@ class Pacer:
         """Frames that wait."""
         return sum(map(len, self._queues))
 
+    @property
+    def pressing(self) -> int:
+        """Frames that wait, without chunks: those give way."""
+        return self.waiting - len(self._queues[Urgency.BULK])
+
     def push(self, frame: bytes, target: int, urgency: Urgency, now: float, *, first: bool = False) -> None:
         """Queue a frame. `target`: node id, or BROADCAST. `first`: before all others of the same urgency."""
         queue = self._queues[urgency]
         if len(queue) >= MAX_WAITING[urgency]:
+            self.dropped[urgency] += 1
+            if urgency == Urgency.BULK:
+                # The receiver waits for the oldest. A gap at the end is a loss as on the air, which slows the giver.
+                return
             # The oldest is the least useful: a frame that is not answered in time is sent again.
             queue.popleft()
-            self.dropped[urgency] += 1
         (queue.appendleft if first else queue.append)(Queued(frame, target, now))
+
+    def meet(self, neighbours: Collection[int]) -> None:
+        """These nodes are heard on this link now. Chunks for others are dropped."""
+        self.neighbours = len(neighbours)
+        chunks = self._queues[Urgency.BULK]
+        if any(queued.target not in neighbours for queued in chunks):
+            kept = [queued for queued in chunks if queued.target in neighbours]
+            self.dropped[Urgency.BULK] += len(chunks) - len(kept)
+            chunks.clear()
+            chunks.extend(kept)
 
     def pop(self, now: float) -> Queued | None:
         """The frame that leaves now, or None. Ask again until None."""
@@ -176,11 +206,16 @@ class Pacer:
         size = len(queued.frame)
         if self.budget.listen_s:
             self.heard(now + size / self.budget.bytes_s)
+        # Chunks leave the node's part to its data, as long as there is something else to take.
+        own_part = urgency == Urgency.DATA or (
+            urgency == Urgency.BULK and self._left.wait(size + self._spared, self.rate) > 1e-9
+        )
+        if own_part and self._data.wait(size, self.data_rate) <= 1e-9:
+            self._data.level -= size
         self._bytes.level -= size
         self._frames.level -= 1
-        if urgency == Urgency.DATA:
-            self._data.level -= size
-        elif urgency == Urgency.BEACON:
+        self._left.spend(size)
+        if urgency == Urgency.BEACON:
             # Slightly less than a turn: a node whose turn comes a moment early must not miss one.
             self._beacon_at = now + 0.9 * self.pace().turn_s
         self.sent[urgency] += 1
@@ -202,6 +237,7 @@ class Pacer:
         self._bytes.fill(self.rate, now)
         self._frames.fill(self.budget.frames_s, now)
         self._data.fill(self.data_rate, now)
+        self._left.fill(self.rate, now)
         for urgency in (Urgency.ANSWER, Urgency.DATA):
             queue = self._queues[urgency]
             # A turn has at least a step.
@@ -218,6 +254,8 @@ class Pacer:
         best, least = Urgency.DATA, math.inf
         for urgency in _URGENCIES:
             if self._queues[urgency]:
+                if urgency == Urgency.BULK and self._gives_way(now):
+                    break
                 wait = self._wait(urgency, now)
                 if wait < least - 1e-9:
                     best, least = urgency, wait
@@ -229,17 +267,36 @@ class Pacer:
             self._bytes.wait(size, self.rate), self._frames.wait(1.0, self.budget.frames_s), self._clear_at - now
         )
         if urgency == Urgency.DATA:
-            wait = max(wait, self._data.wait(size, self.data_rate))
+            part = self._data.wait(size, self.data_rate)
+            if self._queues[Urgency.BULK]:
+                # In the place of the chunk that gives way to it.
+                part = min(part, self._left.wait(size + self._spared, self.rate))
+            wait = max(wait, part)
+        elif urgency == Urgency.BULK:
+            wait = max(
+                wait, min(self._data.wait(size, self.data_rate), self._left.wait(size + self._spared, self.rate))
+            )
         elif urgency == Urgency.BEACON:
             wait = max(wait, self._beacon_at - now)
         return wait
 
+    def _gives_way(self, now: float) -> bool:
+        """Whether chunks must not leave now. A chunk that is shorter than what waits would keep it waiting."""
+        vehicle, beacons, answers, data, _ = self._queues
+        return bool(vehicle or answers or data or (beacons and self._beacon_at <= now))
+
     # -- what the link reports -----------------------------------------------------------------------------------------
 
-    def heard(self, now: float) -> None:
-        """A frame has ended, or will end at `now`. All waiting nodes heard it too, so each waits for a random time."""
+    def heard(self, now: float, size: int = 0) -> None:
+        """A frame has ended, or will end at `now`. All waiting nodes heard it too, so each waits for a random time.
+
+        `size`: its bytes, if another node of the swarm sent it. Chunks leave it that much of what the swarm may send.
+        """
         if self.budget.listen_s:
-            self._clear_at = now + self._rng.random() * self.budget.listen_s
+            patience = self._rng.random()
+            self._clear_at = now + patience * self.budget.listen_s
+            self._left.spend(size)
+            self._spared = patience * FRAME_BYTES
 
     def radio_status(self, txbuf: int, now: float) -> None:
         """The radio reports how much of its buffer is free, percent (RADIO_STATUS.txbuf)."""

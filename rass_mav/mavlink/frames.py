@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 from .crc import crc16
 from .dialect import FORMATS, MavlinkMessage, common, payload_of
-from .signing import Signer
+from .signing import SIGNATURE_SIZE, Signer
 
 MAGIC_V2 = 0xFD
 MAGIC_V1 = 0xFE
@@ -23,6 +23,7 @@ TUNNEL_MAX = 128
 
 TUNNEL_ID: int = common.MAVLINK_MSG_ID_TUNNEL
 TUNNEL_EXTRA = FORMATS[TUNNEL_ID].crc_extra
+_TUNNEL_ID_BYTES = TUNNEL_ID.to_bytes(3, "little")
 
 _HEADER = struct.Struct("<BBBBBBBHB")
 # The header, and TUNNEL's fields before its 128 bytes: payload_type, target_system, target_component, payload_length.
@@ -58,6 +59,18 @@ class Frame(NamedTuple):
     def stream(self) -> Stream:
         """Whose timestamps those of this frame are, if it is signed."""
         return self.system_id, self.component_id, self.link_id
+
+    @property
+    def size(self) -> int:
+        """Bytes on the wire, if it is a frame of MAVLink 2."""
+        return _HEADER.size + len(self.payload) + 2 + (SIGNATURE_SIZE if self.signed else 0)
+
+
+def timestamp_of(frame: bytes) -> int | None:
+    """The timestamp of a whole frame with a signed TUNNEL message; None: it is none."""
+    if frame[0] != MAGIC_V2 or not frame[2] & FLAG_SIGNED or frame[7:10] != _TUNNEL_ID_BYTES:
+        return None
+    return int.from_bytes(frame[-12:-6], "little")
 
 
 class FrameWriter:

@@ -13,23 +13,25 @@ from typing import Any
 
 from rass_mav.app.clock import MOST_S, DateNote
 from rass_mav.app.payloads import parse_name, unpack_file
-from rass_mav.core.datum import Datum, DatumId, Fate, Kind, datum_crc
+from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind, datum_crc
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import StoredInfo
+from rass_mav.core.terms import TERMS, TERMS_SIZE, parted, terms_of
 from rass_mav.errors import ConfigError, ForgedError, KeysError, MalformedError, StoreDamagedError, StoreError
 from rass_mav.link.airtime import STALE_TURNS
 from rass_mav.store.errors import OutdatedStoreError
 from rass_mav.store.reader import SqliteReader
 from rass_mav.store.reading import salvaged_copy
 from rass_mav.store.schema import ARRIVAL_0_MS, Row
+from rass_mav.wire.file import decode_head, decode_manifest
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 
 from .entry import ALL, Entry, Filter
 from .opening import Opens, opened, opener_of_node
 
-#: Bytes of a payload that a list needs: the longest name of a file, and a measurement.
-HEAD_BYTES = 256
+#: Bytes of a payload that a list needs: terms, and a manifest with the longest name of a file.
+HEAD_BYTES = TERMS_SIZE + 384
 #: What a clock that is set by NTP or GPS may be wrong by, seconds; and the drift of a computer's clock without them.
 DATE_ERROR_S = 1.0
 DRIFT = 1e-4
@@ -38,7 +40,7 @@ DRIFT = 1e-4
 class Archive:
     """The data in a store. It changes nothing, and needs no node.
 
-    A damaged store is read as far as it goes, and so is one of the previous version: `remarks` says what was done.
+    A damaged store is read as far as it goes, and so is one of the first version: `remarks` says what was done.
     """
 
     def __init__(
@@ -46,7 +48,7 @@ class Archive:
         opens: Opens | None = None,
     ) -> None:  # fmt: skip
         """`now`: the date, seconds since 1970. `opens`: opens sealed data; None: they stay sealed. Raises `StoreError`
-        if there is nothing to read; without `salvage`, also if the store is damaged or of the previous version."""
+        if there is nothing to read; without `salvage`, also if the store is damaged or of the first version."""
         self.path = Path(path)
         self.remarks: list[str] = []
         """About the state of the store, for people."""
@@ -133,11 +135,11 @@ class Archive:
             self._salvage(error)
             return self._reader.count(after)
 
-    def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
+    def entries(self, wanted: Filter = ALL, *, after: int = -1, parts: bool | None = None) -> Iterator[Entry]:
         """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
-        this `Entry.arrival`, and no second contents."""
+        this `Entry.arrival`, and no second contents. `parts`: only parts of files, or only other data; None: all."""
         for apart in (False, True) if after < 0 else (False,):
-            for row in self._rows(after, apart):
+            for row in self._rows(after, apart, parts):
                 entry = self._entry(row, apart)
                 if wanted.admits(entry):
                     yield entry
@@ -146,14 +148,15 @@ class Archive:
         """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
         return (self._entry(row, True) for row in self._rows(after, True))
 
-    def _rows(self, after: int, apart: bool) -> Iterator[Row]:
-        unsound = 0
+    def _rows(self, after: int, apart: bool, parts: bool | None = None) -> Iterator[Row]:
+        unsound = empty = 0
         try:
-            for row in self._reader.rows(HEAD_BYTES, after=after, apart=apart):
+            for row in self._reader.rows(HEAD_BYTES, after=after, apart=apart, parts=parts):
                 if row is None:
                     unsound += 1
                 else:
                     after = row.arrival
+                    empty += _lacks_content(row.info, row.head)
                     if not apart:
                         self.seen = max(self.seen, after)
                     yield row
@@ -161,10 +164,15 @@ class Archive:
             if not self._may_salvage:
                 raise
             self._salvage(error)
-            yield from self._rows(after, apart)
-        remark = f"{self.path}: {unsound} damaged rows were left out"
+            yield from self._rows(after, apart, parts)
         # Whoever follows the store comes to the same rows again.
-        if unsound and remark not in self.remarks:
+        if unsound:
+            self._remark(f"{self.path}: {unsound} damaged rows were left out")
+        if empty:
+            self._remark(f"{self._reader.about_payloads()}: the contents of {empty} data cannot be read")
+
+    def _remark(self, remark: str) -> None:
+        if remark not in self.remarks:
             self.remarks.append(remark)
 
     def _entry(self, row: Row, apart: bool, whole: Callable[[], bytes] | None = None) -> Entry:
@@ -231,18 +239,31 @@ class Archive:
 
 def content(info: StoredInfo, head: bytes, whole: Callable[[], bytes], opens: Opens | None) -> dict[str, Any]:
     """The fields of an entry that its payload tells. `head`: its first `HEAD_BYTES`. `whole`: returns all of it."""
+    if _lacks_content(info, head):
+        return {"malformed": "its content is missing"}
     if info.size == len(head) and datum_crc(info.id, info.kind, head) != info.crc:
-        return {"malformed": "corrupt, its checksum does not match"}
+        return {"kind": info.kind & ~TERMS, "malformed": "corrupt, its checksum does not match"}
+    known: dict[str, Any] = {}
+    if info.kind & TERMS:
+        if info.size <= TERMS_SIZE:
+            return {"kind": info.kind & ~TERMS, "malformed": "truncated terms"}
+        terms = terms_of(info.kind, head)
+        known = {"kind": info.kind & ~TERMS, "size": info.size - TERMS_SIZE, **terms._asdict()}
     if not info.kind & SEALED:
-        return _told(info.kind, head)
+        return {**known, **_told(info.kind & ~TERMS, parted(info.kind, head)[1])}
     if opens is None:
-        return {}
-    kind = info.kind & ~SEALED
+        return known
+    open_part, sealed = parted(info.kind, head if info.size == len(head) else whole())
     try:
-        clear = opens(info.id, kind, head if info.size == len(head) else whole())
+        clear = opens(info.id, info.kind & ~SEALED, sealed, open_part)
     except (ForgedError, MalformedError) as error:
-        return {"malformed": str(error)}
-    return {"kind": kind, "size": len(clear), **_told(kind, clear[:HEAD_BYTES])}
+        return {**known, "malformed": str(error)}
+    kind = info.kind & ~(SEALED | TERMS)
+    return {**known, "kind": kind, "size": len(clear), **_told(kind, clear[:HEAD_BYTES])}
+
+
+def _lacks_content(info: StoredInfo, head: bytes) -> bool:
+    return len(head) < min(info.size, HEAD_BYTES)
 
 
 def _told(kind: int, head: bytes) -> dict[str, Any]:
@@ -253,6 +274,11 @@ def _told(kind: int, head: bytes) -> dict[str, Any]:
             return {"status": decode_status(head)}
         if kind == Kind.FILE:
             return {"file": unpack_file(head)[0]}
+        if kind == Kind.MANIFEST:
+            manifest = decode_manifest(head)
+            return {"manifest": manifest, "file": manifest.name, "size": manifest.size}
+        if kind in PARTS:
+            return {"part": decode_head(head)}
     except MalformedError as error:
         return {"malformed": str(error)}
     return {}

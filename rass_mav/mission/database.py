@@ -13,7 +13,7 @@ from typing import Any
 import psycopg
 
 from rass_mav.app.payloads import parse_name
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import PARTS, Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
 from rass_mav.errors import ConfigError, StoreError
 
@@ -102,11 +102,12 @@ class Database:
         assert row is not None
         return int(row[0])
 
-    def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
+    def entries(self, wanted: Filter = ALL, *, after: int = -1, parts: bool | None = None) -> Iterator[Entry]:
         """The data in the order in which they came to the database, and then the second contents of ids. `after`: only
-        what came later than this `Entry.arrival`, and no second contents."""
+        what came later than this `Entry.arrival`, and no second contents. `parts`: only parts of files, or only other
+        data; None: all."""
         for apart in (False, True) if after < 0 else (False,):
-            for entry in self._entries(after, apart):
+            for entry in self._entries(after, apart, parts):
                 if wanted.admits(entry):
                     yield entry
 
@@ -115,14 +116,15 @@ class Database:
         `Entry.arrival`; 0: all."""
         return self._entries(after, True)
 
-    def _entries(self, after: int, apart: bool) -> Iterator[Entry]:
+    def _entries(self, after: int, apart: bool, parts: bool | None = None) -> Iterator[Entry]:
         # A cursor of the server: the memory needed here does not depend on the number of data.
         with self._explained(), self._connection.cursor(f"entries{next(self._cursors)}") as cursor:
             cursor.itersize = _ROWS
             cursor.execute(
                 f"SELECT {_COLUMNS} FROM rass.datum d "
-                "WHERE d.mission = %s AND d.number > %s AND d.apart = %s ORDER BY d.number",
-                (self._mission, after, apart),
+                "WHERE d.mission = %s AND d.number > %s AND d.apart = %s "
+                "AND (%s::boolean IS NULL OR (d.kind & 63 = ANY(%s)) = %s) ORDER BY d.number",
+                (self._mission, after, apart, parts, list(map(int, PARTS)), parts),
             )
             for row in cursor:
                 if not apart:

@@ -7,8 +7,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from rass_mav.core.datum import Datum, DatumId, Fate, Kind
+from rass_mav.core.datum import PARTS, Datum, DatumId, Fate, Kind
 from rass_mav.core.seals import SEALED
+from rass_mav.wire.file import PACKINGS, Manifest, PartHead
 from rass_mav.wire.measurement import MOST_READING, Measurement
 from rass_mav.wire.nodestatus import NodeStatus
 
@@ -29,7 +30,7 @@ class Entry(NamedTuple):
     kind: int
     """A `Kind`, or that of a later version; with the bit `SEALED` if the datum is sealed, and could not be opened."""
     size: int
-    """Bytes of contents; of payload, if it is sealed."""
+    """Bytes of contents, without terms, of a manifest those of its file; sealed, if it could not be opened."""
     hops: int
     utc: float
     """When it was created, seconds since 1970."""
@@ -43,12 +44,18 @@ class Entry(NamedTuple):
     status: NodeStatus | None = None
     file: str | None = None
     """The name of a named file, as its drone gave it: not trustworthy."""
+    manifest: Manifest | None = None
+    part: PartHead | None = None
     malformed: str = ""
     """Why the contents cannot be read; empty: they can, or nobody has to read them."""
     arrived: float | None = None
     """When it came to the store, seconds since 1970; None: unknown."""
     apart: bool = False
     """It is a second content of an id."""
+    priority: int | None = None
+    """As in `Terms`; None: the usual one, and it has no lifetime."""
+    ttl_s: int | None = None
+    """Its lifetime, seconds; None: it has none."""
 
     @property
     def name(self) -> str:
@@ -67,9 +74,13 @@ class Entry(NamedTuple):
 
     @property
     def kind_name(self) -> str:
-        """For people: measurement, file, bytes, status or sealed; the number of an unknown kind."""
+        """For people: measurement, file, part, bytes, status or sealed; the number of an unknown kind."""
         if self.sealed:
             return "sealed"
+        if self.kind == Kind.MANIFEST:
+            return "file"
+        if self.kind in PARTS:
+            return "part"
         try:
             return Kind(self.kind).name.lower()
         except ValueError:
@@ -77,16 +88,27 @@ class Entry(NamedTuple):
 
     @property
     def place(self) -> Place | None:
-        """Latitude and longitude of a measurement, degrees; None: unknown, or degrees that no place on Earth has."""
+        """Latitude and longitude of a measurement or of a file, degrees; None: unknown, or degrees that no place
+        on Earth has."""
+        if self.manifest is not None and self.manifest.place is not None:
+            return _earthly(self.manifest.place[:2])
         m = self.measurement
         return None if m is None or m.latitude is None or m.longitude is None else _earthly((m.latitude, m.longitude))
 
     @property
+    def altitude(self) -> float | None:
+        """Of the same, metres above mean sea level; None: unknown."""
+        if self.manifest is not None and self.manifest.place is not None:
+            return self.manifest.place[2]
+        return None if self.measurement is None else self.measurement.altitude
+
+    @property
     def whereabouts(self) -> Place | None:
         """The same of a measurement or of a status: where the drone was."""
-        if self.status is None or self.status.place is None:
-            return self.place
-        return _earthly(self.status.place)
+        if self.status is not None and self.status.place is not None:
+            return _earthly(self.status.place)
+        # A file may be from another time.
+        return None if self.manifest is not None else self.place
 
     @property
     def reading(self) -> float | None:
@@ -113,11 +135,15 @@ class Entry(NamedTuple):
             **({} if self.error_s is None else {"error_s": round(self.error_s, 3)}),
             "age_s": round(self.age_s, 3),
             **({} if self.arrived is None else {"arrived": round(self.arrived, 3)}),
+            **({} if self.priority is None else {"priority": self.priority}),
+            **({} if self.ttl_s is None else {"ttl_s": self.ttl_s}),
             **({"at_least": True} if self.at_least else {}),
             **({"apart": True} if self.apart else {}),
             **({} if m is None else {"measurement": m._asdict()}),
             **({} if self.status is None else {"status": self.status._asdict()}),
             **({} if self.file is None else {"name": self.file}),
+            **({} if self.manifest is None else _file(self.manifest)),
+            **({} if self.part is None else {"part": self.part.number, "file": self.part.cut.key.hex()}),
             **({"malformed": self.malformed} if self.malformed else {}),
         }
 
@@ -172,9 +198,9 @@ class Data(Protocol):
     def count(self) -> int:
         """How many data `entries` reads."""
 
-    def entries(self, wanted: Filter = ALL, *, after: int = -1) -> Iterator[Entry]:
+    def entries(self, wanted: Filter = ALL, *, after: int = -1, parts: bool | None = None) -> Iterator[Entry]:
         """The data in the order of arrival, and then the second contents of ids. `after`: only what arrived later than
-        this `Entry.arrival`, and no second contents."""
+        this `Entry.arrival`, and no second contents. `parts`: only parts of files, or only other data; None: all."""
 
     def second_contents(self, after: int) -> Iterator[Entry]:
         """The second contents of ids, in an order of their own: those behind this `Entry.arrival` of theirs; 0: all."""
@@ -195,6 +221,16 @@ class Data(Protocol):
 
     def close(self) -> None:
         """Release the files or the connection."""
+
+
+def _file(manifest: Manifest) -> dict[str, Any]:
+    """The fields of a manifest for JSON."""
+    return {
+        "sha256": manifest.digest.hex(),
+        "packing": PACKINGS[manifest.cut.packing],
+        **({} if manifest.time is None else {"time": manifest.time}),
+        **({} if manifest.place is None else {"place": list(manifest.place)}),
+    }
 
 
 def _earthly(place: Place) -> Place | None:

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from rass_mav.app.config import RunConfig
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.seals import SEALED
+from rass_mav.core.terms import parted
 from rass_mav.errors import ForgedError, MalformedError, StoreError
 from rass_mav.keys.settings import check_package
 
-#: Returns the contents of a sealed datum: its id, its kind without `SEALED`, its payload. Raises `ForgedError`,
-#: `MalformedError`.
-Opens = Callable[[DatumId, int, bytes], bytes]
+#: Returns the contents of a sealed datum: its id, its kind without `SEALED`, its payload without terms, its terms.
+#: Raises `ForgedError`, `MalformedError`.
+Opens = Callable[[DatumId, int, bytes, bytes], bytes]
 
 
 def opener_of(path: str) -> Opens:
@@ -31,11 +32,12 @@ def opener_of_node(config: RunConfig) -> Opens | None:
 
 def opened(name: str, datum: Datum, opens: Opens | None) -> bytes:
     """The contents of a datum. `StoreError`: it is sealed, and cannot be opened."""
+    terms, payload = parted(datum.kind, datum.payload)
     if not datum.kind & SEALED:
-        return datum.payload
+        return payload
     if opens is None:
         raise StoreError(f"{name}: sealed; give the ground's keys with --keys")
     try:
-        return opens(datum.id, datum.kind & ~SEALED, datum.payload)
+        return opens(datum.id, datum.kind & ~SEALED, payload, terms)
     except (ForgedError, MalformedError) as error:
         raise StoreError(f"{name}: {error}") from None

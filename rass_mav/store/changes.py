@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
 
-from .quota import ROW_OVERHEAD
+from .quota import cost
 
 
 @dataclass(slots=True)
@@ -62,8 +62,8 @@ class Changes:
 
     @property
     def bytes(self) -> int:
-        """Bytes of payload and `ROW_OVERHEAD` that wait in memory."""
-        return sum(len(d.payload) + ROW_OVERHEAD for data in (self.puts, self.apart) for d in data.values())
+        """What waits in memory: the sum of `cost`."""
+        return sum(cost(len(d.payload)) for data in (self.puts, self.apart) for d in data.values())
 
     def put(self, datum: Datum, older: bool) -> None:
         """Store a datum. `older`: a datum with its id is stored already, in this batch or before."""
@@ -88,6 +88,10 @@ class Changes:
         """Remove a loss from the table."""
         self.losses.pop(id, None)
         self.founds[id] = None
+
+    def relief(self) -> Changes:
+        """The part that only removes data, with the losses that explain it: on a full disk it can go first."""
+        return Changes(removes={id: None for id in self.removes if id not in self.puts}, losses=self.losses)
 
     def followed_by(self, later: Changes) -> Changes:
         """These changes followed by the `later` ones, as one."""

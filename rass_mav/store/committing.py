@@ -1,52 +1,70 @@
-"""Writes a store's database, and maintains its high-water mark."""
+"""Writes a store's database and the file of its large payloads, and maintains its high-water mark."""
 
 from __future__ import annotations
 
+import errno
 from contextlib import suppress
 from pathlib import Path
 
 from . import schema
 from .changes import Changes
+from .conversion import upgrade
+from .disk import Disk
 from .drafts import connect
+from .errors import Unsound
 from .files import MARK, beside
 from .mark import Mark, MarkFile
+from .payloads import PayloadWriter
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Committer:
     """Makes changes durable, on one thread at a time."""
 
-    def __init__(self, path: Path, *, vfs: str | None, busy_timeout: float, file_limit: int | None) -> None:
+    def __init__(self, path: Path, *, disk: Disk, busy_timeout: float, file_limit: int | None) -> None:
         """`OSError` and the errors of SQLite. For the options see `SqliteStore.open`."""
-        self.connection = connect(path, vfs=vfs, busy_timeout=busy_timeout)
+        self.connection = connect(path, vfs=disk.vfs, busy_timeout=busy_timeout)
         try:
             self.connection.execute("PRAGMA synchronous = FULL")
-            if file_limit is not None:
-                page = self.connection.execute("PRAGMA page_size").fetchall()[0][0]
-                self.connection.execute(f"PRAGMA max_page_count = {max(file_limit // page, 1)}")
-            self._file = MarkFile(beside(path, MARK))
+            upgrade(self.connection)
+            self.payloads = PayloadWriter(path, disk)
+            try:
+                self._file = MarkFile(beside(path, MARK))
+            except BaseException:
+                self.payloads.close()
+                raise
         except BaseException:
             self.connection.close()
             raise
+        self._limit = file_limit
         self.now_ms: int | None = None
         """When what is written next arrived, milliseconds on the node's timeline; None: unknown."""
         self._mark: Mark | None = None
         self._sure = False
         """Whether the last commit succeeded, so that the numbers of rows are right."""
+        self._synced = False
+        """Whether a commit has made durable all that the database shows."""
 
     def begin(self, own: schema.OwnNumbers) -> None:
-        """Record that the store is in use, and how far it has come. `OSError` and the errors of SQLite."""
+        """Record that the store is in use, and how far it has come. `OSError`, `Unsound` and the errors of SQLite."""
+        places = [place for table in ("datum", "apart") for place in schema.read_places(self.connection, table)]
+        try:
+            self.payloads.begin(own.life, places)
+        except ValueError as error:
+            raise Unsound(str(error)) from error
         self._mark = Mark(own.life, own.epoch, own.given, own.written, schema.count_rows(self.connection))
         self._file.begin(self._mark)
         self._sure = True
 
     def commit(self, changes: Changes) -> None:
-        """One transaction, one fsync; and the mark after it."""
+        """The large payloads with one fsync, then one transaction with one; and the mark after it."""
         assert self._mark is not None
         mark = self._mark
         if not self._sure:
             mark = mark._replace(rows=schema.count_rows(self.connection))
         self._sure = False
-        rows = self._transact(changes, mark)
+        rows = self._write_payloads(changes, mark) + self._transact(changes, mark)
         self._mark = Mark(
             mark.life,
             mark.epoch,
@@ -60,21 +78,61 @@ class Committer:
             with suppress(OSError):
                 self._file.write(self._mark)
 
+    def _write_payloads(self, changes: Changes, mark: Mark) -> int:
+        """Returns by how many the number of rows has grown."""
+        data, apart = changes.puts.values(), changes.apart.values()
+        try:
+            self.payloads.write(data, apart, self._left(self._database_bytes()))
+            return 0
+        except OSError as error:
+            relief = changes.relief()
+            if error.errno not in _FULL or not relief.removes:
+                raise
+        # The space of what goes can be used as soon as that is durable. To apply changes twice does no harm.
+        rows = self._transact(relief, mark)
+        self.payloads.write(data, apart, self._left(self._database_bytes()))
+        return rows
+
+    def _database_bytes(self) -> int:
+        """How large the database is; 0 where there is no limit."""
+        if self._limit is None:
+            return 0
+        return int(self.connection.execute("PRAGMA page_count").fetchall()[0][0]) * self._page_bytes()
+
+    def _page_bytes(self) -> int:
+        return int(self.connection.execute("PRAGMA page_size").fetchall()[0][0])
+
+    def _left(self, taken: int) -> int | None:
+        return None if self._limit is None else max(self._limit - taken, 0)
+
     def _transact(self, changes: Changes, mark: Mark) -> int:
         """Returns by how many the number of rows has grown."""
         own = {} if changes.sequence is None else {schema.NEXT_SEQUENCE: changes.sequence}
         if changes.rows:
             own[schema.WRITTEN] = mark.written + changes.rows
-        writer = self.connection
+        writer, payloads = self.connection, self.payloads
+        if (left := self._left(payloads.size)) is not None:
+            writer.execute(f"PRAGMA max_page_count = {max(left // self._page_bytes(), 1)}")
+        before = writer.total_changes
+        places = {key: payloads.place(datum) for key, datum in changes.puts.items()}
         writer.execute("BEGIN IMMEDIATE")
         try:
             for statement in schema.MARK_AT_LEAST if changes.aged else ():
                 writer.execute(statement)
+            removes = () if payloads.empty else changes.removes
+            gone = [place for id in removes if (place := schema.read_place(writer, id)) is not None]
             rows = -writer.executemany(schema.DELETE_DATUM, changes.removes).rowcount
-            schema.insert_data(writer, changes.puts.values(), self.now_ms)
+            puts = changes.puts.values()
+            schema.insert_data(writer, (schema.datum_row(datum, places[datum.id]) for datum in puts), self.now_ms)
             rows += len(changes.puts)
+            kept = {sector for sector in places.values() if sector is not None}
             writer.executemany(schema.AMEND_DATUM, [(at, *id) for id, at in changes.amends.items()])
-            rows += writer.executemany(schema.INSERT_APART, map(schema.datum_row, changes.apart.values())).rowcount
+            for datum in changes.apart.values():
+                sector = payloads.place(datum, apart=True)
+                inserted = writer.execute(schema.INSERT_APART, schema.datum_row(datum, sector)).rowcount
+                rows += inserted
+                if inserted and sector is not None:
+                    kept.add(sector)
             rows -= writer.executemany(schema.DELETE_LOSS, changes.founds).rowcount
             losses = [schema.loss_row(id, fate) for id, fate in changes.losses.items()]
             rows += writer.executemany(schema.INSERT_LOSS, losses).rowcount
@@ -86,11 +144,21 @@ class Committer:
             if writer.in_transaction:
                 writer.execute("ROLLBACK")
             raise
+        payloads.settle(kept, gone)
+        if writer.total_changes > before:
+            # Otherwise nothing was synced, and the last commit of the life before might still be lost.
+            self._synced = True
+            with suppress(OSError):
+                payloads.recycle()
         return rows
 
     def close(self, *, clean: bool) -> None:
         """Release the files. `clean`: everything has been written."""
         self.connection.close()
+        if clean and self._synced:
+            with suppress(OSError):
+                self.payloads.recycle(trim_bytes=0)
+        self.payloads.close()
         if clean and self._sure and self._mark is not None:
             with suppress(OSError):
                 self._file.begin(self._mark._replace(clean=True))

@@ -1,4 +1,8 @@
-"""Conversion of a store of the previous version: schema 1 had no life, no `at_least`, and no second contents."""
+"""Conversion of stores of earlier versions.
+
+Schema 1 had no life, no `at_least`, and no second contents: such a store is copied. Schema 2 had all payloads in their
+rows, which this version allows too: only the statements that describe its tables change.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,18 @@ from rass_mav.core.datum import DatumId, Fate
 from .drafts import connect, drafted, draw
 from .repairs import close_epochs
 from .report import OpenReport
-from .schema import OwnNumbers, count_rows, loss_row, read_numbers, write_numbers, write_own
+from .schema import (
+    LAST_TABLES,
+    LAST_VERSION,
+    SCHEMA_VERSION,
+    TABLES,
+    OwnNumbers,
+    count_rows,
+    loss_row,
+    read_numbers,
+    write_numbers,
+    write_own,
+)  # fmt: skip
 
 OLD_VERSION = 1
 _COPY = (
@@ -20,6 +35,28 @@ _COPY = (
     "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?)"
 )
 _FATES = {fate.value: fate for fate in Fate}
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Make a sound store of the last version one of this version, in one transaction; others stay unchanged."""
+    # sqlite.org/lang_altertable.html, section 7: how to change a CHECK constraint.
+    if connection.execute("PRAGMA user_version").fetchall() != [(LAST_VERSION,)]:
+        return
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        connection.execute("PRAGMA writable_schema = ON")
+        for name, statement in TABLES.items():
+            if statement != LAST_TABLES[name]:
+                connection.execute("UPDATE sqlite_master SET sql = ? WHERE name = ?", (statement, name))
+        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        cookie = connection.execute("PRAGMA schema_version").fetchall()[0][0]
+        connection.execute(f"PRAGMA schema_version = {cookie + 1}")
+        connection.execute("COMMIT")
+    finally:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        # It reads the new statements.
+        connection.execute("PRAGMA writable_schema = RESET")
 
 
 def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int, vfs: str | None) -> OpenReport:
@@ -45,11 +82,11 @@ def convert(path: Path, aside: Path, draw_epoch: Callable[[], int], node_id: int
             write_numbers(new, "meta", meta)
             own = close_epochs(new, OwnNumbers(life, epoch, 0, 0, 0), node_id, {life: given}, 0)
             write_own(new, own._replace(written=count_rows(new)))
-    return OpenReport(converted=aside, closed=((life, given),), reason="created by the previous version")
+    return OpenReport(converted=aside, closed=((life, given),), reason="created by the first version")
 
 
 def check_old(connection: sqlite3.Connection) -> str:
-    """What is wrong with the rows of a store of the previous version; empty: nothing."""
+    """What is wrong with the rows of a store of the first version; empty: nothing."""
     bad = connection.execute(
         "SELECT arrival FROM datum WHERE (typeof(origin) = 'integer' AND typeof(epoch) = 'integer' "
         "AND typeof(sequence) = 'integer' AND typeof(kind) = 'integer' AND typeof(created) = 'real' "

@@ -28,7 +28,7 @@ class Unsound(Exception):
 
 
 class OutdatedStoreError(StoreError):
-    """A store of the previous version, where it cannot be converted."""
+    """A store of the first version, where it cannot be converted."""
 
 
 @contextmanager

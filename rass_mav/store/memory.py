@@ -8,7 +8,7 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
 from rass_mav.errors import StoreFullError
 
-from .quota import ROW_OVERHEAD, charge
+from .quota import charge, cost
 
 #: Fates that are recorded in the table of losses.
 RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
@@ -41,7 +41,7 @@ class MemoryStore:
     """Never."""
 
     def __init__(self, epoch: int, *, quota_bytes: int | None = None) -> None:
-        """`epoch`: 32 bits. `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound."""
+        """`epoch`: 32 bits. `quota_bytes`: bound of `used_bytes`; None: no bound."""
         if not 0 <= epoch < 1 << 32:
             raise ValueError(f"an epoch has 32 bits, got {epoch}")
         self.life = self.epoch = epoch
@@ -60,9 +60,9 @@ class MemoryStore:
 
     @property
     def used_bytes(self) -> int:
-        """Bytes of payload plus `ROW_OVERHEAD` for each datum: what the quota bounds."""
+        """The sum of `cost`, as on a disk: what the quota bounds."""
         data = (*self._data.values(), *self._apart.values())
-        return sum(len(datum.payload) + ROW_OVERHEAD for datum in data)
+        return sum(cost(len(datum.payload)) for datum in data)
 
     @property
     def given(self) -> int:
@@ -79,7 +79,7 @@ class MemoryStore:
 
     def room_for(self, size: int) -> bool:
         """Whether a datum of `size` bytes of payload fits the quota."""
-        return self._quota is None or self._used + size + ROW_OVERHEAD <= self._quota
+        return self._quota is None or self._used + cost(size) <= self._quota
 
     def put(self, datum: Datum) -> None:
         """Store a datum as the latest, or replace the one with its id. `StoreFullError` over the quota."""
@@ -87,7 +87,7 @@ class MemoryStore:
         data = self._data
         if self._quota is not None:
             old = data.get(id)
-            freed = 0 if old is None else len(old.payload) + ROW_OVERHEAD
+            freed = 0 if old is None else cost(len(old.payload))
             self._used = charge(self._used, freed, len(datum.payload), self._quota)
         if id in data:
             del data[id]
@@ -104,7 +104,7 @@ class MemoryStore:
         if len(self._apart) >= MAX_APART or of_this_id >= MAX_APART_OF_ONE or not self.room_for(size):
             return False
         if self._quota is not None:
-            self._used += size + ROW_OVERHEAD
+            self._used += cost(size)
         self._apart[id, datum.crc] = datum
         return True
 
@@ -136,7 +136,7 @@ class MemoryStore:
             return
         self._struck.discard(id)
         if self._quota is not None:
-            self._used -= len(datum.payload) + ROW_OVERHEAD
+            self._used -= cost(len(datum.payload))
         if fate in RECORDED:
             self._losses.setdefault(id, fate)
 
@@ -168,8 +168,7 @@ class MemoryStore:
 
     def held(self) -> Iterator[StoredInfo]:
         """What is stored, least recently stored first."""
-        for id, kind, created, hops, crc, payload, at_least in list(self._data.values()):
-            yield StoredInfo(id, kind, created, hops, crc, len(payload), at_least)
+        yield from map(info_of, list(self._data.values()))
 
     def note_time(self, now_ms: int) -> None:
         """Arrivals in memory have no time."""

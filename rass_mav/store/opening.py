@@ -16,17 +16,22 @@ from typing import NamedTuple
 from rass_mav.errors import StoreDamagedError, StoreError
 
 from .conversion import OLD_VERSION, check_old, convert
+from .disk import Disk
 from .drafts import connect, drafted, draw, finish, free_name
 from .errors import Unsound, explained
-from .files import LOG_ENDINGS, MARK, beside, tighten
+from .files import LOG_ENDINGS, MARK, PAYLOADS, beside, sync_directory, tighten
 from .log import read_log
 from .mark import Mark, read_mark
-from .repairs import Repairs, close_epochs, find_unsound
+from .payloads import Payloads
+from .quota import SECTOR_BYTES
+from .repairs import Repairs, close_epochs, find_lost_payloads, find_unsound
 from .report import OpenReport
 from .salvage import MIN_ROW_BYTES, salvage, salvage_log
 from .schema import (
     APPLICATION_ID,
     EPOCH,
+    LAST_TABLES,
+    LAST_VERSION,
     LIFE,
     NEXT_SEQUENCE,
     SCHEMA_VERSION,
@@ -53,7 +58,7 @@ class Opening(NamedTuple):
     path: Path
     node_id: int
     draw_epoch: Callable[[], int]
-    vfs: str | None
+    disk: Disk
     suspect: bool
     """Check all of it, whatever its size."""
     check_limit: int
@@ -86,12 +91,12 @@ class Opening(NamedTuple):
                 damage, repairs = self._find_remains(), None
                 if not damage:
                     epoch = draw(self.draw_epoch)
-                    with drafted(path, draw(self.draw_epoch, epoch), epoch, self.vfs):
+                    with drafted(path, draw(self.draw_epoch, epoch), epoch, self.disk.vfs):
                         pass
                     return OpenReport(created=True), Repairs()
         if damage or repairs is None:
             return self.begin_anew(damage), Repairs()
-        return OpenReport(), repairs
+        return OpenReport(payloads=repairs.payloads), repairs
 
     def begin_anew(self, damage: str) -> OpenReport:
         """Create a new store from what a damaged one still holds, and set that aside. The caller has no connection."""
@@ -101,7 +106,7 @@ class Opening(NamedTuple):
             aside = free_name(path, "damaged")
             epoch = draw(self.draw_epoch)
             life = draw(self.draw_epoch, epoch)
-            with drafted(path, life, epoch, self.vfs, aside) as connection:
+            with drafted(path, life, epoch, self.disk.vfs, aside) as connection:
                 found = salvage(path, mark, self.node_id, connection)
                 epochs = found.epochs
                 taken = (epoch, *epochs, *(() if mark is None else (mark.life, mark.epoch)))
@@ -117,19 +122,21 @@ class Opening(NamedTuple):
         )  # fmt: skip
 
     def _convert(self, aside: Path) -> OpenReport:
-        with explained(self.path, "converting the store of the previous version"):
-            return convert(self.path, aside, self.draw_epoch, self.node_id, self.vfs)
+        with explained(self.path, "converting the store of the first version"):
+            return convert(self.path, aside, self.draw_epoch, self.node_id, self.disk.vfs)
 
     def _find_remains(self) -> str:
         """What is left of a store whose database is missing; empty: nothing that matters."""
         if any(beside(self.path, ending).exists() for ending in LOG_ENDINGS):
             # It must go: SQLite would replay it into the new database.
             return "a write-ahead log without its database"
+        if beside(self.path, PAYLOADS).exists():
+            return "payloads without their database"
         mark = read_mark(beside(self.path, MARK))
         return "the database is missing" if mark is not None and (mark.given or mark.rows) else ""
 
     def _examine(self) -> tuple[str, Repairs | None]:
-        """What is wrong with the file; if nothing is, the repairs. Neither: it is of the previous version."""
+        """What is wrong with the file; if nothing is, the repairs. Neither: it is of the first version."""
         path = self.path
         with path.open("rb") as file:
             header = file.read(100)
@@ -147,7 +154,7 @@ class Opening(NamedTuple):
             with explained(path, "checking the store"):
                 # Read-only: closing an ordinary connection would move the log into a database that may be beyond
                 # repair.
-                connection = connect(path, "ro", vfs=self.vfs)
+                connection = connect(path, "ro", vfs=self.disk.vfs)
                 try:
                     version = version_of(connection, path)
                     if thorough:
@@ -155,16 +162,41 @@ class Opening(NamedTuple):
                     if version == OLD_VERSION:
                         return check_old(connection), None
                     tables = dict(connection.execute("SELECT name, sql FROM sqlite_master").fetchall())
-                    if any(tables.get(name) != statement for name, statement in TABLES.items()):
+                    ours = LAST_TABLES if version == LAST_VERSION else TABLES
+                    if any(tables.get(name) != statement for name, statement in ours.items()):
                         return "its tables are not ours", None
                     repairs = Repairs()
                     find_unsound(connection, repairs, rows=thorough)
-                    self._compare(sound_numbers(connection, "meta")[0], repairs)
+                    meta = sound_numbers(connection, "meta")[0]
+                    self._look_at_payloads(connection, meta.get(LIFE, -1), repairs, thorough)
+                    self._compare(meta, repairs)
                     return "", repairs
                 finally:
                     connection.close()
         except StoreDamagedError as error:
             return str(error.__cause__), None
+
+    def _look_at_payloads(self, connection: sqlite3.Connection, life: int, repairs: Repairs, thorough: bool) -> None:
+        """Note rows whose payloads are gone. If the file beside the database is another store's, set it aside."""
+        payloads = Payloads(self.path, self.disk, writable=False)
+        try:
+            # Cut off while it was created, it has no head and no payload.
+            foreign = payloads.life != life and payloads.size > SECTOR_BYTES
+            if not (foreign or thorough):
+                return
+            lost, found = find_lost_payloads(connection, payloads, repairs, everything=foreign)
+            name = payloads.path.name
+            if lost:
+                what = "is damaged or cut off" if payloads.size else "is missing"
+                repairs.payloads = f"{name} {what}: {lost} data are lost"
+            if not foreign or found:
+                return
+        finally:
+            payloads.close()
+        aside = beside(free_name(self.path, "damaged"), PAYLOADS)
+        payloads.path.rename(aside)
+        sync_directory(self.path)
+        repairs.payloads = f"{name} is not this store's, set aside ({aside.name}): {lost} data are lost"
 
     def _compare(self, meta: dict[str, int], repairs: Repairs) -> None:
         """Compare the store with its mark. If it is not in the state that the mark records, a new epoch is due."""
@@ -211,7 +243,7 @@ def version_of(connection: sqlite3.Connection, path: Path) -> int:
     if version > SCHEMA_VERSION:
         # Not damage: a person who went back to an older program wants these data, so we refuse to start without them.
         raise StoreError(f"{path}: created by a newer version (schema {version}, this one knows {SCHEMA_VERSION})")
-    if version not in (OLD_VERSION, SCHEMA_VERSION):
+    if version not in (OLD_VERSION, LAST_VERSION, SCHEMA_VERSION):
         raise Unsound(f"schema version {version}")
     return version
 

@@ -11,23 +11,26 @@ from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
 
 from . import schema
+from .conversion import OLD_VERSION
+from .disk import HOST
 from .drafts import connect
 from .errors import OutdatedStoreError, Unsound, explained
 from .files import LOG_ENDINGS, beside, checked_path
 from .opening import version_of
+from .payloads import Payloads
 from .reading import connect_alone
 
 
 class SqliteReader:
     """What was durable in a store at the moment of opening, however it changes meanwhile.
 
-    Needs no lock, and changes no data. While it is open the node cannot shorten its write-ahead log, so close it soon,
-    or let it `rest`.
+    Needs no lock, and changes no data. While it is open the node cannot shorten its write-ahead log, nor use the
+    space of large payloads that it removes. So close it soon, or let it `rest`.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """`StoreError`: there is no store at `path` that can be read; `StoreDamagedError`: there is a damaged one;
-        `OutdatedStoreError`: one of the previous version."""
+        `OutdatedStoreError`: one of the first version."""
         self._path = checked_path(path)
         with explained(self._path, "opening the store to read"):
             # A card that is mounted read-only, or another user's store.
@@ -35,35 +38,52 @@ class SqliteReader:
             self._log = beside(self._path, LOG_ENDINGS[0])
             self._closed = not alone and not self._log.exists()
             """Whether no node used the store when it was opened. SQLite then creates the files of a log to read it."""
-            self._connection = connect_alone(self._path) if alone else connect(self._path, "ro")
+            self._payloads = Payloads(self._path, HOST, writable=False)
             try:
+                self._connection = connect_alone(self._path) if alone else connect(self._path, "ro")
+            except BaseException:
+                self._payloads.close()
+                raise
+            self._source = schema.Source(self._connection, self._payloads)
+            try:
+                # Before the moment of which all is read.
+                self._payloads.watch(True)
                 self._connection.execute("BEGIN")
                 # The first read fixes the moment for all other reads.
                 if self._connection.execute("PRAGMA application_id").fetchall()[0][0] != schema.APPLICATION_ID:
                     raise Unsound("another program's database")
-                if version_of(self._connection, self._path) != schema.SCHEMA_VERSION:
-                    raise OutdatedStoreError(f"{self._path}: of the previous version, and not converted yet")
+                if version_of(self._connection, self._path) == OLD_VERSION:
+                    raise OutdatedStoreError(f"{self._path}: of the first version, and not converted yet")
                 self._meta = schema.read_numbers(self._connection, "meta")
                 own = schema.read_own(self._meta)
                 self.life, self.epoch, self.next_sequence = own.life, own.epoch, own.given
                 """32 bits each: the store's life and the epoch of its data; and the sequence number of its next own
                 datum."""
+                self._payloads.expect(self.life)
             except BaseException:
                 self.close()
                 raise
+
+    def about_payloads(self) -> str:
+        """The file of large payloads, and what is wrong with it as a whole, for people."""
+        payloads = self._payloads
+        what = "belongs to another store" if payloads.foreign else "is cut off" if payloads.size else "is missing"
+        return f"{payloads.path} {what}"
 
     def renew(self) -> None:
         """Read from now on what is durable now."""
         with explained(self._path, "reading the store"):
             self.rest()
+            self._payloads.watch(True)
             self._connection.execute("BEGIN")
             self._meta = schema.read_numbers(self._connection, "meta")
             schema.read_own(self._meta)
 
     def rest(self) -> None:
-        """Let the node shorten its log, until `renew`."""
+        """Let the node shorten its log, and use the space of what it has removed, until `renew`."""
         if self._connection.in_transaction:
             self._connection.execute("ROLLBACK")
+        self._payloads.watch(False)
 
     def meta(self) -> dict[str, int]:
         """The numbers that the node keeps, without the store's own."""
@@ -78,11 +98,15 @@ class SqliteReader:
         with explained(self._path, "listing the data"):
             yield from schema.read_infos(self._connection)
 
-    def rows(self, head_bytes: int, *, after: int = -1, apart: bool = False) -> Iterator[schema.Row | None]:
+    def rows(
+        self, head_bytes: int, *, after: int = -1, apart: bool = False, parts: bool | None = None
+    ) -> Iterator[schema.Row | None]:
         """What is stored, in the order of arrival, from behind the arrival `after` on, with the first bytes of the
-        payloads. None: a damaged row. `apart`: the second contents of ids instead."""
+        payloads. None: a damaged row. `apart`: the second contents of ids instead. `parts`: only parts of files, or
+        only other data; None: all."""
         with explained(self._path, "listing the data"):
-            yield from schema.read_rows(self._connection, "apart" if apart else "datum", head_bytes, after)
+            table = "apart" if apart else "datum"
+            yield from schema.read_rows(self._source, table, head_bytes, after, parts)
 
     def count(self, after: int = -1) -> int:
         """How many rows of data are stored, damaged ones and second contents included. `after`: only what arrived
@@ -97,18 +121,18 @@ class SqliteReader:
     def get_apart(self, id: DatumId, crc: int) -> Datum | None:
         """One second content, or None."""
         with explained(self._path, "reading a datum"):
-            return schema.read_datum(self._connection, id, crc)
+            return schema.read_datum(self._source, id, crc)
 
     def get(self, id: DatumId) -> Datum | None:
         """A datum as its bytes are (its checksum is not verified here), or None."""
         with explained(self._path, "reading a datum"):
-            return schema.read_datum(self._connection, id)
+            return schema.read_datum(self._source, id)
 
     def apart(self) -> list[Datum]:
         """Second contents of ids, in the order of arrival."""
         with explained(self._path, "reading a datum"):
             infos = list(schema.read_infos(self._connection, "apart"))
-            data = [schema.read_datum(self._connection, info.id, info.crc) for info in infos]
+            data = [schema.read_datum(self._source, info.id, info.crc) for info in infos]
         return [datum for datum in data if datum is not None]
 
     def losses(self) -> list[tuple[DatumId, Fate]]:
@@ -124,6 +148,7 @@ class SqliteReader:
     def close(self) -> None:
         """Release the files."""
         self._connection.close()
+        self._payloads.close()
         if self._closed:
             self._tidy()
 

@@ -43,7 +43,7 @@ def why_unwritable(error: StoreError, path: Path) -> str:
 def open_to_read(path: Path, draw_epoch: Callable[[], int], vfs: str | None) -> sqlite3.Connection:
     """A connection that changes nothing, to the store at `path`; to an empty one in memory if there is none.
 
-    `StoreError`: it cannot be read, or it is of another version and would have to be converted.
+    `StoreError`: it cannot be read, or it is of a version that would have to be converted.
     """
     if path.exists():
         try:
@@ -76,7 +76,7 @@ def connect_alone(path: Path, vfs: str | None = None) -> sqlite3.Connection:
 
 
 def salvaged_copy(path: Path, copy: Path) -> int:
-    """Write what a damaged store, or one of the previous version, still holds to a new store; the old one stays as it
+    """Write what a damaged store, or one of the first version, still holds to a new store; the old one stays as it
     is. Returns how many data that are. `StoreError`."""
     with explained(path, "salvaging the data"), drafted(copy, 0, 1, None) as connection:
         found = salvage(path, read_mark(beside(path, MARK)), 0, connection)
@@ -95,7 +95,7 @@ def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
         if connection.execute("PRAGMA application_id").fetchall()[0][0] != APPLICATION_ID:
             raise Unsound("another program's database")
         if version_of(connection, path) == OLD_VERSION:
-            raise StoreError(f"{path}: of the previous version, and cannot be converted where nothing can be written")
+            raise StoreError(f"{path}: of the first version, and cannot be converted where nothing can be written")
         for table in ("datum", "apart"):
             for _ in read_infos(connection, table):
                 pass

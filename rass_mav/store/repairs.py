@@ -6,8 +6,10 @@ import sqlite3
 from dataclasses import dataclass, field
 from typing import Any
 
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import Datum, DatumId, Fate, datum_crc
 
+from .payloads import Payloads
+from .quota import SECTOR_BYTES
 from .report import OpenReport
 from .schema import (
     INSERT_APART,
@@ -16,6 +18,7 @@ from .schema import (
     datum_row,
     insert_data,
     loss_row,
+    read_places,
     sound_losses,
     sound_numbers,
     unsound_rows,
@@ -47,6 +50,8 @@ class Repairs:
     """The most rows that were held in the end. No more can be lost, because data that were passed on are not lost.
     None: unknown."""
     reason: str = ""
+    payloads: str = ""
+    """What is wrong with the file of payloads."""
 
     def __bool__(self) -> bool:
         return bool(self.rows or self.numbers or self.losses or self.own)
@@ -60,6 +65,54 @@ def find_unsound(connection: sqlite3.Connection, repairs: Repairs, *, rows: bool
     if rows:
         for table in ("datum", "apart"):
             repairs.rows += [(table, row) for row in unsound_rows(connection, table)]
+
+
+def find_lost_payloads(
+    connection: sqlite3.Connection, payloads: Payloads, repairs: Repairs, *, everything: bool
+) -> tuple[int, int]:
+    """Note rows whose payload is not in the file. Returns how many those are, and how many others there are.
+
+    Reads only where two payloads overlap, or one lies outside; `everything`: all of them.
+    """
+    places = []
+    # By table and arrival.
+    lost: list[tuple[str, int]] = []
+    doubtful: set[tuple[str, int]] = set()
+    size_of_file = payloads.size
+    for table in ("datum", "apart"):
+        for arrival, sector, size in read_places(connection, table):
+            if type(size) is int and size > 0 < sector:
+                places.append((sector * SECTOR_BYTES, sector * SECTOR_BYTES + size, table, arrival))
+            else:
+                lost.append((table, arrival))
+    places.sort()
+    end, last = 0, ("", 0)
+    for first, behind, table, arrival in places:
+        if everything or behind > size_of_file:
+            doubtful.add((table, arrival))
+        if first < end:
+            doubtful |= {last, (table, arrival)}
+        if behind > end:
+            end, last = behind, (table, arrival)
+    lost += [row for row in sorted(doubtful) if not _there(connection, payloads, *row)]
+    for table, arrival in lost:
+        ids = f"SELECT arrival, origin, epoch, sequence FROM {table} WHERE arrival = ?"
+        row = table, connection.execute(ids, (arrival,)).fetchall()[0]
+        if row not in repairs.rows:
+            repairs.rows.append(row)
+    return len(lost), len(places) - len(doubtful) + sum(row not in lost for row in doubtful)
+
+
+def _there(connection: sqlite3.Connection, payloads: Payloads, table: str, arrival: int) -> bool:
+    columns = "origin, epoch, sequence, kind, crc, payload, size"
+    rows = connection.execute(f"SELECT {columns} FROM {table} WHERE arrival = ?", (arrival,)).fetchall()
+    origin, epoch, sequence, kind, crc, sector, size = rows[0]
+    if any(type(number) is not int or not 0 <= number <= _U32 for number in (origin, epoch, sequence, kind)):
+        return False
+    if kind > 255 or origin >= 1 << 16:
+        return False
+    payload = payloads.read(sector, size)
+    return bool(len(payload) == size and datum_crc(DatumId(origin, epoch, sequence), kind, payload) == crc)
 
 
 def apply(connection: sqlite3.Connection, repairs: Repairs, own: OwnNumbers, node_id: int) -> OpenReport:
@@ -107,6 +160,7 @@ def _apply(connection: sqlite3.Connection, repairs: Repairs, own: OwnNumbers, no
         salvaged=salvaged,
         lost=lost,
         dropped=tuple(dropped),
+        payloads=repairs.payloads,
     )
 
 
@@ -130,7 +184,7 @@ def _add(connection: sqlite3.Connection, datum: Datum) -> int:
     found = connection.execute("SELECT crc FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?", datum.id)
     crcs = found.fetchall()
     if not crcs:
-        insert_data(connection, [datum])
+        insert_data(connection, [datum_row(datum)])
         return 1
     if crcs[0][0] == datum.crc:
         return 0

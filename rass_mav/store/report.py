@@ -16,7 +16,7 @@ class OpenReport(NamedTuple):
     reason: str = ""
     """What was wrong with it, or why the epoch is new; empty if nothing was wrong."""
     converted: Path | None = None
-    """Where the store of the previous version is from which this one was created."""
+    """Where the store of the first version is from which this one was created."""
     closed: tuple[tuple[int, int], ...] = ()
     """Epochs that ended, each with how many of its numbers are known to be assigned; more may have been."""
     salvaged: int = 0
@@ -25,6 +25,8 @@ class OpenReport(NamedTuple):
     """The most data that may be lost."""
     dropped: tuple[str, ...] = ()
     """Single rows that were damaged and are left out."""
+    payloads: str = ""
+    """What was wrong with the file of large payloads: data in it are left out. Empty: nothing."""
     unwritable: str = ""
     """Why nothing can be written here: the store is only read. Empty: it can be written."""
 
@@ -35,7 +37,7 @@ class OpenReport(NamedTuple):
         if self.unwritable:
             said.append(f"store cannot be written ({self.unwritable}): relaying only, no data are taken")
         if self.converted is not None:
-            said.append(f"store of the previous version converted, the old one is {self.converted.name}")
+            said.append(f"store of the first version converted, the old one is {self.converted.name}")
         if self.set_aside is not None:
             said.append(
                 f"damaged store set aside ({self.set_aside.name}), {self.salvaged} data salvaged, new store made"
@@ -44,6 +46,8 @@ class OpenReport(NamedTuple):
             said.append(f"{self.salvaged} data salvaged from a damaged log")
         if self.lost:
             said.append(f"up to {self.lost} data may be lost with a damaged store")
+        if self.payloads:
+            said.append(self.payloads)
         if self.dropped:
             said.append(f"{len(self.dropped)} damaged rows left out, {self.dropped[0]}")
         if self.closed and not self.created:

@@ -14,10 +14,12 @@ from typing import Any, NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId
 
+from .disk import HOST
 from .files import LOG_ENDINGS, beside
 from .log import Log, LogFrame, read_log
 from .mark import Mark
 from .pages import free_pages, rows_on
+from .payloads import Payloads
 from .schema import (
     EPOCH,
     INSERT_APART,
@@ -58,6 +60,7 @@ class _Source:
     def __init__(self, path: Path, log: Log) -> None:
         self._files = [_opened(path), _opened(beside(path, LOG_ENDINGS[0]))]
         self.log = log
+        self.payloads = Payloads(path, HOST, writable=False)
         database, _ = self._files
         header = b"" if database is None else os.pread(database, 20, 0)
         named = int.from_bytes(header[16:18], "big")
@@ -107,13 +110,15 @@ class _Source:
         for file in self._files:
             if file is not None:
                 os.close(file)
+        self.payloads.close()
 
 
 class _Finds:
     """Collects the rows that are sound, each once."""
 
-    def __init__(self, into: sqlite3.Connection) -> None:
+    def __init__(self, into: sqlite3.Connection, payloads: Payloads) -> None:
         self.into = into
+        self.payloads = payloads
         self.data = 0
         self.losses = 0
         self.numbers: dict[bytes, int] = {}
@@ -122,7 +127,7 @@ class _Finds:
         """(origin, epoch) -> highest sequence number seen."""
 
     def take(self, rowid: int, columns: tuple[Any, ...]) -> None:
-        if len(columns) in (10, 11) and (datum := as_datum(columns)) is not None:
+        if len(columns) in (10, 11) and (datum := as_datum(columns, self.payloads)) is not None:
             self._put(rowid, datum)
         elif len(columns) == 5 and (fate := sound_loss(columns[:3], columns[3], columns[4])) is not None:
             id = DatumId(*columns[:3])
@@ -147,11 +152,13 @@ class _Finds:
             self.data += self.into.execute(INSERT_APART, row).rowcount
 
 
-def as_datum(columns: tuple[Any, ...]) -> Datum | None:
-    """A row of data, as this version or the previous one wrote it; None: it is not one, or its checksum does not
+def as_datum(columns: tuple[Any, ...], payloads: Payloads) -> Datum | None:
+    """A row of data, as this version or an earlier one wrote it; None: it is not one, or its checksum does not
     match."""
-    # The previous version had no at_least.
+    # The first version had no at_least.
     _, origin, epoch, sequence, kind, created, hops, crc, size, *at_least, payload = columns
+    if type(payload) is int and type(size) is int:
+        payload = payloads.read(payload, size)
     numbers = (origin, epoch, sequence, kind, hops, crc, size, *at_least)
     if any(type(number) is not int or number < 0 for number in numbers) or type(payload) is not bytes:
         return None
@@ -170,11 +177,12 @@ def as_datum(columns: tuple[Any, ...]) -> Datum | None:
 
 
 def salvage(path: Path, mark: Mark | None, node_id: int, into: sqlite3.Connection) -> Salvaged:
-    """Salvage what the damaged store at `path` holds. `into`: a new store, in a transaction. `OSError`."""
+    """Salvage what the damaged store at `path` holds. `into`: a new store, in a transaction. All payloads go into its
+    rows. `OSError`."""
     log = read_log(beside(path, LOG_ENDINGS[0]))
     source = _Source(path, log)
     try:
-        finds = _Finds(into)
+        finds = _Finds(into, source.payloads)
         first = source.fetch(1)
         free = None if first is None else free_pages(first, source.fetch)
         for number, page in source.newest():
@@ -211,7 +219,7 @@ def salvage_log(path: Path) -> list[Datum]:
         for frame in log.frames[log.committed :]:
             page = source.state(frame)
             for _, columns in () if page is None else rows_on(page, frame.page, source.fetch):
-                if len(columns) in (10, 11) and (datum := as_datum(columns)) is not None:
+                if len(columns) in (10, 11) and (datum := as_datum(columns, source.payloads)) is not None:
                     data[datum.id, datum.crc] = datum
         return list(data.values())
     finally:

@@ -14,15 +14,19 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.datum import PARTS, Datum, DatumId, Fate
 from rass_mav.core.store import StoredInfo
+from rass_mav.core.terms import TERMS, TERMS_SIZE, terms_of
 
 from .errors import Unsound
+from .payloads import Payloads
 
 #: `PRAGMA application_id`: "RASS" in ASCII. Distinguishes our files from other programs' databases.
 APPLICATION_ID = 0x52415353
 #: `PRAGMA user_version`: the version of the tables below.
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+#: The last version. Its rows are rows of this version: only the statements in `TABLES` differ.
+LAST_VERSION = 2
 
 # Names in `meta` that belong to the store itself.
 OWN_PREFIX = "store."
@@ -37,27 +41,33 @@ _NUMBERS = "CREATE TABLE {} (name TEXT PRIMARY KEY, value INTEGER NOT NULL, inve
 _SOUND_ROW = (
     "typeof(origin) = 'integer' AND typeof(epoch) = 'integer' AND typeof(sequence) = 'integer' "
     "AND typeof(kind) = 'integer' AND typeof(created) = 'real' AND typeof(hops) = 'integer' "
-    "AND typeof(crc) = 'integer' AND at_least IN (0, 1) AND typeof(payload) = 'blob' AND length(payload) = size"
+    "AND typeof(crc) = 'integer' AND at_least IN (0, 1) AND "
 )
+_WHOLE = "typeof(payload) = 'blob' AND length(payload) = size"
+_BESIDE = "typeof(payload) = 'integer' AND payload > 0 AND typeof(size) = 'integer' AND size > 0"
+_SOUND = f"{_SOUND_ROW}({_WHOLE} OR {_BESIDE})"
 _DATA = (
     "CREATE TABLE {} (arrival INTEGER PRIMARY KEY, origin INTEGER NOT NULL, epoch INTEGER NOT NULL, "
     "sequence INTEGER NOT NULL, kind INTEGER NOT NULL, created REAL NOT NULL, hops INTEGER NOT NULL, "
     "crc INTEGER NOT NULL, size INTEGER NOT NULL, at_least INTEGER NOT NULL, payload BLOB NOT NULL, "
-    f"UNIQUE ({{}}), CHECK ({_SOUND_ROW}))"
+    "UNIQUE ({}), CHECK ({}))"
 )
+_KEYS = {"datum": "origin, epoch, sequence", "apart": "origin, epoch, sequence, crc"}
 
 #: Name -> the statement that creates the table; SQLite keeps the text unchanged, so that it can be compared. The
-#: payload of a datum comes last, so that the rest can be read without its overflow pages.
+#: payload of a datum comes last, so that the rest can be read without its overflow pages. A number in its place is the
+#: sector of `Payloads` at which it begins.
 TABLES = {
     "meta": _NUMBERS.format("meta"),
     "counter": _NUMBERS.format("counter"),
-    "datum": _DATA.format("datum", "origin, epoch, sequence"),
-    "apart": _DATA.format("apart", "origin, epoch, sequence, crc"),
+    **{name: _DATA.format(name, key, _SOUND) for name, key in _KEYS.items()},
     "loss": (
         "CREATE TABLE loss (origin INTEGER NOT NULL, epoch INTEGER NOT NULL, sequence INTEGER NOT NULL, "
         "fate TEXT NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY (origin, epoch, sequence)) WITHOUT ROWID"
     ),
 }
+
+LAST_TABLES = {**TABLES, **{name: _DATA.format(name, key, _SOUND_ROW + _WHOLE) for name, key in _KEYS.items()}}
 
 #: An arrival from here on tells when it was: this plus milliseconds on the node's timeline. Smaller ones only count.
 ARRIVAL_0_MS = 1 << 40
@@ -66,6 +76,8 @@ _INSERT_DATUM = (
     f"INSERT OR REPLACE INTO datum (arrival, {_COLUMNS}) "
     "VALUES (max(?, (SELECT coalesce(max(arrival), 0) + 1 FROM datum)), ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 )
+#: What `payload` holds: a number, or the first bytes.
+_HEAD = "CASE typeof(payload) WHEN 'integer' THEN payload ELSE substr(payload, 1, ?) END"
 INSERT_APART = f"INSERT OR IGNORE INTO apart ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 #: As long as the row was, so that it is overwritten in place.
 MARK_AT_LEAST = tuple(f"UPDATE {table} SET at_least = 1 WHERE at_least = 0" for table in ("datum", "apart"))
@@ -74,23 +86,39 @@ DELETE_DATUM = "DELETE FROM datum WHERE origin = ? AND epoch = ? AND sequence = 
 DELETE_LOSS = "DELETE FROM loss WHERE origin = ? AND epoch = ? AND sequence = ?"
 INSERT_LOSS = "INSERT OR IGNORE INTO loss (origin, epoch, sequence, fate, crc) VALUES (?, ?, ?, ?, ?)"
 _SELECT_DATUM = (
-    "SELECT kind, created, hops, crc, payload, at_least FROM datum WHERE origin = ? AND epoch = ? AND sequence = ?"
+    "SELECT kind, created, hops, crc, size, payload, at_least FROM datum "
+    "WHERE origin = ? AND epoch = ? AND sequence = ?"
 )
 _SELECT_APART = (
-    "SELECT kind, created, hops, crc, payload, at_least FROM apart "
+    "SELECT kind, created, hops, crc, size, payload, at_least FROM apart "
     "WHERE origin = ? AND epoch = ? AND sequence = ? AND crc = ?"
 )
 _SELECT_INFOS = (
-    "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least FROM {} "
+    "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, "
+    f"CASE WHEN NOT kind & {TERMS} OR size = 0 THEN x'' ELSE {_HEAD} END FROM {{}} "
     "WHERE arrival > ? ORDER BY arrival LIMIT 512"
 )
+# The kind without the bits that say more about the payload.
+_PART = f"kind & 63 IN ({', '.join(str(int(kind)) for kind in PARTS)})"
+_WHICH = {None: "", True: f" AND {_PART}", False: f" AND NOT {_PART}"}
 _SELECT_ROWS = (
-    "SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, substr(payload, 1, ?) FROM {} "
-    "WHERE arrival > ? ORDER BY arrival LIMIT 512"
+    f"SELECT arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, {_HEAD} FROM {{}} "
+    "WHERE arrival > ?{} ORDER BY arrival LIMIT 512"
+)
+_SELECT_PLACE = (
+    "SELECT payload, size FROM datum WHERE origin = ? AND epoch = ? AND sequence = ? AND typeof(payload) = 'integer'"
 )
 # The columns that these select.
-_DATUM_TYPES = (int, float, int, int, bytes, int)
+_DATUM_TYPES = (int, float, int, int, int, bytes, int)
 _INFO_TYPES = (int, int, int, int, int, float, int, int, int, int)
+
+
+class Source(NamedTuple):
+    """Where data are read."""
+
+    rows: sqlite3.Connection
+    payloads: Payloads
+    """The payloads that are not in their rows."""
 
 
 class OwnNumbers(NamedTuple):
@@ -170,17 +198,18 @@ def take_own(meta: dict[str, int]) -> OwnNumbers | None:
     return own if in_range and min(own) >= 0 else None
 
 
-def insert_data(connection: sqlite3.Connection, data: Iterable[Datum], now_ms: int | None = None) -> None:
-    """Insert data, each as the latest. `now_ms`: when they arrived, milliseconds on the node's timeline; None: nobody
-    knows."""
+def insert_data(connection: sqlite3.Connection, rows: Iterable[tuple[Any, ...]], now_ms: int | None = None) -> None:
+    """Insert rows of data, each as the latest. `now_ms`: when they arrived, milliseconds on the node's timeline; None:
+    nobody knows."""
     least = 0 if now_ms is None else ARRIVAL_0_MS + now_ms
-    connection.executemany(_INSERT_DATUM, ((least, *datum_row(datum)) for datum in data))
+    connection.executemany(_INSERT_DATUM, ((least, *row) for row in rows))
 
 
-def datum_row(datum: Datum) -> tuple[Any, ...]:
-    """The columns of a table of data, without the arrival."""
+def datum_row(datum: Datum, sector: int | None = None) -> tuple[Any, ...]:
+    """The columns of a table of data, without the arrival. `sector`: where the payload begins in `Payloads`; None: it
+    is in the row."""
     id, kind, created, hops, crc, payload, at_least = datum
-    return (*id, kind, created, hops, crc, len(payload), int(at_least), payload)
+    return (*id, kind, created, hops, crc, len(payload), int(at_least), payload if sector is None else sector)
 
 
 def loss_row(id: DatumId, fate: Fate) -> tuple[Any, ...]:
@@ -197,27 +226,33 @@ def unsound_rows(connection: sqlite3.Connection, table: str = "datum") -> list[t
     """The rows of data with wrong content: arrival, and the three parts of the id."""
     # On a read-only connection integrity_check does not look at CHECK constraints.
     return connection.execute(
-        f"SELECT arrival, origin, epoch, sequence FROM {table} WHERE ({_SOUND_ROW}) IS NOT 1"
+        f"SELECT arrival, origin, epoch, sequence FROM {table} WHERE ({_SOUND}) IS NOT 1"
     ).fetchall()
 
 
-def read_datum(connection: sqlite3.Connection, id: DatumId, apart_crc: int | None = None) -> Datum | None:
-    """One datum by its id; or a second content, by its CRC too."""
+def read_datum(source: Source, id: DatumId, apart_crc: int | None = None) -> Datum | None:
+    """One datum by its id; or a second content, by its CRC too. Of a payload that is missing there is as much as is
+    left."""
     # fetchall, not fetchone: a statement that is not run to its end keeps a read transaction open.
     if apart_crc is None:
-        rows = connection.execute(_SELECT_DATUM, id).fetchall()
+        rows = source.rows.execute(_SELECT_DATUM, id).fetchall()
     else:
-        rows = connection.execute(_SELECT_APART, (*id, apart_crc)).fetchall()
+        rows = source.rows.execute(_SELECT_APART, (*id, apart_crc)).fetchall()
     if not rows:
         return None
-    if tuple(map(type, rows[0])) != _DATUM_TYPES:
+    kind, created, hops, crc, size, payload, at_least = rows[0]
+    if type(payload) is int and type(size) is int:
+        payload = source.payloads.read(payload, size)
+    if tuple(map(type, (*rows[0][:5], payload, at_least))) != _DATUM_TYPES:
         raise Unsound(f"the row of datum {id} has values of a wrong type")
-    kind, created, hops, crc, payload, at_least = rows[0]
     return Datum(id, kind, created, hops, crc, payload, bool(at_least))
 
 
-def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator[StoredInfo]:
-    """All data (or all second contents, `apart`) without their payloads, in the order of arrival.
+def read_infos(
+    connection: sqlite3.Connection, table: str = "datum", payloads: Payloads | None = None
+) -> Iterator[StoredInfo]:
+    """All data (or all second contents, `apart`) without their payloads, in the order of arrival. `payloads`: None: the
+    terms of those whose payloads are beside the database are not read.
 
     Reads page by page, so that no read transaction stays open between two pages: a row that is written or deleted
     meanwhile may be seen or not.
@@ -226,18 +261,35 @@ def read_infos(connection: sqlite3.Connection, table: str = "datum") -> Iterator
     # Equal numbers are one object: a base keeps the ids of all its data.
     one: dict[int, int] = {}
     while True:
-        rows = connection.execute(_SELECT_INFOS.format(table), (after,)).fetchall()
+        rows = connection.execute(_SELECT_INFOS.format(table), (TERMS_SIZE, after)).fetchall()
         for row in rows:
-            if tuple(map(type, row)) != _INFO_TYPES:
+            _, origin, epoch, sequence, kind, created, hops, crc, size, at_least, head = row
+            if type(head) is int:
+                head = b"" if payloads is None else payloads.read(head, TERMS_SIZE)
+            if tuple(map(type, (*row[:-1], head))) != (*_INFO_TYPES, bytes):
                 raise Unsound(f"row {row[0]} of table {table} has values of a wrong type")
-            _, origin, epoch, sequence, kind, created, hops, crc, size, at_least = row
             id = DatumId(origin, one.setdefault(epoch, epoch), one.setdefault(sequence, sequence))
-            yield StoredInfo(id, kind, created, hops, crc, size, bool(at_least))
+            yield StoredInfo(id, kind, created, hops, crc, size, bool(at_least), terms_of(kind, head))
         if not rows:
             return
         if rows[-1][0] <= after:
             raise Unsound(f"the rows of table {table} are out of order")
         after = rows[-1][0]
+
+
+def read_places(connection: sqlite3.Connection, table: str) -> list[tuple[Any, int, Any]]:
+    """Arrival, sector and size of the rows of a table whose payloads are beside the database, without order. In a
+    damaged row the arrival and the size may be anything."""
+    rows = connection.execute(f"SELECT arrival, payload, size FROM {table} WHERE typeof(payload) = 'integer'")
+    return rows.fetchall()
+
+
+def read_place(connection: sqlite3.Connection, id: DatumId) -> tuple[int, int] | None:
+    """The sector and size of a datum whose payload is beside the database; None: there is none."""
+    for sector, size in connection.execute(_SELECT_PLACE, id).fetchall():
+        if type(sector) is int and type(size) is int:
+            return sector, size
+    return None
 
 
 class Row(NamedTuple):
@@ -250,12 +302,17 @@ class Row(NamedTuple):
     """The beginning of the payload."""
 
 
-def read_rows(connection: sqlite3.Connection, table: str, head_bytes: int, after: int = -1) -> Iterator[Row | None]:
-    """The rows of a table with the beginning of their payloads, in the order of arrival. None: a row is not sound."""
-    while rows := connection.execute(_SELECT_ROWS.format(table), (head_bytes, after)).fetchall():
+def read_rows(
+    source: Source, table: str, head_bytes: int, after: int = -1, parts: bool | None = None
+) -> Iterator[Row | None]:
+    """The rows of a table with the beginning of their payloads, in the order of arrival. None: a row is not sound.
+    `parts`: only parts of files, or only other data; None: all."""
+    while rows := source.rows.execute(_SELECT_ROWS.format(table, _WHICH[parts]), (head_bytes, after)).fetchall():
         for row in rows:
             arrival, origin, epoch, sequence, kind, created, hops, crc, size, at_least, head = row
-            if tuple(map(type, row)) != (*_INFO_TYPES, bytes):
+            if type(head) is int and type(size) is int:
+                head = source.payloads.read(head, min(size, head_bytes))
+            if tuple(map(type, (*row[:-1], head))) != (*_INFO_TYPES, bytes):
                 yield None
                 continue
             id = DatumId(origin, epoch, sequence)

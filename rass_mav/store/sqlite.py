@@ -21,12 +21,14 @@ from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 from . import schema
 from .changes import Batch, BatchState, Changes
 from .committing import Committer
+from .disk import HOST, Disk
 from .drafts import connect
 from .errors import Unsound, explained
 from .files import checked_path
 from .lock import Lock
 from .opening import CHECK_LIMIT, Opening
-from .quota import ROW_OVERHEAD, charge
+from .payloads import Payloads
+from .quota import charge, cost
 from .reading import open_to_read, why_unwritable
 from .repairs import Repairs
 from .repairs import apply as repair
@@ -34,7 +36,7 @@ from .report import OpenReport
 
 #: Removals that wait for other changes until `take` returns them alone.
 MAX_WAITING_REMOVALS = 512
-#: Bytes (payload and `ROW_OVERHEAD`) that may wait in memory for the next commit. The limit is reached when the disk
+#: Bytes (the sum of `quota.cost`) that may wait in memory for the next commit. The limit is reached when the disk
 #: fails or does not keep up; then `put` refuses. A batch that is being written is not counted, so twice as much may
 #: wait.
 MAX_BUFFERED_BYTES = 16 << 20
@@ -65,7 +67,7 @@ class SqliteStore:
         self,
         path: Path,
         lock: Lock,
-        reader: sqlite3.Connection,
+        source: schema.Source,
         committer: Committer | None,
         report: OpenReport,
         quota_bytes: int | None,
@@ -73,7 +75,7 @@ class SqliteStore:
         """Not for callers: see `open`. `committer`: None: nothing can be written."""
         self._path = path
         self._lock = lock
-        self._reader = reader
+        self._source = source
         self._committer = committer
         self._writing = threading.Lock()
         self._closed = False
@@ -88,24 +90,23 @@ class SqliteStore:
 
     def _load(self, waiting: Changes) -> None:
         """Load into memory what the disk has and will have: some changes are `waiting` for it."""
-        self._meta = schema.read_numbers(self._reader, "meta")
+        self._meta = schema.read_numbers(self._source.rows, "meta")
         own = schema.read_own(self._meta)
         self.life, self.epoch = own.life, own.epoch
         """32 bits each. The life is drawn when the store is created; the epoch of newly assigned ids is drawn then, and
         whenever numbers may have been lost."""
         self._meta.update(waiting.meta)
         self._sequence = own.given if waiting.sequence is None else waiting.sequence
-        self._counters = {**schema.read_numbers(self._reader, "counter"), **waiting.counters}
+        self._counters = {**schema.read_numbers(self._source.rows, "counter"), **waiting.counters}
         # Id -> size of all stored data, buffered changes included, in the order of arrival.
-        self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(self._reader)}
+        self._sizes: dict[DatumId, int] = {info.id: info.size for info in schema.read_infos(self._source.rows)}
         for id in (*waiting.removes, *waiting.puts):
             self._sizes.pop(id, None)
         self._sizes.update({id: len(datum.payload) for id, datum in waiting.puts.items()})
-        self._apart = {(info.id, info.crc): info for info in schema.read_infos(self._reader, "apart")}
+        self._apart = {(info.id, info.crc): info for info in schema.read_infos(self._source.rows, "apart")}
         self._apart.update({key: info_of(datum) for key, datum in waiting.apart.items()})
-        self.used_bytes = sum(info.size for info in self._apart.values()) + sum(self._sizes.values())
-        self.used_bytes += ROW_OVERHEAD * (len(self._sizes) + len(self._apart))
-        """Bytes of payload plus `ROW_OVERHEAD` for each datum, buffered ones included: what the quota bounds."""
+        self.used_bytes = sum(map(cost, (*self._sizes.values(), *(info.size for info in self._apart.values()))))
+        """The sum of `cost`, buffered data included: what the quota bounds."""
 
     @classmethod
     def open(
@@ -120,43 +121,44 @@ class SqliteStore:
         doubt: str = "",
         check_limit: int = CHECK_LIMIT,
         busy_timeout: float = 5.0,
-        vfs: str | None = None,
+        disk: Disk = HOST,
     ) -> SqliteStore:
         """Open the store at `path`, or create a new one. Blocking; up to seconds for a large file.
 
         `node_id`: the node that owns it; losses are recorded under it.
         `draw_epoch`: called for a life or an epoch (32 bits) when a new one is due.
-        `quota_bytes`: bound of payload bytes plus `ROW_OVERHEAD` a datum; None: no bound.
-        `file_limit`: bound of the database file in bytes, rounded down to pages; a commit beyond it fails as on a full
-        disk. None: no bound.
+        `quota_bytes`: bound of `used_bytes`; None: no bound.
+        `file_limit`: bound of the database and its large payloads in bytes, rounded down to pages; a commit beyond it
+        fails as on a full disk. None: no bound.
         `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
         `doubt`: why a new epoch is due although the store is sound; for opening again after `StoreCopiedError`. Empty:
         none is.
         `check_limit`: size of file in bytes up to which the whole file is checked in any case.
         `busy_timeout`: seconds that a commit waits for another program that has locked the database.
-        `vfs`: SQLite's name of the file system layer to use, only letters, digits and _ -; None: its default.
+        `disk`: where the files are.
 
         Damage is repaired; or the file is set aside under a new name, and what it still holds is salvaged. Where
         nothing can be written, the existing data are read and no new ones accepted. `report` describes it. Raises
         `StoreError` naming the path if the directory is missing, if another node uses the store, if a newer version of
-        this program created it, or if one of the previous version cannot be converted.
+        this program created it, or if one of an earlier version cannot be converted.
         """
         path = checked_path(path)
-        opening = Opening(path, node_id, draw_epoch, vfs, suspect, check_limit, doubt)
+        opening = Opening(path, node_id, draw_epoch, disk, suspect, check_limit, doubt)
 
         def load(lock: Lock, report: OpenReport, repairs: Repairs) -> SqliteStore:
             reader: sqlite3.Connection | None = None
             committer: Committer | None = None
             try:
                 with explained(path, "opening the store"):
-                    committer = Committer(path, vfs=vfs, busy_timeout=busy_timeout, file_limit=file_limit)
+                    committer = Committer(path, disk=disk, busy_timeout=busy_timeout, file_limit=file_limit)
                     writer = committer.connection
                     if repairs:
                         own = repairs.own or schema.read_own(schema.sound_numbers(writer, "meta")[0])
                         report = repair(writer, repairs, own, node_id)
-                    reader = connect(path, vfs=vfs, busy_timeout=busy_timeout)
+                    reader = connect(path, vfs=disk.vfs, busy_timeout=busy_timeout)
                     reader.execute("PRAGMA query_only = ON")
-                    store = cls(path, lock, reader, committer, report, quota_bytes)
+                    source = schema.Source(reader, committer.payloads)
+                    store = cls(path, lock, source, committer, report, quota_bytes)
                     committer.begin(schema.read_own(schema.read_numbers(writer, "meta")))
                     return store
             except BaseException:
@@ -190,8 +192,10 @@ class SqliteStore:
                 raise
         lock = Lock(path, readable_only=True)
         try:
-            reader = open_to_read(path, draw_epoch, vfs)
-            return cls(path, lock, reader, None, OpenReport(unwritable=reason), quota_bytes)
+            reader = open_to_read(path, draw_epoch, disk.vfs)
+            with explained(path, "opening the store to read"):
+                source = schema.Source(reader, Payloads(path, disk, writable=False))
+            return cls(path, lock, source, None, OpenReport(unwritable=reason), quota_bytes)
         except BaseException:
             lock.release()
             raise
@@ -230,9 +234,9 @@ class SqliteStore:
         commit."""
         if self._committer is None:
             return False
-        cost = size + ROW_OVERHEAD
-        within_quota = self._quota is None or self.used_bytes + cost <= self._quota
-        return within_quota and self._buffered + cost <= MAX_BUFFERED_BYTES
+        needed = cost(size)
+        within_quota = self._quota is None or self.used_bytes + needed <= self._quota
+        return within_quota and self._buffered + needed <= MAX_BUFFERED_BYTES
 
     def put(self, datum: Datum) -> None:
         """Store a datum as the latest, or replace the one with its id.
@@ -244,15 +248,15 @@ class SqliteStore:
             raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable})")
         id, size = datum.id, len(datum.payload)
         old = self._sizes.get(id)
-        used = charge(self.used_bytes, 0 if old is None else old + ROW_OVERHEAD, size, self._quota)
-        if self._buffered + size + ROW_OVERHEAD > MAX_BUFFERED_BYTES:
+        used = charge(self.used_bytes, 0 if old is None else cost(old), size, self._quota)
+        if self._buffered + cost(size) > MAX_BUFFERED_BYTES:
             raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, which is the limit")
         self._release(id)
         self._changes.put(datum, older=old is not None)
         self._sizes.pop(id, None)
         self._sizes[id] = size
         self.used_bytes = used
-        self._buffered += size + ROW_OVERHEAD
+        self._buffered += cost(size)
 
     def keep_apart(self, datum: Datum) -> bool:
         """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no space."""
@@ -265,8 +269,8 @@ class SqliteStore:
             return False
         self._changes.apart[id, datum.crc] = datum
         self._apart[id, datum.crc] = info_of(datum)
-        self._buffered += size + ROW_OVERHEAD
-        self.used_bytes += size + ROW_OVERHEAD
+        self._buffered += cost(size)
+        self.used_bytes += cost(size)
         return True
 
     def corrupt(self, ids: Iterable[DatumId]) -> list[DatumId]:
@@ -284,7 +288,7 @@ class SqliteStore:
             return
         self._release(id)
         self._changes.remove(id)
-        self.used_bytes -= size + ROW_OVERHEAD
+        self.used_bytes -= cost(size)
         if fate in _RECORDED:
             self.lose(id, fate)
 
@@ -318,7 +322,7 @@ class SqliteStore:
         """Subtract a buffered datum from the count of buffered bytes."""
         waiting = self._changes.puts.get(id)
         if waiting is not None:
-            self._buffered -= len(waiting.payload) + ROW_OVERHEAD
+            self._buffered -= cost(len(waiting.payload))
 
     def note_time(self, now_ms: int) -> None:
         """What is written from now on arrived at this time, milliseconds on the node's timeline."""
@@ -361,7 +365,7 @@ class SqliteStore:
             return _aged(datum, False, amended)
         aged = self._aged
         with explained(self._path, "reading a datum"):
-            datum = schema.read_datum(self._reader, id)
+            datum = schema.read_datum(self._source, id)
             if datum is None:
                 raise Unsound(f"datum {id} is stored, but not found")
         return _aged(datum, aged, amended)
@@ -379,7 +383,7 @@ class SqliteStore:
             return datum
         aged = self._aged
         with explained(self._path, "reading a datum"):
-            datum = schema.read_datum(self._reader, id, crc)
+            datum = schema.read_datum(self._source, id, crc)
         return datum._replace(at_least=True) if aged and datum is not None else datum
 
     def held(self) -> Iterator[StoredInfo]:
@@ -391,7 +395,7 @@ class SqliteStore:
         in_memory, amends = waiting.puts, waiting.amends
         aged = self._aged
         with explained(self._path, "listing the data"):
-            for info in schema.read_infos(self._reader):
+            for info in schema.read_infos(self._source.rows, payloads=self._source.payloads):
                 if info.id in self._sizes and info.id not in in_memory:
                     yield _aged(info, aged, amends.get(info.id))
         for datum in in_memory.values():
@@ -406,7 +410,7 @@ class SqliteStore:
         """The table of losses: a list, safe to keep while the store changes."""
         waiting = self._in_flight().followed_by(self._changes)
         with explained(self._path, "reading the losses"):
-            durable = schema.read_losses(self._reader)
+            durable = schema.read_losses(self._source.rows)
         for id in waiting.founds:
             durable.pop(id, None)
         return list({**waiting.losses, **durable}.items())
@@ -482,7 +486,7 @@ class SqliteStore:
             self._load(waiting)
 
     def write(self, batch: object) -> None:
-        """Make a batch durable: one transaction, one fsync. Blocking; on any thread, one call at a time.
+        """Make a batch durable: one transaction. Blocking; on any thread, one call at a time.
 
         Raises `StoreFullError` on a full disk, `StoreDamagedError` for a damaged database, `StoreError` for other
         trouble. The batch is not lost then. Pass it to `write` again, or leave it to the next `take`.
@@ -538,8 +542,10 @@ class SqliteStore:
         self._closed = True
         with self._writing:
             # The writer last: the last one to close cleans up the write-ahead log, which the reader may not.
-            self._reader.close()
-            if self._committer is not None:
+            self._source.rows.close()
+            if self._committer is None:
+                self._source.payloads.close()
+            else:
                 self._committer.close(clean=clean)
         self._lock.release()
 

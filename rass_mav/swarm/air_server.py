@@ -214,7 +214,7 @@ class Air(ABC, Generic[F]):
                 counted.max_hop_count = max(counted.max_hop_count, message.hops)
         elif isinstance(message, Data):
             counted.data_sent += len(message.handovers)
-        elif isinstance(message, (Chunk, Put)):
+        elif isinstance(message, Put) or (isinstance(message, Chunk) and message.data):
             counted.data_sent += 1
 
 

@@ -150,7 +150,7 @@ class Desk:
         with Archive(self.base.store) as archive:
             for entry in archive.entries(after=self._arrived):
                 self._arrived = entry.arrival
-                yield entry, archive.datum(entry.name).payload
+                yield entry, archive.payload(entry.name)
 
     # -- the configurations --------------------------------------------------------------------------------------------
 

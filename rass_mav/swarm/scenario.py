@@ -151,6 +151,21 @@ class TrafficSection(Section):
     """Size of the pictures that each drone takes; 0: none."""
     picture_interval_steps: Annotated[int, Meta(ge=0)] = 0
     """Steps between two pictures of a drone; 0: none, unless `load` sets it."""
+    picture_part_bytes: Annotated[int, Meta(ge=1, le=1 << 16)] | None = None
+    """Pictures are cut into parts of so many bytes, as `put` does it; null: each is one datum."""
+    picture_redundancy: tuple[Count, Count] | None = None
+    """[K, N]: any K of N parts of each stripe give it back, and get no spare copies; null: all parts are needed."""
+    picture_bare: Fraction = 0.0
+    """This part of the parts gets no spare copies, although all are needed."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.picture_part_bytes is None and (self.picture_redundancy or self.picture_bare):
+            yield "traffic.picture_part_bytes: expected a number with picture_redundancy or picture_bare, got null"
+        if self.picture_redundancy is not None:
+            needed, shares = self.picture_redundancy
+            if not needed < shares <= 255:
+                yield f"traffic.picture_redundancy: expected [K, N] with K below N, got {[needed, shares]}"
 
 
 Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
@@ -351,6 +366,7 @@ class Scenario(Section):
             yield f"failures.die_dose: expected null with radiation.law {self.radiation.law}"
         if self.traffic != TrafficSection() and (self.transport != "loopback" or self.disk is not None):
             yield "traffic: expected its defaults unless the transport is loopback and there is no disk"
+        yield from self.traffic.mistakes()
         if self.traffic.load is not None and self.nodes == self.bases:
             yield "traffic.load: expected null without drones"
         if self.traffic.load is not None and self.radio.preset is None and not self.radio.takes_time:

@@ -12,7 +12,7 @@ from rass_mav.swarm.failures import Failures
 from rass_mav.swarm.hostile.band import Band
 from rass_mav.swarm.ledger import Ledger
 from rass_mav.swarm.medium.air import Air
-from rass_mav.swarm.traffic import Load
+from rass_mav.swarm.traffic import Load, Pictures
 
 
 class Counted(Protocol):
@@ -68,6 +68,8 @@ class Statistics:
         self.max_hop_count = 0
         self.load: Load | None = None
         """What the drones create, where the scenario asks for a load."""
+        self.pictures: Pictures | None = None
+        """Those that the drones take; None: there are none."""
 
     def count(self) -> None:
         """Record the figures of this step."""
@@ -132,6 +134,8 @@ class Statistics:
             summary["air"] = air
         if self.load is not None:
             summary["load"] = self.load._asdict()
+        if self.pictures is not None and self.pictures.taken:
+            summary["pictures"] = {"taken": len(self.pictures.taken), "whole": self.pictures.whole(ledger.arrived)}
         if world.failures is not None:
             summary["failures"] = dict(world.failures.counts)
             if world.failures.blast is not None:

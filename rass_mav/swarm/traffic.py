@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Container
 from dataclasses import replace
 from typing import NamedTuple
 
 from rass_mav.agent.agent import Agent
+from rass_mav.core.datum import DatumId, Kind
 from rass_mav.errors import ConfigError, StoreFullError
 from rass_mav.swarm.medium.capacity import one_hop_bytes_s
 from rass_mav.swarm.scenario import Scenario
@@ -81,13 +83,24 @@ def loaded(scenario: Scenario, neighbourhood: int) -> tuple[Scenario, Load | Non
     return replace(scenario, data=data, traffic=traffic), load
 
 
+class Stripe(NamedTuple):
+    """Parts of a picture, any `needed` of which give it back."""
+
+    needed: int
+    ids: list[DatumId]
+
+
 class Pictures:
-    """Large data of random bytes, one after the other from each drone. The drones take turns over the interval."""
+    """Large data of random bytes, or parts of such, one after the other from each drone. The drones take turns over the
+    interval."""
 
     def __init__(self, scenario: Scenario) -> None:
         """None are taken if their size or their interval is 0."""
         traffic = scenario.traffic
+        self._traffic = traffic
         self._bytes = traffic.picture_bytes
+        self.taken: list[list[Stripe]] = []
+        """The pictures in parts."""
         self._interval = traffic.picture_interval_steps if self._bytes else 0
         self._until = scenario.data.until_step
         self._drones = range(scenario.bases, scenario.nodes)
@@ -101,9 +114,32 @@ class Pictures:
         return [drone for place, drone in enumerate(drones) if (t - place * interval // len(drones)) % interval == 0]
 
     def take(self, agent: Agent, now: float) -> None:
-        """A drone takes a picture. A full store refuses it, and it is lost as overflow."""
-        payload = self._rng.randbytes(self._bytes)
-        try:
-            agent.node.put(payload, now)
-        except StoreFullError:
+        """A drone takes a picture. A full store refuses it, or its parts, and they are lost as overflow."""
+        part_bytes = self._traffic.picture_part_bytes
+        if part_bytes is None:
+            self._put(agent, self._bytes, Kind.BYTES, now)
             return
+        parts = -(-self._bytes // part_bytes)
+        needed, shares = self._traffic.picture_redundancy or (parts, parts)
+        bare = shares if shares > needed else round(self._traffic.picture_bare * parts)
+        picture = []
+        for _ in range(-(-parts // needed)):
+            # Shares and parts are of random bytes alike: nobody puts them together.
+            kinds = (Kind.SHARE if place < bare else Kind.PART for place in range(shares))
+            ids = [self._put(agent, part_bytes, kind, now) for kind in kinds]
+            picture.append(Stripe(needed, [id for id in ids if id is not None]))
+        self.taken.append(picture)
+
+    def _put(self, agent: Agent, size: int, kind: int, now: float) -> DatumId | None:
+        payload = self._rng.randbytes(size)
+        try:
+            return agent.node.put(payload, now, kind)
+        except StoreFullError:
+            return None
+
+    def whole(self, arrived: Container[DatumId]) -> int:
+        """How many pictures in parts have arrived whole."""
+        return sum(
+            all(sum(id in arrived for id in stripe.ids) >= stripe.needed for stripe in picture)
+            for picture in self.taken
+        )

@@ -145,8 +145,8 @@ class VirtualSwarm(ABC):
                 )
             )  # fmt: skip
             self.air.start(settings.node_id, self.agents[-1], 0.0)
-        self._answering = [inf] * len(agents)
-        """When each node's answers were last due, seconds."""
+        self._tending = [inf] * len(agents)
+        """When each node was last due to be tended, seconds."""
         self.statistics = Statistics(self, full_items)
         some = self.agents[0]
         self.hostile = Band(
@@ -229,6 +229,8 @@ class VirtualSwarm(ABC):
             self._say(node_id, agent.step(now), now)
         except StoreError as error:
             self._fail(node_id, error)
+        else:
+            self._tend_later(node_id)
 
     def _attack(self, now: float) -> None:
         assert self.hostile is not None
@@ -261,15 +263,15 @@ class VirtualSwarm(ABC):
             except StoreError as error:
                 self._fail(hearer, error)
             else:
-                self._answer_later(hearer)
+                self._tend_later(hearer)
 
-    def _answer_later(self, node_id: int) -> None:
-        """If a node's answers wait, let them leave when they are due."""
+    def _tend_later(self, node_id: int) -> None:
+        """If a node's answers wait, or its transfers, tend it when it is due."""
         agent = self.agents[node_id]
-        due = agent.answers.due
-        if due == self._answering[node_id]:
+        due = agent.due
+        if due == self._tending[node_id]:
             return
-        self._answering[node_id] = due
+        self._tending[node_id] = due
 
         def tend(now: float) -> None:
             if self.agents[node_id] is not agent or node_id in self.off:
@@ -278,6 +280,8 @@ class VirtualSwarm(ABC):
                 self._say(node_id, agent.tend(now)[0], now)
             except StoreError as error:
                 self._fail(node_id, error)
+            else:
+                self._tend_later(node_id)
 
         if due < inf:
             self._timeline.at(due, Order.AIR, tend)

@@ -71,6 +71,7 @@ class World(VirtualSwarm):
             trusts=swarm_trusts(scenario),
         )
         self.statistics.load = load
+        self.statistics.pictures = self._pictures
         if failures is not None and scenario.failures.blast is not None:
             failures.blast = Blast(self.ledger)
 

@@ -18,6 +18,9 @@ from rass_mav.core.fingerprints import CRC_MASK
 from rass_mav.core.messages import (
     BROADCAST,
     KINDS,
+    MAX_OTHERS,
+    OTHER_BITS,
+    REPORT_BITS,
     Accept,
     Beacon,
     Chunk,
@@ -36,6 +39,7 @@ from rass_mav.core.messages import (
     Query,
     Receipt,
     ReceiptEntry,
+    Report,
     Sack,
     Target,
     WordEntry,
@@ -85,6 +89,9 @@ _OFFER = struct.Struct("<BHHIHIIIBBIIB")
 _ACCEPT = struct.Struct("<BHHIHH")
 _CHUNK = struct.Struct("<BHH")
 _SACK = struct.Struct("<BHHHHB")
+# After the bitmap of a Sack: the question that it answers, and how many further transfers follow.
+_FURTHER = struct.Struct("<HB")
+_REPORT = struct.Struct("<HHB")
 _SENDER = struct.Struct("<BH")
 # An answer without its sender, which is known where it rides on another message.
 _RIDER = struct.Struct("<HBB")
@@ -268,7 +275,9 @@ def _encode_offer(m: Offer, now: float) -> list[bytes]:
 
 
 def _encode_accept(m: Accept, now: float) -> list[bytes]:
-    return [_ACCEPT.pack(_head(ACCEPT), *m)]
+    *fields, bitmap = m
+    told = _bitmap_bytes(bitmap, REPORT_BITS)
+    return [_ACCEPT.pack(_head(ACCEPT), *fields) + bytes([len(told)]) + told]
 
 
 def _encode_chunk(m: Chunk, now: float) -> list[bytes]:
@@ -278,8 +287,17 @@ def _encode_chunk(m: Chunk, now: float) -> list[bytes]:
 
 
 def _encode_sack(m: Sack, now: float) -> list[bytes]:
-    bitmap = m.bitmap.to_bytes(32, "little").rstrip(b"\0")
-    return [_SACK.pack(_head(SACK), m.sender, m.target, m.handle, m.next_index, len(bitmap)) + bitmap]
+    told = _bitmap_bytes(m.bitmap, REPORT_BITS)
+    parts = [_SACK.pack(_head(SACK), m.sender, m.target, m.handle, m.next_index, len(told)), told]
+    parts.append(_FURTHER.pack(m.question, len(m.others)))
+    for handle, next_index, bitmap in m.others:
+        told = _bitmap_bytes(bitmap, OTHER_BITS)
+        parts += [_REPORT.pack(handle, next_index, len(told)), told]
+    return [b"".join(parts)]
+
+
+def _bitmap_bytes(bitmap: int, bits: int) -> bytes:
+    return bitmap.to_bytes(bits // 8, "little").rstrip(b"\0")
 
 
 def _encode_committed(m: Committed, now: float, tags: Tags | None = None) -> list[bytes]:
@@ -499,7 +517,10 @@ def _decode_offer(p: bytes, now: float) -> Offer:
 
 
 def _decode_accept(p: bytes, now: float) -> Accept:
-    return Accept._make(_ACCEPT.unpack_from(p)[1:])
+    _, sender, target, number, handle, next_index = _ACCEPT.unpack_from(p)
+    at = _ACCEPT.size
+    bitmap = _read_bitmap(p, at + 1, p[at], REPORT_BITS) if len(p) > at else 0
+    return Accept(sender, target, number, handle, next_index, bitmap)
 
 
 def _decode_chunk(p: bytes, now: float) -> Chunk:
@@ -509,10 +530,28 @@ def _decode_chunk(p: bytes, now: float) -> Chunk:
 
 def _decode_sack(p: bytes, now: float) -> Sack:
     _, sender, target, handle, next_index, size = _SACK.unpack_from(p)
-    bitmap = p[_SACK.size : _SACK.size + size]
-    if len(bitmap) != size or size > 32:
+    bitmap = _read_bitmap(p, _SACK.size, size, REPORT_BITS)
+    at = _SACK.size + size
+    if len(p) == at:
+        return Sack(sender, target, handle, next_index, bitmap)
+    question, count = _FURTHER.unpack_from(p, at)
+    if count > MAX_OTHERS:
+        raise MalformedError(f"a sack of {count} further transfers")
+    at += _FURTHER.size
+    further = []
+    for _ in range(count):
+        named, first, size = _REPORT.unpack_from(p, at)
+        at += _REPORT.size
+        further.append(Report(named, first, _read_bitmap(p, at, size, OTHER_BITS)))
+        at += size
+    return Sack(sender, target, handle, next_index, bitmap, question, tuple(further))
+
+
+def _read_bitmap(p: bytes, at: int, size: int, bits: int) -> int:
+    bitmap = p[at : at + size]
+    if len(bitmap) != size or size > bits // 8:
         raise MalformedError("truncated bitmap")
-    return Sack(sender, target, handle, next_index, int.from_bytes(bitmap, "little"))
+    return int.from_bytes(bitmap, "little")
 
 
 def _decode_committed(p: bytes, now: float) -> Committed:

@@ -16,6 +16,7 @@ from rass_mav.core.news.archive import Archive
 from rass_mav.core.node import Node
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import Store
+from rass_mav.core.terms import USUAL, Terms, parted
 from rass_mav.keys.identity import Ground
 from rass_mav.keys.keyring import Keyring
 from rass_mav.keys.sealing import Opener, Sealer
@@ -70,10 +71,10 @@ class Row:
         while self.now < now:
             self.step()
 
-    def put(self, place: int, payload: bytes, kind: int = 0) -> DatumId:
+    def put(self, place: int, payload: bytes, kind: int = 0, terms: Terms = USUAL) -> DatumId:
         """A node creates a datum, which moves on at once."""
         agent = self.agents[place]
-        id = agent.node.put(payload, self.now, kind)
+        id = agent.node.put(payload, self.now, kind, terms)
         self._deliver([(place, outgoing) for outgoing in on(Way.NEIGHBOURS, agent.forward(self.now))])
         return id
 
@@ -137,4 +138,5 @@ def opened(agent: Agent, id: DatumId) -> bytes:
     datum = agent.store.get(id)
     assert datum is not None
     assert datum.kind & SEALED
-    return OPENER.open(id, datum.kind & ~SEALED, datum.payload)
+    terms, sealed = parted(datum.kind, datum.payload)
+    return OPENER.open(id, datum.kind & ~SEALED, sealed, terms)

@@ -12,6 +12,7 @@ from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
+from rass_mav.core.messages import Chunk, Committed, Message, Urgency
 from rass_mav.link.airtime import LEAST_THROTTLE, Budget
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
@@ -21,7 +22,7 @@ from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
 
 from .conversation import SECTIONS
-from .crew import STRANGERS_KEY, agent_with_keys
+from .crew import STRANGERS_KEY, Crew, agent_with_keys
 from .test_signed_links import state
 
 SIK = (51, 68)
@@ -128,3 +129,38 @@ def test_with_keys_only_the_radio_itself_is_heard_unsigned() -> None:
     assert lane.pacer.throttle < 1.0
     assert (lane.report()["unsigned"], lane.report()["forged"]) == (2, 1)
     assert "unsigned" not in Radio().lane.report()
+
+
+@pytest.mark.parametrize("urgency", [Urgency.BULK, Urgency.DATA])
+def test_what_waited_in_the_queue_while_others_went_first_is_not_refused_by_its_hearer(urgency: Urgency) -> None:
+    """Frames are signed when they are queued, and hearers refuse a timestamp that is too far below the highest."""
+    crew = Crew(agent_with_keys(1, base=True), agent_with_keys(2))
+    crew.steps(5)
+    agent = crew.agents[1]
+    lane = Lane(
+        agent, Duplicates(), budget=Budget(bytes_s=57600.0, duty=1.0), rng=random.Random(1), now=crew.now
+    )  # fmt: skip
+    lane.meet({1})
+    now = crew.now
+
+    def queue(message: Message, urgency: Urgency) -> None:
+        for outgoing in agent.peers.frames([message], agent.store, now):
+            lane.push(agent.peers.leaving(outgoing._replace(urgency=urgency, target=1)), now)
+
+    for number in range(60):
+        queue(Chunk(1, 0xA1B2, number, False, b"chunk" * 20), urgency)
+    left, before = 0, crew.report(0)["refused"]
+    while lane.pacer is not None and (due := lane.pacer.next_at(now)) is not None:
+        now = max(now + 1e-6, due)
+        while (queued := lane.pop(now)) is not None:
+            assert len(queued.frame) == 12 + 5 + 5 + 100 + 13
+            crew.agents[0].peer_bytes(queued.frame, now)
+            left += 1
+            if left % 10 == 0:
+                queue(Committed(2, 1, ((left, 1),), ()), Urgency.ANSWER)
+                now += 1e-2
+                answer = lane.pop(now)
+                assert answer is not None
+                crew.agents[0].peer_bytes(answer.frame, now)
+    assert left == 60
+    assert crew.report(0)["refused"] == before

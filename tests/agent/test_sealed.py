@@ -19,6 +19,7 @@ from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Kind, make_datum
 from rass_mav.core.messages import Committed, Data, Handover
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import MAX_APART
+from rass_mav.core.terms import TERMS, USUAL, Terms, parted
 from rass_mav.errors import DatumError, ForgedError, StoreError, StoreFullError
 from rass_mav.keys.sealing import SEAL_SIZE
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
@@ -94,7 +95,7 @@ def test_what_fits() -> None:
         with pytest.raises(DatumError, match="1 to 1048560 bytes"):
             agent.node.put(payload, 0.0)
     for keys in (True, False):
-        with pytest.raises(DatumError, match="0 to 127"):
+        with pytest.raises(DatumError, match="0 to 63"):
             make(8, keys=keys).node.put(b"x", 0.0, kind=SEALED)
     bounded = make(8, MemoryStore(1, quota_bytes=ROW_OVERHEAD + len(TEXT) + 15))
     with pytest.raises(StoreFullError):
@@ -172,6 +173,51 @@ def test_any_change_of_a_datum_is_found() -> None:
     assert other.store.counters()["forged"] > 150
     other.node.receive(handed(7, BASE, datum, 1000), 1.0)
     assert list(other.store.ids()) == [id]
+
+
+@pytest.mark.parametrize("terms", [USUAL, Terms(2, 3600)])
+def test_nobody_changes_the_terms_of_a_datum_or_adds_or_removes_them(terms: Terms) -> None:
+    field = row(8, BASE)
+    id = field.put(0, TEXT, terms=terms)
+    datum = field.agents[1].store.get(id)
+    assert datum is not None
+    assert opened(field.agents[1], id) == TEXT
+    packed, rest = parted(datum.kind, datum.payload)
+    assert (datum.terms, packed) == (terms, terms.pack())
+    other = make(BASE)
+    number = 0
+    for told in (Terms(9), Terms(9, 3600), Terms(2, 1), Terms(2), Terms(ttl_s=3600), Terms(3, 3600), USUAL):
+        if told != terms:
+            kind = (datum.kind & ~TERMS) | (TERMS if told.pack() else 0)
+            forged = make_datum(id, kind, 0.0, told.pack() + rest)
+            assert forged.terms == told
+            number += 1
+            other.node.receive(handed(7, BASE, forged, number), 1.0)
+    # The same bytes, as if they were others.
+    other.node.receive(handed(7, BASE, make_datum(id, datum.kind ^ TERMS, 0.0, datum.payload), 99), 1.0)
+    assert not list(other.store.ids())
+    assert other.store.counters()["forged"] == number + 1
+    other.node.receive(handed(7, BASE, datum, 100), 1.0)
+    assert list(other.store.ids()) == [id]
+
+
+def test_a_captured_drone_that_shortens_a_life_does_not_end_the_true_datum() -> None:
+    """It hands the changed datum to the node in the middle before the true one comes there."""
+    field = row(8, 9, 7, BASE)
+    origin, _, _, base = field.agents
+    id = origin.node.put(TEXT, field.now, terms=Terms(ttl_s=3600))
+    true = origin.store.get(id)
+    assert true is not None
+    forged = make_datum(id, true.kind, field.now, Terms(9, 1).pack() + parted(true.kind, true.payload)[1])
+    field.say(2, handed(7, 9, forged, 70))
+    field.say(2, handed(7, BASE, forged, 71))
+    field.until(40.0)
+    stored = base.store.get(id)
+    assert stored is not None
+    assert stored.terms == Terms(ttl_s=3600)
+    assert opened(base, id) == TEXT
+    assert id in arrived(base)
+    assert base.store.counters()["forged"] == 1
 
 
 def test_what_a_base_overhears_must_be_true_too() -> None:
@@ -340,7 +386,7 @@ def test_nor_one_whose_power_is_cut_in_the_middle_of_a_commit(seed: int) -> None
     with Disk(rng) as disk:
         for _ in range(25):
             store = SqliteStore.open(
-                disk.directory / "node.db", node_id=8, draw_epoch=partial(rng.getrandbits, 32), vfs=disk.vfs
+                disk.directory / "node.db", node_id=8, draw_epoch=partial(rng.getrandbits, 32), disk=disk
             )
             agent, gate = make(8, store), CommitGate(store)
             disk.cut(after=rng.randrange(40))

@@ -152,7 +152,8 @@ def test_the_status_names_them() -> None:
         "neighbours": [], "ground": None, "links": [], "vehicle": None, "ledger": {}, "malformed": 0, "foreign": 9,
         "rivals": [],
         "shared_system_ids": [{"system_id": 3, "node_ids": [4, 9]}],
-        "commits": {"failed": 0}, "faults": None, "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
+        "commits": {"failed": 0}, "faults": None, "files": [],
+        "other_versions": [{"node_id": 7, "version": 1, "age_s": 3.2}],
     }  # fmt: skip
     lines = list(status_lines(status))
     assert "WARNING: node 7 uses version 1 of the wire format, heard 3 s ago" in lines

@@ -7,9 +7,10 @@ import itertools
 import os
 import random
 import resource
+import sqlite3
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -365,7 +366,11 @@ def test_damage_ends_the_run(tmp_path: Path) -> None:
         path = tmp_path / "node.db"
         with open_store(path) as store:
             for sequence in range(50):
-                store.put(a_datum(sequence, 20_000))
+                store.put(a_datum(sequence))
+        # As the last version stored large payloads.
+        with closing(sqlite3.connect(path)) as connection:
+            connection.execute("UPDATE datum SET size = 20000, payload = randomblob(20000)")
+            connection.commit()
         store = open_store(path)
         # What opening has not read: the pages that the payloads overflow into.
         with path.open("r+b") as file:

@@ -39,7 +39,7 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
     said = command(tmp_path, "put", "-c", "n3.yaml", "--line", "all well")
     assert (said.returncode, said.stderr) == (0, b"")
     line_id = said.stdout.decode().strip()
-    said = command(tmp_path, "put", "-c", "n3.yaml", "photo.jpg", "--json")
+    said = command(tmp_path, "put", "-c", "n3.yaml", "photo.jpg", "--json", "--priority", "1", "--ttl", "1.5h")
     photo_id = json.loads(said.stdout)["id"]
     said = process(tmp_path, "put", "-c", "n3.yaml", "-", stdin=b"\0\xff stdin\n")
     stdin_id = said.stdout.decode().strip()
@@ -55,7 +55,10 @@ def test_what_is_put_at_the_far_end_of_a_line_arrives_at_the_base(tmp_path: Path
     assert {(e["id"], e["kind"], e["hops"]) for e in listed} == {
         (line_id, "bytes", 2), (photo_id, "file", 2), (stdin_id, "bytes", 2),
     }  # fmt: skip
-    assert photo_id in command(tmp_path, "ls", "n1.yaml").stdout.decode()
+    assert {e["id"]: (e["priority"], e["ttl_s"], e["size"]) for e in listed if "priority" in e} == {
+        photo_id: (1, 5400, 5000 + len("photo.jpg") + 1)
+    }
+    assert "file photo.jpg (priority 1, ttl 5400 s)\n" in command(tmp_path, "ls", "n1.yaml").stdout.decode()
 
     # On a busy machine a beacon may be late, and a neighbour gone for a moment.
     middle.until(lambda: [n["node_id"] for n in middle.status()["neighbours"]] == [1, 3])
@@ -273,7 +276,11 @@ def test_what_a_running_node_refuses_is_one_line(tmp_path: Path, tidy: Tidy) -> 
         raw.settimeout(PATIENCE_S)
         raw.connect(os.path.relpath(node.directory / "n1.sock"))
         answers = raw.makefile("rb")
-        for line in (b"rubbish", b"{}", b'{"command": "fly"}', b'{"command": "put", "payload": "?"}', b"\xff\x00"):
+        mistakes = ('"priority": 10', '"priority": -1', '"ttl_s": 0', '"ttl_s": 1e99', '"kind": 64')
+        for line in (
+            b"rubbish", b"{}", b"\xff\x00", b'{"command": "fly"}', b'{"command": "put", "payload": "?"}',
+            *(b'{"command": "put", "payload": "eA==", %s}' % mistake.encode() for mistake in mistakes),
+        ):  # fmt: skip
             raw.sendall(line + b"\n")
             answer = json.loads(answers.readline())
             assert answer["ok"] is False
@@ -286,6 +293,9 @@ def test_what_a_running_node_refuses_is_one_line(tmp_path: Path, tidy: Tidy) -> 
     (tmp_path / "empty").write_bytes(b"")
     assert command(tmp_path, "put", "-c", "n1.yaml", "-", stdin=b"").returncode == 2
     assert command(tmp_path, "put", "-c", "n1.yaml", "nowhere").stderr == b"nowhere: no such file or directory\n"
+    for option, given in (("priority", "10"), ("priority", "-1"), ("ttl", "0s"), ("ttl", "195d"), ("ttl", "5")):
+        said = command(tmp_path, "put", "-c", "n1.yaml", "--line", "x", f"--{option}={given}")
+        assert (said.returncode, said.stderr.startswith(f"--{option}: expected ".encode())) == (2, True)
     assert command(tmp_path, "status", "--socket", "none.sock").returncode == 1
     assert json.loads(command(tmp_path, "check", "n1.yaml", "--json").stdout)["config"]["node"]["id"] == 1
     usage = command(tmp_path, "put", "-c", "n1.yaml")

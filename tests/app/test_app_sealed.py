@@ -38,7 +38,7 @@ def test_only_the_ground_reads_what_drones_with_keys_create(tmp_path: Path, tidy
     (tmp_path / "photo.jpg").write_bytes(photo)
 
     line_id = command(tmp_path, "put", "-c", "n3.yaml", "--line", SECRET.decode()).stdout.decode().strip()
-    photo_id = command(tmp_path, "put", "-c", "n3.yaml", "photo.jpg").stdout.decode().strip()
+    photo_id = command(tmp_path, "put", "-c", "n3.yaml", "photo.jpg", "--ttl", "1d").stdout.decode().strip()
     base.until(lambda: {line_id, photo_id} <= set(base.listing()))
     # In the middle of the swarm a drone is killed, and goes on under the same numbers.
     assert far.signal(signal.SIGKILL) == -signal.SIGKILL
@@ -72,6 +72,7 @@ def test_only_the_ground_reads_what_drones_with_keys_create(tmp_path: Path, tidy
     # Without keys, and with those of a drone.
     listed = json.loads(command(tmp_path, "ls", "n1.db", "--json").stdout)["data"]
     assert {entry["kind"] for entry in listed} == {"sealed"}
+    assert {entry["id"]: entry["ttl_s"] for entry in listed if "ttl_s" in entry} == {photo_id: 86400}
     assert command(tmp_path, "get", "-c", "n1.db", photo_id).returncode == 1
     assert command(tmp_path, "ls", "n1.db", "--keys", f"mission/{drone_file(3)}").returncode == 2
     done = json.loads(command(tmp_path, "export", "n1.db", "--format", "csv", "-o", "out.csv", "--json").stdout)

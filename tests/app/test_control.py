@@ -10,7 +10,7 @@ import select
 import socket
 import stat
 from collections.abc import AsyncIterator, Iterable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ import pytest
 
 from rass_mav.app import control
 from rass_mav.app.control import MAX_CLIENTS, MAX_LINE, ControlServer
+from rass_mav.app.files import Files
+from rass_mav.app.spool import Spool
 from rass_mav.core.store import Store
 from rass_mav.store import MemoryStore, SqliteStore
 from tests.link.loopback import LoopbackHub
@@ -42,7 +44,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 async def listening(store: Store | None = None, executor: Executor | None = None) -> AsyncIterator[ControlServer]:
     link = LoopbackHub().endpoint("node")
     async with running(link, store or MemoryStore(1), settings(1, base=True), executor=executor) as driver:
-        server = ControlServer(driver, PATH)
+        server = ControlServer(driver, PATH, Files(driver, Spool(Path("spool")), 1 << 15, ThreadPoolExecutor(1)))
         await server.start()
         try:
             yield server

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from math import inf
 from typing import Any
 
 from rass_mav.core.custody.holdings import Holding, Holdings, State
@@ -26,12 +27,22 @@ def check(holdings: Holdings, small_bytes: int) -> None:
     ):  # fmt: skip
         assert index == {h.id: h for h in held if h.state is state}
     custody = [h for h in held if h.state is State.CUSTODY]
+    assert list(holdings.by_terms.urgent()) == sorted(holdings.custody.values(), key=lambda h: -h.told.terms.priority)
+    assert holdings.by_terms.differ == (len({h.told.terms.priority for h in custody}) > 1)
+    assert holdings.by_terms._mortal == {h.id: h for h in held if h.ends < inf}
+    assert all(h.ends >= holdings.by_terms._next_end for h in held)
     assert holdings.custody_bytes == sum(h.size for h in custody)
     assert holdings.custody_bytes + holdings.spare_bytes == sum(h.size for h in held)
-    assert holdings.bare == {h.id: h for h in custody if h.partner is None and h.size <= small_bytes}
+    assert holdings.bare == {
+        h.id: h for h in custody if h.partner is None and h.size <= small_bytes and not h.told.share
+    }
     assert all((h.offer_at is not None) == (h.id in holdings.bare) for h in custody)
     assert holdings.pending == {h.pending.number: h for h in custody if h.pending is not None}
-    assert holdings.large == {h.pending.neighbour: h for h in custody if h.pending is not None and h.pending.sending}
+    large: dict[int, dict[int, Holding]] = {}
+    for h in custody:
+        if h.pending is not None and h.pending.sending:
+            large.setdefault(h.pending.neighbour, {})[h.pending.number] = h
+    assert holdings.large == large
     assert holdings.offers == {number: h for h in custody for number in h.offers}
     assert holdings.asked == {h.id: h for h in held if h.state is State.SPARE and h.partner is not None}
     portions = holdings.portions
@@ -90,6 +101,7 @@ def check_overheard(node: Node, overheard: Overheard) -> None:
     assert capacity is None or not overheard.data or len(overheard.data) + len(node.holdings) <= capacity
     assert overheard.bytes == sum(len(d.payload) for d in overheard.data.values())
     assert list(overheard._sources) == list(overheard.data)
+    assert overheard._ends.keys() == {id for id, d in overheard.data.items() if d.terms.ttl_s is not None}
     assert overheard._senders == Counter(sender for sender, _ in overheard._sources.values())
     assert overheard._origins == Counter(id.origin for id in overheard.data)
     for counts in (overheard._senders, overheard._origins):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
 from rass_mav.errors import StoreFullError
+from rass_mav.store.memory import flipped
 
 
 @dataclass
@@ -112,10 +113,10 @@ class DurableStore:
     def get_apart(self, id: DatumId, crc: int) -> Datum | None:
         return self._live.apart.get((id, crc))
 
-    def flip_bit(self, id: DatumId) -> None:
-        """Radiation: the first bit of a stored payload changes, on the disk and in what is read from it."""
+    def flip_bit(self, id: DatumId, bit: int = 0) -> None:
+        """Radiation: a bit of a stored payload changes, on the disk and in what is read from it."""
         d = self._live.data[id]
-        struck = d._replace(payload=bytes([d.payload[0] ^ 1]) + d.payload[1:])
+        struck = flipped(d, bit)
         self._live.data[id] = struck
         if self._out is not None and id in self._out.data:
             self._out.data[id] = struck

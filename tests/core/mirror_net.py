@@ -93,9 +93,9 @@ class Net:
             for node in self.nodes.values():
                 check_node(node)
 
-    def put(self, i: int, payload: bytes = b"reading") -> DatumId:
+    def put(self, i: int, payload: bytes = b"reading", kind: int = 0) -> DatumId:
         node = self.nodes[i]
-        id = node.put(payload, self.now)
+        id = node.put(payload, self.now, kind)
         self.deliver([(i, message) for message in self.forwarded(node)])
         return id
 

@@ -212,7 +212,7 @@ def hears_accept(world: World, sender: int, number: int, handle: int, next_index
     large = world.node.holdings.large
     if aimed and large:
         sender = sorted(large)[number % len(large)]
-        pending = large[sender].pending
+        pending = next(iter(large[sender].values())).pending
         assert pending is not None
         return Accept(sender, ME, pending.number, handle, next_index)
     return Accept(sender, ME, world.number(number), handle, next_index)
@@ -233,7 +233,7 @@ def hears_sack(world: World, sender: int, handle: int, next_index: int, bitmap: 
     large = world.node.holdings.large
     if aimed and large:
         sender = sorted(large)[handle % len(large)]
-        pending = large[sender].pending
+        pending = next(iter(large[sender].values())).pending
         assert pending is not None
         assert pending.sending is not None
         handle = handle if pending.sending.handle is None else pending.sending.handle

@@ -24,6 +24,7 @@ from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, KINDS, Beacon, Committed, Message, Words, let_ride
 from rass_mav.core.node import Node
 from rass_mav.core.policy import Dispatch, Policy, View
+from rass_mav.core.terms import USUAL_PRIORITY, Terms
 from rass_mav.errors import RassError, StoreError, StoreFullError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
@@ -100,7 +101,7 @@ class Swarm(RuleBasedStateMachine):
         # Everybody knows everybody, and there is something to lose.
         self.turn(random.Random(0), 0.0)
         for i in range(1, NODES):
-            self.put(i, 1)
+            self.put(i, 1, USUAL_PRIORITY)
         self.turn(random.Random(0), 0.0)
 
     def _start(self, i: int) -> None:
@@ -156,16 +157,16 @@ class Swarm(RuleBasedStateMachine):
     def _forward(self, i: int) -> list[Message]:
         return self.nodes[i].forward(self.now) if self.options["immediate"] else []
 
-    @rule(i=IDS, size=st.integers(1, 60))
-    def put(self, i: int, size: int) -> None:
+    @rule(i=IDS, size=st.integers(1, 60), priority=st.sampled_from([USUAL_PRIORITY, 0, 9]))
+    def put(self, i: int, size: int, priority: int) -> None:
         if i in self.nodes and len(self.created) < 12:
             self.payloads += 1
             payload = self.payloads.to_bytes(2, "big") * size
             try:
-                id = self.nodes[i].put(payload, self.now)
+                id = self.nodes[i].put(payload, self.now, terms=(terms := Terms(priority)))
             except StoreFullError:
                 return
-            self.born[id] = payload
+            self.born[id] = terms.pack() + payload
 
             def tell(error: RassError | None) -> None:
                 if error is None:
@@ -373,7 +374,7 @@ def weather(seed: int, swarm: Swarm) -> None:
     )  # fmt: skip
     for _ in range(6):
         swarm.storm(rng.getrandbits(32))
-        swarm.put(rng.randrange(NODES), rng.randrange(1, 50))
+        swarm.put(rng.randrange(NODES), rng.randrange(1, 50), USUAL_PRIORITY)
         swarm.memory_agrees_with_itself()
     swarm.teardown()
 

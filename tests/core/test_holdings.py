@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.core.custody.holdings import CHANGES, Holding, Holdings, Partner, Pending, State
-from rass_mav.core.custody.transfer import Sending
+from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Fate
 from rass_mav.core.settings import NodeSettings
 from rass_mav.errors import StoreFullError
@@ -217,8 +217,7 @@ def of_custody(holdings: Holdings, holding: Holding, operation: str, number: int
         if holding.size <= SMALL:
             holdings.give(holding, Pending(number, other, 0.0))
     elif operation == "large":
-        if holdings.large.get(other) in (None, holding):
-            holdings.give(holding, Pending(number, other, 0.0, Sending(datum(), other, number, 10)))
+        holdings.give(holding, Pending(number, other, 0.0, Sending(datum(), other, number, 10)))
     elif operation == "cancel":
         holdings.cancel(holding)
     elif operation == "offer":

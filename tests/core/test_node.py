@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from rass_mav.core.custody.transfer import Sending
+from rass_mav.core.custody.flow import Flow
+from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Beacon, Committed, Data, Route
+from rass_mav.core.messages import BEACON_BASE, UNBOUNDED_FREE, Accept, Beacon, Committed, Data, Route
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
 from rass_mav.core.policy import POTENTIAL_BASE, POTENTIAL_ONE
@@ -285,10 +286,12 @@ def test_a_copy_that_somebody_made_out_to_be_old_does_not_end_the_datum(size: in
     node.receive(beacon(9), 1000.0)
     made_old = Sending(d._replace(created=901.0), 2, 5, 123)
     if size > 97:
-        [accept] = node.receive(made_old.offer(9), 1000.0)
-        for chunk in made_old.on_accept(accept):  # type: ignore[arg-type]
-            node.receive(chunk, 1000.0)
-        answers = node.receive(Sending(d, 2, 6, 123).offer(3), 1000.5)
+        [accept] = node.receive(made_old.offer(9, 1000.0), 1000.0)
+        assert isinstance(accept, Accept)
+        assert made_old.open(accept.handle, 0, 1000.0)
+        for position in made_old.due(fresh=True):
+            node.receive(made_old.chunk(position, Flow(1000.0), 1000.0), 1000.0)
+        answers = node.receive(Sending(d, 2, 6, 123).offer(3, 1000.5), 1000.5)
     else:
         node.receive(data(9, 2, (5, made_old.datum)), 1000.0)
         answers = node.receive(data(3, 2, (6, d)), 1000.5)

@@ -4,12 +4,14 @@ import random
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.custody.transfers import MAX_OF_ONE_ORIGIN, MAX_TRANSFERS
+from rass_mav.core.custody.flow import SACK_EVERY
+from rass_mav.core.custody.percolation import MAX_HEAPED
+from rass_mav.core.custody.transfers import MAX_OF_ONE, MAX_TRANSFERS
 from rass_mav.core.datum import MAX_PAYLOAD
-from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
+from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, PassedOn, Report, Sack
 from rass_mav.core.node import Node
 from rass_mav.core.policy import POTENTIAL_ONE
 from tests.extent import examples
@@ -76,6 +78,8 @@ def bad_network(giver: Node, receiver: Node, rng: random.Random, loss: float, st
 
 @settings(max_examples=examples(30), deadline=None)
 @given(st.integers(1, 6000), st.integers(0, 1 << 32))
+@example(739, 795)
+@example(247, 20)
 def test_it_arrives_over_a_network_that_loses_doubles_and_reorders(size: int, seed: int) -> None:
     giver, receiver = giver_of(noise(size), inline_bytes=0, max_tries=50), make_node(2, inline_bytes=0)
     [id] = giver.holdings.custody
@@ -163,6 +167,30 @@ def test_a_receiver_without_room_refuses_the_offer() -> None:
     assert len(giver.holdings.custody) == 1
 
 
+def test_small_data_do_not_wait_behind_large_ones_that_are_refused() -> None:
+    giver, receiver = giver_of(noise(300)), make_node(2, capacity_bytes=200)
+    for size in range(301, 321):
+        giver.put(noise(size), 0.0)
+    small = giver.put(b"small", 0.0)
+    fit(giver, receiver, 0.0)
+    said = talk({1: giver, 2: receiver}, giver.step(0.0), 0.0)
+    assert of(Offer, said)
+    assert small in receiver.holdings.custody
+
+
+def test_a_silent_neighbour_blocks_no_other() -> None:
+    giver, deaf, receiver = giver_of(noise(300)), make_node(2), make_node(3)
+    for size in range(301, 321):
+        giver.put(noise(size), 0.0)
+    for turn in range(4):
+        now = float(turn)
+        for other in (deaf, receiver):
+            fit(giver, other, now)
+        talk({1: giver, 3: receiver}, giver.step(now), now)
+    assert len(giver.holdings.large[2]) <= MAX_OF_ONE
+    assert len(receiver.holdings.custody) >= 2
+
+
 def offered(sender: int, size: int = 5000) -> Offer:
     return Offer(sender, 2, 1, datum(sender).id, 0, 0.0, 0, 5, size, 100)
 
@@ -182,7 +210,7 @@ def test_data_of_one_origin_leave_places_for_others() -> None:
         receiver.receive(beacon(sender), 0.0)
     of_one = [offered(sender)._replace(id=datum(9, sender).id) for sender in range(10, 19)]
     answers = [receiver.receive(offer, 0.0)[0] for offer in of_one]
-    assert len(of(Accept, answers)) == MAX_OF_ONE_ORIGIN
+    assert len(of(Accept, answers)) == MAX_OF_ONE
     assert of(Accept, receiver.receive(offered(19), 0.0))
 
 
@@ -233,10 +261,13 @@ def test_an_answer_about_chunks_that_were_never_sent_is_ignored(lie: Accept | Sa
 def test_what_was_said_falsely_of_chunks_that_are_missing_is_made_good_by_the_next_answer_to_a_probe() -> None:
     giver, offer = sending(20 * 123)
     giver.receive(Accept(1, 2, offer.number, 7, 0), 0.0)
-    # None of the chunks has arrived.
-    assert giver.receive(Sack(1, 2, 7, 19, 0), 0.0) == []
-    again = giver.receive(Accept(1, 2, offer.number, 7, 0), 2.0)
-    assert [c.position for c in again if isinstance(c, Chunk)] == list(range(20))
+    # Only the last chunk has arrived.
+    for lie in (Sack(1, 2, 7, 19, 0), Sack(1, 2, 7, 19, 1)):
+        assert giver.receive(lie, 0.0) == []
+    giver.receive(Sack(1, 2, 7, 0, 1 << 18), 0.1)
+    assert of(Offer, giver.tend(2.0)) == [offer]
+    again = giver.receive(Accept(1, 2, offer.number, 7, 0, 1 << 18), 2.1)
+    assert [c.position for c in of(Chunk, again)] == list(range(2 * SACK_EVERY))
 
 
 @pytest.mark.parametrize("answers", ["accept", "sack", "all but the last", "nothing"])
@@ -281,7 +312,10 @@ lies = st.one_of(
     ),
     st.builds(Accept, small, st.just(2), st.integers(0, 0xFFFFFFFF), small, u16),
     st.builds(Chunk, st.just(2), u16, u16, st.booleans(), st.binary(max_size=123)),
-    st.builds(Sack, small, st.just(2), small, u16, st.integers(0, (1 << 256) - 1)),
+    st.builds(
+        Sack, small, st.just(2), small, u16, st.integers(0, (1 << 256) - 1), st.integers(0, 3),
+        st.lists(st.builds(Report, small, u16, st.integers(0, (1 << 64) - 1)), max_size=3).map(tuple),
+    ),
 )  # fmt: skip
 
 
@@ -299,3 +333,33 @@ def test_lies_never_crash_and_never_cost_the_datum(messages: list[Message]) -> N
                 node.receive(Chunk(2, answer.handle, 0, True, b"x"), 0.0)
     assert len(node.holdings.custody) >= 1
     assert offer.id in node.holdings.custody
+
+
+@pytest.mark.parametrize("risk", [0.0, 0.3])
+def test_a_relay_that_has_not_passed_on_what_it_took_is_given_no_more_large_data_except_in_danger(risk: float) -> None:
+    giver, relay = make_node(1, mirror=True, risk=risk, immediate=True), make_node(2, mirror=True)
+    ids = [giver.put(noise(300 + n), 0.0) for n in range(5)]
+    for step in range(4):
+        fit(giver, relay, float(step))
+        talk({1: giver, 2: relay}, giver.step(float(step)), float(step))
+    given = [id for id in ids if id in relay.holdings.custody]
+    assert len(given) == (5 if risk else MAX_HEAPED)
+    if risk:
+        return
+    # A base took one of them.
+    passed_on = PassedOn(2, 1, (given[0],))
+    talk({1: giver, 2: relay}, giver.receive(passed_on, 4.0) + giver.forward(4.0), 4.0)
+    assert sum(id in relay.holdings.custody for id in ids) > MAX_HEAPED
+
+
+def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_when_it_is_whole() -> None:
+    """Two givers, and one place."""
+    givers = {id: giver_of(noise(300 + id), id) for id in (1, 3)}
+    receiver = make_node(2, capacity_items=2)
+    receiver.put(b"one place is taken", 0.0)
+    for giver in givers.values():
+        fit(giver, receiver, 0.0)
+    said = talk({**givers, 2: receiver}, [m for giver in givers.values() for m in giver.step(0.0)], 0.0)
+    assert len(of(Offer, said)) == 2
+    assert len(of(Accept, said)) == 1
+    assert len(receiver.holdings.custody) == 2

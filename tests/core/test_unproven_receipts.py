@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rass_mav.core.alarms import Alarm
-from rass_mav.core.custody.transfer import Sending
+from rass_mav.core.custody.flow import Flow
+from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import Accept, Committed, Data, Given, Receipt
 from rass_mav.core.news.checksums import make_given
@@ -101,9 +102,11 @@ def test_a_large_second_content_is_taken_too() -> None:
     for sender, content in ((7, d), (8, other)):
         base.receive(beacon(sender), 0.0)
         sending = Sending(content, 0, 5, 123)
-        [accept] = base.receive(sending.offer(sender), 0.0)
+        [accept] = base.receive(sending.offer(sender, 0.0), 0.0)
         assert isinstance(accept, Accept)
-        answers = [answer for chunk in sending.on_accept(accept) for answer in base.receive(chunk, 0.0)]
+        assert sending.open(accept.handle, 0, 0.0)
+        chunks = [sending.chunk(position, Flow(0.0), 0.0) for position in sending.due(fresh=True)]
+        answers = [answer for chunk in chunks for answer in base.receive(chunk, 0.0)]
         assert Committed(0, sender, ((5, content.crc),), ()) in answers
     assert base.alarms.counts == {Alarm.TWO_CONTENTS: 1}
 

@@ -14,8 +14,8 @@ from rass_mav.store import OpenReport, SqliteStore
 from .source import Source
 
 NODE = 7
-FILES = ("node.db", "node.db.mark", "node.db-wal")
-#: Data in the store; every other one needs a page of its own.
+FILES = ("node.db", "node.db.mark", "node.db-wal", "node.db.payloads")
+#: Data in the store; every other one is beside the database.
 COUNT = 6
 #: Places that change at most.
 MOST_CHANGES = 8

@@ -62,6 +62,13 @@ def test_a_sealed_datum() -> None:
     )
 
 
+def test_a_sealed_datum_with_terms() -> None:
+    terms = bytes.fromhex("04805101")
+    sealed = Sealer(SEVEN, 0xCAFEBABE, 0).seal(5, 0x41, b"42.0 uSv/h", terms)
+    assert sealed.hex() == "226deaa0c41d07a9ab9b26af3b7396515a404c5c8a9b6f434457"
+    assert OPENER.open((7, 0xCAFEBABE, 5), 0x41, sealed, terms) == b"42.0 uSv/h"
+
+
 def test_a_tag() -> None:
     assert Pair(SEVEN, EIGHT.certificate).tag(7, b"committed").hex() == "fc6e9ec833ed8789"
     assert Pair(EIGHT, SEVEN.certificate).tag(7, b"committed").hex() == "bef6bf43979d0263"
@@ -141,9 +148,12 @@ def test_the_ground_reads_what_a_node_has_sealed(
 @given(st.data())
 def test_nothing_of_a_sealed_datum_can_be_changed(data: st.DataObject) -> None:
     id, kind = (7, 5, 6), 1
-    sealed = Sealer(SEVEN, 5, 6).seal(6, kind, b"payload")
-    what = data.draw(st.sampled_from(["origin", "epoch", "sequence", "kind", "bytes"]))
-    if what == "bytes":
+    beside = data.draw(st.binary(max_size=4))
+    sealed = Sealer(SEVEN, 5, 6).seal(6, kind, b"payload", beside)
+    what = data.draw(st.sampled_from(["origin", "epoch", "sequence", "kind", "bytes", "beside"]))
+    if what == "beside":
+        beside = data.draw(st.binary(max_size=5).filter(lambda other: other != beside))
+    elif what == "bytes":
         sealed = flipped(sealed, data.draw(st.integers(0, 8 * len(sealed) - 1)))
     elif what == "kind":
         kind = data.draw(kinds.filter(lambda other: other != 1))
@@ -152,7 +162,7 @@ def test_nothing_of_a_sealed_datum_can_be_changed(data: st.DataObject) -> None:
         other = data.draw((nodes if place == 0 else numbers).filter(lambda number: number != id[place]))
         id = (id[0] if place else other, other if place == 1 else id[1], other if place == 2 else id[2])
     with pytest.raises(ForgedError):
-        OPENER.open(id, kind, sealed)
+        OPENER.open(id, kind, sealed, beside)
 
 
 @given(numbers, numbers, numbers, kinds, st.binary(max_size=100))

@@ -165,7 +165,7 @@ class RadioNode:
         assert pacer is not None
         while True:
             before = list(pacer.sent)
-            queued = pacer.pop(now)
+            queued = self.lane.pop(now)
             if queued is None:
                 break
             (urgency,) = (u for u in Urgency if pacer.sent[u] != before[u])

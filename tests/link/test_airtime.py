@@ -168,3 +168,140 @@ def test_from_the_floor_it_recovers_as_soon_as_no_more_come() -> None:
     assert made.throttle == 1.0
     made.radio_status(0, 1e6)
     assert made.throttle == 0.5, "a long silence is no credit"
+
+
+# -- chunks of large data ----------------------------------------------------------------------------------------------
+
+#: A link for this node alone.
+ALONE = Budget(bytes_s=5760.0, duty=1.0, beacons=0.05)
+
+
+def bytes_of(left: list[tuple[float, Queued]], target: int) -> int:
+    return sum(len(queued.frame) for _, queued in left if queued.target == target)
+
+
+def test_chunks_take_what_the_rest_leaves() -> None:
+    made = pacer(ALONE, neighbours=1)
+    left: list[tuple[float, Queued]] = []
+    for second in range(60):
+        now = float(second)
+        left += drain(made, now, now - 1.0)
+        made.push(bytes(BEACON_BYTES), BROADCAST, Urgency.BEACON, now)
+        made.push(bytes(40), BROADCAST, Urgency.ANSWER, now)
+        while made.waiting < 100:
+            made.push(bytes(145), 2, Urgency.BULK, now)
+    assert sum(made.dropped) == 0
+    assert made.sent[Urgency.BEACON] >= 59
+    assert made.sent[Urgency.ANSWER] >= 59
+    # 59 seconds of all that the link carries, without the bucket that was empty at first.
+    assert bytes_of(left, 2) > 0.99 * (59 * 5760.0 - bytes_of(left, BROADCAST)) - FRAME_BYTES
+
+
+def test_a_chunk_leaves_when_nothing_else_waits() -> None:
+    made = pacer(Budget(bytes_s=1000.0, duty=1.0, burst_bytes=200, burst_frames=1))
+    for urgency in reversed(Urgency):
+        made.push(bytes([urgency]) * 100, BROADCAST, urgency, 0.0)
+    assert [queued.frame[0] for _, queued in drain(made, 10.0)] == list(Urgency)
+
+
+@given(st.integers(12, FRAME_BYTES), st.sampled_from([Urgency.VEHICLE, Urgency.BEACON, Urgency.ANSWER, Urgency.DATA]))
+def test_short_chunks_keep_no_long_frame_waiting(chunk: int, urgency: Urgency) -> None:
+    """A full frame needs more tokens than a short chunk. They must not be taken away from it again and again."""
+    made = pacer(Budget(bytes_s=1000.0, duty=1.0, burst_bytes=FRAME_BYTES, burst_frames=1), neighbours=10)
+    for _ in range(400):
+        made.push(bytes(chunk), 2, Urgency.BULK, 0.0)
+    drain(made, 5.0)
+    made.push(bytes(FRAME_BYTES), BROADCAST, urgency, 5.0)
+    left = drain(made, 100.0, 5.0)
+    if made.sent[Urgency.BULK] == 400 and len(left) == 1:
+        return  # the chunks had left before
+    at = next(now for now, queued in left if queued.target == BROADCAST)
+    assert at <= 5.0 + (FRAME_BYTES + chunk) / 1000.0 + made.pace().turn_s
+
+
+def test_beacons_are_on_time_beside_chunks() -> None:
+    made = pacer(ALONE, neighbours=1)
+    for _ in range(MAX_WAITING[Urgency.BULK]):
+        made.push(bytes(145), 2, Urgency.BULK, 0.0)
+    left: list[tuple[float, Queued]] = []
+    for second in range(10):
+        made.push(bytes(BEACON_BYTES), BROADCAST, Urgency.BEACON, float(second))
+        left += drain(made, second + 0.999, float(second))
+    late = [now % 1.0 for now, queued in left if queued.target == BROADCAST]
+    assert len(late) == 10
+    assert max(late) <= (145 + BEACON_BYTES) / 5760.0 + 1e-3
+
+
+def test_a_datum_takes_the_place_of_a_chunk_when_its_own_part_is_used_up() -> None:
+    made = pacer(ALONE, neighbours=20)
+    for _ in range(50):
+        made.push(bytes(145), 2, Urgency.BULK, 0.0)
+        made.push(bytes(145), 3, Urgency.DATA, 0.0)
+    left = drain(made, 10.0)
+    assert [queued.target for _, queued in left] == [3] * 50 + [2] * 50
+    # Without chunks it has only its part.
+    made = pacer(ALONE, neighbours=20)
+    for _ in range(50):
+        made.push(bytes(145), 3, Urgency.DATA, 0.0)
+    assert len(drain(made, 1.9)) * 145 <= 2 * FRAME_BYTES + 1.9 * made.data_rate
+
+
+def test_nodes_that_hear_each_other_share_what_the_swarm_may_send() -> None:
+    """Three nodes with chunks, and a swarm that may take a third of the air: each counts the others' frames."""
+    budget = Budget(bytes_s=5760.0, duty=1 / 3, listen_s=0.1)
+    nodes = [Pacer(budget, random.Random(seed), now=0.0, step_s=1.0) for seed in range(3)]
+    ids = {1, 2, 3}
+    for made in nodes:
+        made.meet(ids)
+    sent, now = [0, 0, 0], 0.0
+    while now < 60.0:
+        # The one that may first; its frame takes the air.
+        for made in nodes:
+            while made.waiting < 10:
+                made.push(bytes(145), 1, Urgency.BULK, now)
+        dues = [made.next_at(now) or 0.0 for made in nodes]
+        first = dues.index(min(dues))
+        now = max(now, dues[first]) + 1e-6
+        if nodes[first].pop(now) is None:
+            continue
+        sent[first] += 145
+        now += 145 / 5760.0
+        for index, made in enumerate(nodes):
+            if index != first:
+                made.heard(now, 145)
+    # No more than the swarm's share, though each also has a part of its own; and not much less.
+    parts = sum(made.data_rate for made in nodes)
+    assert 0.9 * budget.duty * 5760.0 < sum(sent) / 60.0 < budget.duty * 5760.0 + parts
+    assert min(sent) > 0.8 * max(sent)
+
+
+def test_a_full_queue_refuses_the_newest_chunk() -> None:
+    made = pacer(ALONE)
+    most = MAX_WAITING[Urgency.BULK]
+    for n in range(most + 10):
+        made.push(n.to_bytes(2, "big"), 2, Urgency.BULK, 0.0)
+    assert made.dropped[Urgency.BULK] == 10
+    left = drain(made, 1000.0)
+    assert [int.from_bytes(queued.frame, "big") for _, queued in left] == list(range(most))
+
+
+def test_chunks_grow_old_but_not_beyond_their_target() -> None:
+    made = pacer(Budget(bytes_s=100.0, duty=0.1))
+    for target in (2, 3, 2, 3):
+        made.push(bytes([target]) * 100, target, Urgency.BULK, 0.0)
+    made.meet({2, 3})
+    made.pop(1.0)
+    assert made.next_at(1e4) is not None
+    assert made.waiting == 4
+    made.meet({3, 4})
+    assert made.dropped[Urgency.BULK] == 2
+    assert [queued.target for _, queued in drain(made, 2e4, 1e4)] == [3, 3]
+
+
+def test_forged_noise_costs_chunks_a_burst_and_no_more() -> None:
+    made = pacer(Budget(bytes_s=1000.0, duty=1.0, listen_s=0.01), neighbours=1)
+    made.push(bytes(145), 2, Urgency.BULK, 0.0)
+    for _ in range(10_000):
+        made.heard(0.5, 280)
+    [(at, _)] = drain(made, 60.0, 0.5)
+    assert at <= 0.5 + (512 + 145) / 1000.0 + 0.01

@@ -60,7 +60,7 @@ def mission() -> list[Datum]:
         measured(10)._replace(at_least=True),
         *(put(20 + n, Kind.FILE, pack_file(name, name.encode() * 2)) for n, name in enumerate(HOSTILE)),
         put(40, Kind.BYTES, b"\0\1\2 a line"),
-        put(41, 99, b"of a later version"),
+        put(41, 59, b"of a later version"),
         put(42, Kind.FILE, b"\xffshort"),
         put(43, Kind.MEASUREMENT, b"\1"),
         corrupt._replace(payload=b"all WELL"),

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from rass_mav.app.payloads import pack_file
 from rass_mav.cli import main
 from rass_mav.commands.data import HEADER
 from rass_mav.core.datum import Kind
+from rass_mav.core.terms import TERMS, Terms
+from rass_mav.wire.measurement import encode_measurement
 from tests.app.app_nodes import said_by
 
 from .missions import EPOCH, HERE, Base
@@ -97,13 +100,37 @@ def test_get_writes_the_content_from_a_stores_file(base: Base, capsysbinary: pyt
     assert json.loads(capsysbinary.readouterr().out)["bytes"] == 2
 
 
+def test_terms_are_shown_and_no_part_of_the_contents(base: Base, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    longest = "x" * 251 + ".jpg"
+    base.arrive(
+        base.datum(8, 1, Kind.FILE | TERMS, Terms(9, 60).pack() + pack_file(longest, b"photo")),
+        base.datum(8, 2, Kind.MEASUREMENT | TERMS, Terms(0).pack() + encode_measurement(HERE)),
+        base.datum(8, 3, Kind.BYTES | TERMS, b"cut"),
+        base.datum(8, 4, Kind.BYTES | TERMS, b"\xff\1\0\0of a later version"),
+        base.datum(8, 5, Kind.BYTES | TERMS, Terms(9).pack() + b"struck")._replace(crc=0),
+    )
+    assert main(["ls", "--drone", "8", "--json", "--since", "2026-11-22T09:59:59"]) == 0
+    file, measured, cut, later, struck = json.loads(capsysbinary.readouterr().out)["data"]
+    assert (file["kind"], file["name"], file["priority"], file["ttl_s"]) == ("file", longest, 9, 60)
+    assert (file["size"], measured["size"]) == (256 + 5, len(encode_measurement(HERE)))
+    assert (measured["priority"], measured["measurement"]["unit"]) == (0, "usvh")
+    assert "ttl_s" not in measured
+    assert (cut["kind"], cut["malformed"]) == ("bytes", "truncated terms")
+    assert (later["priority"], later["ttl_s"]) == (9, 1)
+    assert (struck["kind"], struck["malformed"]) == ("bytes", "corrupt, its checksum does not match")
+    assert main(["get", f"8-{EPOCH:08x}-1"]) == 0
+    assert capsysbinary.readouterr().out == b"photo"
+    assert main(["get", f"8-{EPOCH:08x}-4"]) == 0
+    assert capsysbinary.readouterr().out == b"of a later version"
+
+
 @pytest.mark.parametrize(
     ("words", "code", "error"),
     [
         (["ls", "nowhere.db"], 2, "nowhere.db: no such store"),
         (["ls", "--follow", "--sort", "time"], 2, "--follow: shows data as they arrive"),
         (["get", "7-00000000-0"], 1, "7-00000000-0: not in rass-1.db"),
-        (["get", "seven"], 2, "expected an id like 7-0123abcd-42, got 'seven'"),
+        (["get", "seven"], 2, "expected an id like 7-0123abcd-42, or the name of a file that is here, got 'seven'"),
     ],
 )
 def test_a_mistake_is_one_line(base: Base, words: list[str], code: int, error: str, capsys: Capture) -> None:

@@ -164,9 +164,9 @@ def test_a_copy_that_is_damaged_is_not_opened(base: Base) -> None:
 def test_the_report_of_a_large_mission_opens_each_datum_once(base: Base) -> None:
     calls = []
 
-    def opens(id: DatumId, kind: int, payload: bytes) -> bytes:
+    def opens(id: DatumId, kind: int, payload: bytes, beside: bytes) -> bytes:
         calls.append(id)
-        return opener_of("ground.keys")(id, kind, payload)
+        return opener_of("ground.keys")(id, kind, payload, beside)
 
     with Archive(base.path, opens=opens) as archive:
         Report.of(archive)

@@ -88,7 +88,7 @@ class Arrival(NamedTuple):
         assert isinstance(self.said, tuple)
         kind, payload = self.said
         info = StoredInfo(self.id, kind, 0.0, 1, datum_crc(self.id, kind, payload), len(payload))
-        return entry._replace(kind=kind, **content(info, payload, bytes, None))
+        return entry._replace(**{"kind": kind, **content(info, payload, bytes, None)})
 
 
 arrivals = st.builds(

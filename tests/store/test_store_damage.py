@@ -267,7 +267,7 @@ def test_an_index_of_somebody_elses_does_no_harm(path: Path) -> None:
 
 def test_a_newer_versions_store_is_neither_used_nor_set_aside(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
-        connection.execute("PRAGMA user_version = 3")
+        connection.execute("PRAGMA user_version = 4")
     with pytest.raises(StoreError, match="newer version"):
         open_store(path)
     with pytest.raises(StoreError, match="newer version"):
@@ -276,7 +276,11 @@ def test_a_newer_versions_store_is_neither_used_nor_set_aside(path: Path) -> Non
 
 
 def break_overflow_chain(path: Path, number: int) -> None:
-    """Damage a large payload such that it cannot be read, though nothing else is amiss."""
+    """Damage a large payload such that it cannot be read, though nothing else is amiss. It is in its row, as the last
+    version wrote it."""
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE datum SET payload = ? WHERE sequence = ?", (payload(number, sizes(number)), number))
+        connection.commit()
     content = bytearray(path.read_bytes())
     # The second page that the payload overflows into starts with four bytes that point to the third.
     start = content.index(payload(number, sizes(number))[-2000:-1900]) // 4096 * 4096

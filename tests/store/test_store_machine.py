@@ -22,7 +22,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.errors import StoreError
 from rass_mav.store import MemoryStore, SqliteReader
-from rass_mav.store.quota import ROW_OVERHEAD
+from rass_mav.store.quota import cost
 from tests.extent import examples
 
 from .store_helpers import EPOCH, open_store
@@ -40,7 +40,11 @@ DATA = st.builds(
     st.floats(allow_nan=False),
     st.integers(0, 255),
     st.integers(0, 2**32 - 1),
-    st.binary(max_size=40),
+    st.one_of(
+        st.binary(max_size=40),
+        # Beside the database.
+        st.builds(lambda size, sign: bytes([sign]) * size, st.integers(4000, 20_000), st.integers(0, 255)),
+    ),
     st.booleans(),
 )
 
@@ -207,10 +211,10 @@ class Stores(RuleBasedStateMachine):
         model = self.model
         for store in (self.sqlite, self.memory):
             assert [info.id for info in store.held()] == list(model.data)
-            for id, kind, created, hops, crc, size, at_least in store.held():
+            for id, kind, created, hops, crc, size, at_least, terms in store.held():
                 datum = model.data[id]
                 assert (id, kind, created, hops, crc, size) == (*datum[:5], len(datum.payload))
-                assert at_least is datum.at_least
+                assert (at_least, terms) == (datum.at_least, datum.terms)
             assert set(store.ids()) == set(model.data)
             for id in ALL_IDS:
                 assert store.get(id) == model.data.get(id)
@@ -219,7 +223,7 @@ class Stores(RuleBasedStateMachine):
             assert {key: store.get_meta(key) for key in ("announcement", "epoch")} == {
                 key: model.meta.get(key) for key in ("announcement", "epoch")
             }
-            assert store.used_bytes == sum(len(datum.payload) + ROW_OVERHEAD for datum in model.data.values())
+            assert store.used_bytes == sum(cost(len(datum.payload)) for datum in model.data.values())
 
     @invariant()
     def the_disk_has_what_was_committed(self) -> None:

@@ -55,12 +55,12 @@ def assert_reads_only(store: SqliteStore, held: int) -> None:
 
 
 def on_a_disk(disk: Disk) -> SqliteStore:
-    return open_store(disk.directory / "node.db", vfs=disk.vfs)
+    return open_store(disk.directory / "node.db", disk=disk)
 
 
 def test_a_read_only_disk() -> None:
     with Disk(Random(1)) as disk:
-        store = filled(disk.directory / "node.db", vfs=disk.vfs)
+        store = filled(disk.directory / "node.db", disk=disk)
         life = store.life
         store.close()
         disk.read_only = True
@@ -86,7 +86,7 @@ def test_where_there_is_no_store_and_none_can_be_made() -> None:
 
 def test_a_node_on_it_refuses_at_once_and_hands_on_what_it_has() -> None:
     with Disk(Random(1)) as disk:
-        filled(disk.directory / "node.db", vfs=disk.vfs).close()
+        filled(disk.directory / "node.db", disk=disk).close()
         disk.read_only = True
         with on_a_disk(disk) as store:
             agent = Agent(make(1).settings, store, Random(1), now=0.0)
@@ -179,7 +179,7 @@ def test_on_a_real_file_system(tmp_path: Path, how: str, said: str) -> None:
 
 
 def test_a_store_whose_disk_fills_up_goes_on_when_there_is_room() -> None:
-    with Disk(Random(1)) as disk, filled(disk.directory / "node.db", vfs=disk.vfs) as store:
+    with Disk(Random(1)) as disk, filled(disk.directory / "node.db", disk=disk) as store:
         disk.full = True
         store.put(datum(9, 20_000))
         with pytest.raises(StoreFullError):

@@ -131,3 +131,36 @@ def test_a_full_store_refuses_pictures() -> None:
 def test_only_virtual_time_without_disks_has_traffic(keys: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=r"traffic: expected its defaults unless"):
         scenario(traffic={"load": 0.5}, **keys)
+
+
+@pytest.mark.parametrize(
+    ("keys", "data", "needed"),
+    [({}, 4, 4), ({"picture_bare": 0.5}, 4, 4), ({"picture_redundancy": [4, 6]}, 6, 4)],
+)
+def test_pictures_in_parts_are_whole_when_enough_of_them_has_arrived(
+    keys: dict[str, Any], data: int, needed: int
+) -> None:
+    traffic = {"picture_bytes": 320, "picture_part_bytes": 80, "picture_interval_steps": 20, **keys}
+    world = World(
+        convert(
+            {"nodes": 4, "steps": 60, "topology": "line", "traffic": traffic, "store": {"capacity_items": 500},
+             "data": {"interval_steps": 0, "until_step": 30}, "radiation": {"corruption": False}},
+            Scenario, "test",
+        )
+    )  # fmt: skip
+    for _ in range(60):
+        world.step()
+        check(world)
+    (stripe,) = world._pictures.taken[0]
+    assert (len(stripe.ids), stripe.needed) == (data, needed)
+    found = world.statistics.summary()["pictures"]
+    assert found == {"taken": len(world._pictures.taken), "whole": len(world._pictures.taken)}
+    assert world._pictures.whole(set(stripe.ids[:needed])) == 1
+    assert world._pictures.whole(set(stripe.ids[: needed - 1])) == 0
+
+
+def test_redundancy_is_of_pictures_in_parts() -> None:
+    with pytest.raises(ConfigError, match=r"picture_part_bytes: expected a number"):
+        scenario(traffic={"picture_redundancy": [4, 6]})
+    with pytest.raises(ConfigError, match=r"picture_redundancy: expected \[K, N\]"):
+        scenario(traffic={"picture_part_bytes": 80, "picture_redundancy": [6, 4]})

@@ -8,6 +8,9 @@ from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
     DISTANT_BYTES,
+    MAX_OTHERS,
+    OTHER_BITS,
+    REPORT_BITS,
     Accept,
     Beacon,
     Chunk,
@@ -26,6 +29,7 @@ from rass_mav.core.messages import (
     Query,
     Receipt,
     ReceiptEntry,
+    Report,
     Sack,
     Word,
     WordEntry,
@@ -34,6 +38,7 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import make_digest, make_given, make_receipt, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
 from rass_mav.core.routes.contacts import Motion, pack
+from rass_mav.core.terms import TERMS, Terms
 from rass_mav.wire.codec import CHUNK_BYTES, INLINE_BYTES
 
 #: The moment at which the samples are encoded and decoded, seconds.
@@ -45,6 +50,13 @@ WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
 SEALED_READING = make_datum(
     DatumId(7, 0xCAFEBABE, 5), 0x81, NOW - 1.5, bytes.fromhex("226deaa0c41d07a9ab9b9fa6e1992b7aa18d7f9d88d45824cf63")
 )
+#: Nine is the most urgent priority; after 3600 s nobody needs it.
+URGENT_HELLO = make_datum(HELLO.id, TERMS, HELLO.created, Terms(9, 3600).pack() + b"hello")._replace(hops=2)
+#: As tests/keys/test_words.py has it; for a day.
+SEALED_TERMS = make_datum(
+    DatumId(7, 0xCAFEBABE, 5), 0x81 | TERMS, NOW - 1.5,
+    Terms(ttl_s=86400).pack() + bytes.fromhex("226deaa0c41d07a9ab9b26af3b7396515a404c5c8a9b6f434457"),
+)  # fmt: skip
 #: Its holder was switched off for it does not know how long.
 OLD_HELLO = HELLO._replace(at_least=True)
 
@@ -65,15 +77,20 @@ SAMPLES: dict[str, Message] = {
     "data": Data(3, 2, (Handover(0x01020304, HELLO),)),
     "data-two": Data(3, 2, (Handover(0x01020304, HELLO), Handover(0, WORLD))),
     "data-sealed": Data(7, 2, (Handover(0x01020304, SEALED_READING),)),
+    "data-terms": Data(3, 2, (Handover(0x01020304, URGENT_HELLO),)),
+    "data-sealed-terms": Data(7, 2, (Handover(0x01020304, SEALED_TERMS),)),
     "data-at-least": Data(3, 2, (Handover(0x01020304, OLD_HELLO),)),
     "data-answers": Data(
         3, 2, (Handover(0x01020304, HELLO),), answers=(Committed(3, 9, ((0x01020305, WORLD.crc),), (0x01020306,)),)
     ),
     "offer": Offer(3, 2, 0x01020305, DatumId(3, 0xCAFEBABE, 8), 2, NOW - 2.0, 0, 0xDEADBEEF, 100000, 123),
     "accept": Accept(2, 3, 0x01020305, 0xA1B2, 10),
+    "accept-resumed": Accept(2, 3, 0x01020305, 0xA1B2, 10, 0b101),
     "chunk": Chunk(BROADCAST, 0xA1B2, 10, False, b"chunk"),
     "chunk-poll": Chunk(BROADCAST, 0xA1B2, 11, True, b"chunk"),
+    "chunk-question": Chunk(BROADCAST, 0xA1B2, 515, True, b""),
     "sack": Sack(2, 3, 0xA1B2, 10, 0b101),
+    "sack-further": Sack(2, 3, 0xA1B2, 10, 0b101, 515, (Report(0xC3D4, 266, 0), Report(0xE5F6, 0, 0b11))),
     "committed": Committed(2, 3, ((0x01020304, HELLO.crc),), (0x01020305,)),
     "committed-refused": Committed(2, 3, (), (0x01020305,)),
     "receipt": make_receipt(1, 0x0BADF00D, 513, [ReceiptEntry(3, 0xCAFEBABE, 0, 7, 0b100, False)]),
@@ -191,9 +208,18 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         st.integers(1, CHUNK_BYTES),
         st.booleans(),
     ),
-    Accept: st.builds(Accept, u16, u16, u32, u16, u16),
+    Accept: st.builds(Accept, u16, u16, u32, u16, u16, st.integers(0, (1 << REPORT_BITS) - 1)),
     Chunk: st.builds(Chunk, st.just(BROADCAST), u16, u15, st.booleans(), st.binary(max_size=CHUNK_BYTES)),
-    Sack: st.builds(Sack, u16, u16, u16, u16, st.integers(0, (1 << 256) - 1)),
+    Sack: st.builds(
+        Sack,
+        u16,
+        u16,
+        u16,
+        u16,
+        st.integers(0, (1 << REPORT_BITS) - 1),
+        u16,
+        st.lists(st.builds(Report, u16, u16, st.integers(0, (1 << OTHER_BITS) - 1)), max_size=MAX_OTHERS).map(tuple),
+    ),
     Committed: st.builds(
         Committed,
         u16,

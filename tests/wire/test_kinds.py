@@ -23,7 +23,7 @@ from tests.core.build import make_node, make_replica
 from tools import explain_frame
 
 from .kinds import beside, blocks, examples, modules, page, type_of
-from .samples import HELLO, NOW, SAMPLES, SEALED_READING, by_type
+from .samples import HELLO, NOW, SAMPLES, SEALED_READING, SEALED_TERMS, by_type
 
 ROOT = Path(__file__).parents[2]
 UNION = set(typing.get_args(Message))
@@ -77,7 +77,7 @@ def test_what_is_counted_on_the_air_knows_every_kind(name: str) -> None:
     finally:
         air.close()
     assert air.counted.malformed == 0
-    carries = any(part in payload for part in (HELLO.payload, SEALED_READING.payload, b"chunk"))
+    carries = any(part in payload for part in (HELLO.payload, SEALED_READING.payload, SEALED_TERMS.payload, b"chunk"))
     assert (air.counted.data_sent > 0) == carries
 
 

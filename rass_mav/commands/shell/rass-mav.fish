@@ -51,7 +51,7 @@ function _shtab_rass_mav_using
 end
 
 set -g _shtab_rass_mav_commands run check status put ls get export report page doctor params 'params check' 'params write' 'params signing' keys 'keys new' 'keys drone' 'keys rotate' 'keys revoke' 'keys show' 'keys autopilot' service 'service install' 'service remove' 'service status' try swarm sitl replay experiment 'experiment paper' 'experiment five-drones' 'experiment moving-sources' 'experiment local-maxima' 'experiment policies' 'experiment ablation' 'experiment baselines' 'experiment hostile' 'experiment counting-to-infinity' completion
-set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --keys --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --range --record --reference-data --reorder --root --runs --seed --serial --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --until --user --variant --vehicles --world -c -d -o
+set -g _shtab_rass_mav_opts_with_value --above --air --arena --attacker --base --baseline --binary --box --capacity --config --dask --dir --drain --drift --drone --drones --duplicate --failures --firmware --first-seed --for --format --group --html --jobs --keep --keys --kind --line --listen --live --loss --name --nodes --off --out --output --own-runs --pace --page --place --policy --priority --range --record --redundancy --reference-data --reorder --root --runs --seed --serial --set --since --socket --sort --steps --store --sysid --tiles --token-file --topology --transport --ttl --until --user --variant --vehicles --world -c -d -o
 
 complete -c rass-mav -e
 complete -c rass-mav -f
@@ -85,15 +85,19 @@ complete -c rass-mav -n '_shtab_rass_mav_using put' -s v -l verbose -d 'logs on 
 complete -c rass-mav -n '_shtab_rass_mav_using put' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using put' -s c -l config -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s configuration'
 complete -c rass-mav -n '_shtab_rass_mav_using put' -l socket -xka "(__fish_complete_path (commandline -ct))" -d 'the node'"'"'s control socket, instead of a configuration'
+complete -c rass-mav -n '_shtab_rass_mav_using put' -l priority -x -d '0 to 9; higher ones leave each node first (data without: 4)'
+complete -c rass-mav -n '_shtab_rass_mav_using put' -l ttl -x -d 'how long it is of use: 90s, 10m, 2h, 1d; then it expires, unless it has arrived'
 complete -c rass-mav -n '_shtab_rass_mav_using put' -l line -x -d 'a line of text'
-complete -c rass-mav -n '_shtab_rass_mav_using put; and test $_shtab_rass_mav_npos -eq 0' -ka "(__fish_complete_path (commandline -ct))" -d 'a file, stored with its name; -: stdin, stored without a name'
+complete -c rass-mav -n '_shtab_rass_mav_using put' -l redundancy -x -d 'any K of N parts of a file are enough, as 8/12; they get no spare copies'
+complete -c rass-mav -n '_shtab_rass_mav_using put' -l wait -d 'return when all of it is known to have arrived at a base'
+complete -c rass-mav -n '_shtab_rass_mav_using put; and test $_shtab_rass_mav_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'a file, stored with its name; -: stdin, stored without a name'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a ls -d 'List the data in a store; at a base, all that have arrived.'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l drone -x -d 'created by these nodes'
-complete -c rass-mav -n '_shtab_rass_mav_using ls' -l kind -x -d 'of this kind: measurement, file, bytes, status or sealed'
+complete -c rass-mav -n '_shtab_rass_mav_using ls' -l kind -x -d 'of this kind: measurement, file, part, bytes, status or sealed'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l since -x -d 'created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l until -x -d 'created before'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l box -x -d 'with a position in this box, degrees; west above east: across the 180th meridian'
@@ -101,12 +105,13 @@ complete -c rass-mav -n '_shtab_rass_mav_using ls' -l above -x -d 'with a readin
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l sort -xka "arrival time drone reading" -d 'order of the list (arrival)'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l reverse -d 'the last first'
 complete -c rass-mav -n '_shtab_rass_mav_using ls' -l follow -d 'then show what arrives, until Ctrl-C; with --json an object a line'
-complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a get -d 'Fetch a datum from a store.'
+complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a get -d 'Fetch a datum or a file from a store.'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s v -l verbose -d 'logs on stderr; -vv for more'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l json -d 'print exactly one JSON object'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -x -d 'a node'"'"'s configuration, a store'"'"'s file (a drone'"'"'s card), or a database (postgresql://...); default: rass-*.db here, if there is one'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
+complete -c rass-mav -n '_shtab_rass_mav_using get' -l partial -d 'of a file that is not whole, its beginning'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'file to write to (default: stdout)'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a export -d 'Write the data of a store to a file for other programs.'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s h -l help -d 'show this help message and exit'
@@ -116,7 +121,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using export' -l keys -xka "(__fish_com
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s o -l output -x -d 'the file to create, or the folder if it is several (default: named after the store, here)'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l format -xka "bgeigie csv files geojson gpkg kml" -d 'the format (default: by the ending of OUT)'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l drone -x -d 'created by these nodes'
-complete -c rass-mav -n '_shtab_rass_mav_using export' -l kind -x -d 'of this kind: measurement, file, bytes, status or sealed'
+complete -c rass-mav -n '_shtab_rass_mav_using export' -l kind -x -d 'of this kind: measurement, file, part, bytes, status or sealed'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l since -x -d 'created then or later: ISO 8601, UTC if it names no zone; or 90s, 10m, 2h, 1d ago'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l until -x -d 'created before'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -l box -x -d 'with a position in this box, degrees; west above east: across the 180th meridian'
@@ -257,7 +262,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l page -x -d 'show the mi
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l pace -x -d 'with --page: how many seconds of the mission pass in a second (10)'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l check -d 'check all invariants in full after every step'
 complete -c rass-mav -n '_shtab_rass_mav_using swarm' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
-complete -c rass-mav -n '_shtab_rass_mav_using swarm; and test $_shtab_rass_mav_npos -eq 0' -ka "(string split ' ' 'demo field-lora field-sik-250k field-sik-64k field-wifi-1m field-wifi-6m five-drones hostile islands paper-grid paper-lennard-jones paper-random-walk paper-scale-free power-cuts reference-grid reference-lennard-jones reference-random-walk reference-scale-free thousand udp-line'; __fish_complete_path (commandline -ct))" -d 'a YAML file, or one of these'
+complete -c rass-mav -n '_shtab_rass_mav_using swarm; and test $_shtab_rass_mav_npos -eq 0' -ka "(string split ' ' 'demo field-lora field-sik-250k field-sik-64k field-wifi-1m field-wifi-6m files five-drones hostile islands paper-grid paper-lennard-jones paper-random-walk paper-scale-free power-cuts reference-grid reference-lennard-jones reference-random-walk reference-scale-free thousand udp-line'; __fish_complete_path (commandline -ct))" -d 'a YAML file, or one of these'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a sitl -d 'Fly simulated vehicles (ArduCopter, PX4 or mock ones), each with a node.'
 complete -c rass-mav -n '_shtab_rass_mav_using sitl' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using sitl' -s v -l verbose -d 'logs on stderr; -vv for more'

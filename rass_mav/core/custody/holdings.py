@@ -15,12 +15,14 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import chain, islice
 from math import inf
+from typing import NamedTuple
 
-from rass_mav.core.custody.transfer import Sending
-from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.custody.sending import Sending
+from rass_mav.core.datum import Datum, DatumId, Fate, is_share
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.shares import Portions, is_last_part
 from rass_mav.core.store import Store, StoredInfo
+from rass_mav.core.terms import Terms
 
 
 class State(enum.Enum):
@@ -84,7 +86,7 @@ class Pending:
 class Partner:
     """Another node that this one keeps spares for, or that keeps spares for this one."""
 
-    __slots__ = ("backed", "heard", "id", "life", "lifetime_s", "spares")
+    __slots__ = ("backed", "heard", "id", "large", "life", "lifetime_s", "spares")
 
     def __init__(self, id: int, life: int | None, heard: float, lifetime_s: float) -> None:
         self.id = id
@@ -96,8 +98,18 @@ class Partner:
         """A neighbour like this is gone when it is silent for longer. It grows with the turn in its beacons."""
         self.spares: dict[DatumId, Holding] = {}
         """Data in its custody of which this node has a spare."""
+        self.large = 0
+        """How many of these do not fit one frame."""
         self.backed: dict[DatumId, Holding] = {}
         """Data here of which it has a spare for this node, in custody or spares themselves."""
+
+
+class Told(NamedTuple):
+    """What the origin says of a datum to all who carry it."""
+
+    terms: Terms
+    share: bool
+    """Others of its file stand in for it."""
 
 
 class Holding:
@@ -105,7 +117,7 @@ class Holding:
 
     __slots__ = (
         "asked", "backer", "crc", "created", "custodian", "further", "given", "given_to", "giver", "id", "matched",
-        "offer_at", "offers", "partner", "patience_s", "pending", "resent", "size", "state",
+        "offer_at", "offers", "partner", "patience_s", "pending", "resent", "size", "state", "told",
     )  # fmt: skip
 
     def __init__(self, datum: Datum | StoredInfo, size: int, state: State, giver: int | None = None) -> None:
@@ -115,6 +127,7 @@ class Holding:
         self.crc = datum.crc
         self.size = size
         """Bytes of payload."""
+        self.told = Told(datum.terms, is_share(datum.kind))
         self.state = state
         self.partner: Partner | None = None
         """In custody: the backer, which keeps a spare. Spare: the node that this copy is for, in most cases the
@@ -147,12 +160,71 @@ class Holding:
         self.resent = 0
         """How often it was sent again for lack of a receipt."""
 
+    @property
+    def ends(self) -> float:
+        """When the datum expires by its own terms, seconds; infinite: never."""
+        ttl_s = self.told.terms.ttl_s
+        return inf if ttl_s is None else self.created + ttl_s
+
+
+class ByTerms:
+    """The copies of one node by their terms."""
+
+    __slots__ = ("_levels", "_mortal", "_next_end")
+
+    def __init__(self) -> None:
+        self._levels: dict[int, dict[DatumId, Holding]] = {}
+        """Those in custody by priority, least recently used first; no level is empty."""
+        self._mortal: dict[DatumId, Holding] = {}
+        """Those that expire by their own terms, spares too."""
+        self._next_end = inf
+        """None of them expires before this, seconds."""
+
+    def enter(self, holding: Holding) -> None:
+        """A copy is here now, in its state."""
+        id, (priority, ttl_s) = holding.id, holding.told.terms
+        if ttl_s is not None:
+            self._mortal[id] = holding
+            self._next_end = min(self._next_end, holding.ends)
+        if holding.state is State.CUSTODY:
+            level = self._levels.get(priority)
+            if level is None:
+                level = self._levels[priority] = {}
+            level[id] = holding
+
+    def leave(self, holding: Holding) -> None:
+        """A copy goes, or is about to change its state."""
+        id, (priority, ttl_s) = holding.id, holding.told.terms
+        if ttl_s is not None:
+            del self._mortal[id]
+        if holding.state is State.CUSTODY:
+            level = self._levels[priority]
+            del level[id]
+            if not level:
+                del self._levels[priority]
+
+    @property
+    def differ(self) -> bool:
+        """Whether data in custody differ in priority."""
+        return len(self._levels) > 1
+
+    def urgent(self) -> Iterator[Holding]:
+        """Data in custody, those of the highest priority first, and among these the least recently used."""
+        return chain.from_iterable(self._levels[level].values() for level in sorted(self._levels, reverse=True))
+
+    def ended(self, now: float) -> list[Holding]:
+        """Copies of data that have expired by their own terms. The caller drops them."""
+        if now <= self._next_end:
+            return []
+        self._next_end = min((h.ends for h in self._mortal.values() if h.ends >= now), default=inf)
+        return [holding for holding in self._mortal.values() if holding.ends < now]
+
 
 class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_capacity_bytes", "_looked_at", "_own", "_small_bytes", "_store", "asked", "bare",
+        "_all", "_looked_at", "_own", "_settings", "_store", "asked", "bare", "by_terms",
         "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
         "portions", "reserved", "spare", "spare_bytes",
     )  # fmt: skip
@@ -162,16 +234,17 @@ class Holdings:
         which copies were spares, and one copy too many is allowed."""
         self._store = store
         self.capacity_items = settings.capacity_items
-        self._capacity_bytes = settings.capacity_bytes
+        self._settings = settings
         self._own = (
             int(settings.own_share * (settings.capacity_items or 0)),
             int(settings.own_share * (settings.capacity_bytes or 0)),
         )
         """Items and bytes that are reserved for the node's own data."""
-        self._small_bytes = settings.inline_bytes
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
+        self.by_terms = ByTerms()
+        """All copies, by priority and lifetime."""
         self.spare: dict[DatumId, Holding] = {}
         """Spares that a partner counts on, the oldest first."""
         self.passed_on: dict[DatumId, Holding] = {}
@@ -191,8 +264,8 @@ class Holdings:
         """Spares that a partner counts on, those asked for the longest ago first."""
         self.pending: dict[int, Holding] = {}
         """Data that are being handed over, by number, the oldest first."""
-        self.large: dict[int, Holding] = {}
-        """Data that are being handed over in chunks, by neighbour."""
+        self.large: dict[int, dict[int, Holding]] = {}
+        """Data that are being handed over in chunks, by neighbour and number, the oldest first."""
         self.offers: dict[int, Holding] = {}
         """Data whose spares are on offer, by number."""
         self.partners: dict[int, Partner] = {}
@@ -224,28 +297,31 @@ class Holdings:
 
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
-        if self._capacity_bytes is not None and self.custody_bytes >= self._capacity_bytes - self._own[1]:
+        if (
+            self._settings.capacity_bytes is not None
+            and self.custody_bytes >= self._settings.capacity_bytes - self._own[1]
+        ):
             return 0
         if self.capacity_items is None:
             return 0xFFFF
         return min(max(self.capacity_items - self._own[0] - len(self.custody) - self.reserved, 0), 0xFFFE)
 
-    def room_for(self, size: int, *, own: bool) -> bool:
-        """Whether a datum of `size` bytes of payload fits into custody. `own`: a measurement of this node."""
-        if self._capacity_bytes is not None:
-            limit = self._capacity_bytes if own else self._capacity_bytes - self._own[1]
+    def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
+        """Whether so many data, `size` bytes of payload in all, fit into custody. `own`: a measurement of this node."""
+        if self._settings.capacity_bytes is not None:
+            limit = self._settings.capacity_bytes if own else self._settings.capacity_bytes - self._own[1]
             if self.custody_bytes + size > limit:
                 return False
         if self.capacity_items is None:
             return True
         limit = self.capacity_items if own else self.capacity_items - self._own[0]
-        return len(self.custody) + self.reserved < limit
+        return len(self.custody) + self.reserved + items <= limit
 
     def is_fair(self, giver: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
         space for others' data is nearly used up, what is left is for those that have less than an equal share."""
         used = (len(self.custody) + self.reserved, self.custody_bytes + size)
-        for which, capacity in enumerate((self.capacity_items, self._capacity_bytes)):
+        for which, capacity in enumerate((self.capacity_items, self._settings.capacity_bytes)):
             if capacity is not None:
                 places = capacity - self._own[which]
                 if is_last_part(used[which], places) and not self.portions.is_fair(giver, origin, which, places):
@@ -254,7 +330,7 @@ class Holdings:
 
     def room_to_grow(self, growth: int) -> bool:
         """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
-        return self._capacity_bytes is None or self.custody_bytes + growth <= self._capacity_bytes
+        return self._settings.capacity_bytes is None or self.custody_bytes + growth <= self._settings.capacity_bytes
 
     def crowded(self, size: int, others: int = 0) -> bool:
         """Whether a datum does not fit beside all copies here, spares included, and `others`, which are kept elsewhere.
@@ -263,7 +339,10 @@ class Holdings:
         """
         if self.capacity_items is not None and len(self._all) + others + self.reserved >= self.capacity_items:
             return True
-        if self._capacity_bytes is not None and self.custody_bytes + self.spare_bytes + size > self._capacity_bytes:
+        if (
+            self._settings.capacity_bytes is not None
+            and self.custody_bytes + self.spare_bytes + size > self._settings.capacity_bytes
+        ):
             return True
         return not self._store.room_for(size)
 
@@ -273,8 +352,8 @@ class Holdings:
         used = 0.0
         if self.capacity_items is not None:
             used = (len(self._all) + others) / max(self.capacity_items, 1)
-        if self._capacity_bytes is not None:
-            used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(self._capacity_bytes, 1))
+        if self._settings.capacity_bytes is not None:
+            used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(self._settings.capacity_bytes, 1))
         return max(0.0, 1.0 - used)
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
@@ -348,6 +427,7 @@ class Holdings:
                 del self.bare[holding.id]
         else:
             partner.spares[holding.id] = holding
+            partner.large += holding.size > self._settings.inline_bytes
             self.ask(holding, now)
 
     def unpair(self, holding: Holding) -> Partner | None:
@@ -377,12 +457,12 @@ class Holdings:
     def give(self, holding: Holding, pending: Pending) -> None:
         """Begin a hand-over, and cancel one that was under way. A datum that does not fit one frame is sent in
         chunks."""
-        assert pending.sending is not None or holding.size <= self._small_bytes
+        assert pending.sending is not None or holding.size <= self._settings.inline_bytes
         self.cancel(holding)
         holding.pending = pending
         self.pending[pending.number] = holding
         if pending.sending is not None:
-            self.large[pending.neighbour] = holding
+            self.large.setdefault(pending.neighbour, {})[pending.number] = holding
 
     def cancel(self, holding: Holding) -> None:
         """Forget the hand-over of a datum, if any: answers to it will be ignored."""
@@ -390,7 +470,10 @@ class Holdings:
         if pending is not None:
             del self.pending[pending.number]
             if pending.sending is not None:
-                del self.large[pending.neighbour]
+                of_neighbour = self.large[pending.neighbour]
+                del of_neighbour[pending.number]
+                if not of_neighbour:
+                    del self.large[pending.neighbour]
 
     def vouch(self, holding: Holding, asker: int) -> None:
         """A node without a good copy is told that custody is here. A hand-over to that node ends: its answer may be on
@@ -435,6 +518,7 @@ class Holdings:
     def _enter(self, holding: Holding) -> Holding:
         self._all[holding.id] = holding
         self._of(holding.state)[holding.id] = holding
+        self.by_terms.enter(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
             self.portions.add(holding.giver, holding.id.origin, holding.size)
@@ -450,6 +534,7 @@ class Holdings:
         self._part(holding)
         del self._all[holding.id]
         del self._of(holding.state)[holding.id]
+        self.by_terms.leave(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes -= holding.size
             self.portions.remove(holding.giver, holding.id.origin, holding.size)
@@ -470,6 +555,7 @@ class Holdings:
                 del partner.backed[holding.id]
             else:
                 del partner.spares[holding.id]
+                partner.large -= holding.size > self._settings.inline_bytes
                 del self.asked[holding.id]
             self._dismiss(partner)
         return partner
@@ -480,6 +566,6 @@ class Holdings:
 
     def _lay_bare(self, holding: Holding) -> None:
         """In custody without a backer."""
-        if holding.size <= self._small_bytes:
+        if holding.size <= self._settings.inline_bytes and not holding.told.share:
             holding.offer_at = -inf
             self.bare[holding.id] = holding

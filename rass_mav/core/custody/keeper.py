@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable
 from dataclasses import replace
+from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
 from rass_mav.core.custody.handovers import HandoverNumbers
@@ -167,24 +168,26 @@ class Keeper:
         its copy. If some node overstated the age of the copy here, it must not expire sooner than the giver's would
         have."""
         holding = self.holdings.get(id)
-        if self.settings.lifetime_s is None or holding is None or created <= holding.created + _AGES_DIFFER_S:
+        if holding is None or created <= holding.created + _AGES_DIFFER_S:
+            return
+        if self.settings.lifetime_s is None and holding.ends == inf:
             return
         datum = self.store.get(id)
         if datum is not None:
             self.store.put(datum._replace(created=created, at_least=at_least))
             holding.created = created
 
-    def room_for(self, size: int, *, own: bool) -> bool:
-        """Whether another datum of `size` bytes of payload can be stored, if necessary in place of spares.
+    def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
+        """Whether so many more data, `size` bytes of payload in all, can be stored, if necessary in place of spares.
 
         `own`: a measurement of this node.
         """
         holdings = self.holdings
-        return holdings.room_for(size, own=own) and self.store.room_for(size - holdings.spare_bytes)
+        return holdings.room_for(size, own=own, items=items) and self.store.room_for(size - holdings.spare_bytes)
 
-    def may_accept(self, size: int) -> bool:
-        """Whether this node can take custody of a datum of `size` bytes of payload."""
-        return self.store.accepting and self.room_for(size, own=False)
+    def may_accept(self, size: int, items: int = 1) -> bool:
+        """Whether this node can take custody of so many data, `size` bytes of payload in all."""
+        return self.store.accepting and self.room_for(size, own=False, items=items)
 
     def is_fair(self, giver: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits.
@@ -315,10 +318,15 @@ class Keeper:
         for holding in self.holdings.damaged(self.settings.scrub_items):
             self.drop(holding, Fate.CORRUPTED)
 
-    def expire(self, before: float) -> None:
-        """Drop data that were created before a moment, seconds."""
-        for holding in self.holdings.older(before):
-            self.drop(holding, Fate.EXPIRED)
+    def expire(self, now: float) -> None:
+        """Drop data whose lifetime has ended: that of their own terms, or that of the settings."""
+        if self.settings.lifetime_s is not None:
+            for holding in self.holdings.older(now - self.settings.lifetime_s):
+                self.drop(holding, Fate.EXPIRED)
+        for holding in self.holdings.by_terms.ended(now):
+            # After a restart the terms are what the disk says: a corrupt datum has not expired, it is repaired.
+            if self.load(holding) is not None:
+                self.drop(holding, Fate.EXPIRED)
 
 
 class Sink(Keeper):
@@ -342,8 +350,8 @@ class Sink(Keeper):
         # Data that have arrived are in the archive.
         return Holdings(self.store, replace(self.settings, capacity_items=None, capacity_bytes=None), load=False)
 
-    def room_for(self, size: int, *, own: bool) -> bool:
-        """Whether the store takes another datum of `size` bytes of payload."""
+    def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
+        """Whether the store takes more data, `size` bytes of payload in all."""
         return self.store.room_for(size)
 
     def make_room(self, size: int, *, own: bool) -> bool:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from math import inf
 
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.keeper import Keeper
 from rass_mav.core.custody.roundtrips import RoundTrips
-from rass_mav.core.custody.transfers import Transfers
+from rass_mav.core.custody.transfers import MAX_OFFERED, Transfers
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.messages import Data, Handover, Message
+from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Data, Handover, Message
 from rass_mav.core.pace import Pace
 from rass_mav.core.policy import Policy, View
 from rass_mav.core.risk import RiskEstimator
@@ -22,6 +22,9 @@ from rass_mav.core.routes.table import RoutingTable
 MOST_DOUBLINGS = 3
 #: From this risk on a hand-over is sent again as soon as its answer is late: what stays here may be gone in a turn.
 DANGER = 0.05
+#: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
+#: time, and what is on the other side of the neighbour would not be heard.
+MAX_HEAPED = 2
 #: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
 MOVING_TURNS = 4
 
@@ -32,7 +35,9 @@ class Percolation:
 
     __slots__ = (
         "_batches",
+        "_by_age",
         "_id",
+        "_in_danger",
         "_keeper",
         "_pace",
         "_risk",
@@ -58,15 +63,21 @@ class Percolation:
         self._rng = rng
         self._batches: dict[int, list[Handover]] = {}
         """The hand-overs to each neighbour, until they are sent."""
+        self._by_age = False
+        """Whether the next datum is chosen by its age; if not, by its priority."""
         self._trips = RoundTrips()
+        self._in_danger = False
         self.due = inf
         """When the next hand-over is sent again, or before, seconds."""
 
     def evict(self, potential: int, now: float, out: list[Message]) -> None:
         """Send what has to leave. `potential`: the node's own as announced; `out` receives the messages."""
+        self._in_danger = self._risk.risk(now) >= DANGER
         if self._keeper.holdings.pending:
             self._retry(now, out)
         inline = self._keeper.settings.inline_bytes
+        if self._routing.hops == NO_ROUTE:
+            self._scatter(now, out)
         for holding, target in self._keeper.spares.detours():
             if self._pace.left > 0 and (holding.size <= inline or self._transfers.free(target)):
                 self._hand_over(holding, target, now, out)
@@ -75,6 +86,7 @@ class Percolation:
     def forward(self, potential: int, now: float, out: list[Message]) -> None:
         """The same between two turns."""
         pace = self._pace
+        self._in_danger = self._risk.risk(now) >= DANGER
         if self.due <= now:
             self._retry(now, out)
         if pace.left > 0 and self._routing.neighbours:
@@ -102,7 +114,7 @@ class Percolation:
                 return
 
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
-        keeper, transfers, pace, routing = self._keeper, self._transfers, self._pace, self._routing
+        keeper, pace, routing = self._keeper, self._pace, self._routing
         neighbours = routing.neighbours
         # A neighbour that has probably moved away is tried only if no other is fit.
         view = View(
@@ -117,8 +129,49 @@ class Percolation:
         inline = keeper.settings.inline_bytes
         for id, target in plan:
             holding = keeper.holdings.custody[id]
-            if holding.size <= inline or transfers.free(target):
+            if holding.told.share:
+                target = self._apart(holding, target, view)
+            if holding.size <= inline or self._takes_large(target):
                 self._hand_over(holding, target, now, out)
+                self._by_age = not self._by_age
+
+    def _scatter(self, now: float, out: list[Message]) -> None:
+        """Where no base can be reached, the shares created here do not rest on one drone: each goes to the neighbour
+        that its number falls to, or stays. Those who get one keep it."""
+        keeper, pace = self._keeper, self._pace
+        near = sorted(
+            neighbour.id
+            for neighbour in self._routing.neighbours.values()
+            if neighbour.beacon.free and not (neighbour.doubted or neighbour.is_missing(now))
+        )
+        places = [self._id, *near]
+        inline = keeper.settings.inline_bytes
+        for holding in [h for h in keeper.holdings.custody.values() if h.told.share and h.giver is None]:
+            target = places[holding.id.sequence % len(places)]
+            if pace.left <= pace.kept:
+                return
+            if target == self._id or holding.pending is not None:
+                continue
+            if holding.size <= inline or self._transfers.free(target):
+                self._hand_over(holding, target, now, out)
+
+    def _apart(self, holding: Holding, target: int, view: View) -> int:
+        """Where a share goes, instead of to the neighbour that the policy has chosen: of those that make at least half
+        of its progress the one that its number falls to. So one drone that fails has few shares of a file."""
+        best = self._routing.neighbours.get(target)
+        if best is None or best.beacon.flags & BEACON_BASE:
+            return target
+        half = (best.beacon.potential + view.potential) / 2
+        sign = 1 if self.policy.costs is None else -1
+        fit = sorted(
+            neighbour.id
+            for neighbour in view.neighbours
+            if neighbour.beacon.policy == best.beacon.policy
+            and neighbour.beacon.free
+            and not neighbour.beacon.flags & BEACON_BASE
+            and sign * neighbour.beacon.potential >= sign * half
+        )
+        return fit[holding.id.sequence % len(fit)] if target in fit else target
 
     def _hand_over(self, holding: Holding, target: int, now: float, out: list[Message]) -> None:
         """Hand a datum over to a neighbour; a large one only to a neighbour that is free for a transfer."""
@@ -146,26 +199,49 @@ class Percolation:
     def _for_neighbour(self, neighbour: int) -> Iterator[DatumId]:
         """Held data that can be handed over to a neighbour now, least recently used first.
 
-        Large data wait while a transfer to the neighbour is under way. Small data behind them do not wait. While the
-        air is full, data that have probably arrived wait too: other copies of them have.
+        Where they differ in priority, every other one is the most urgent instead. So a datum waits for at most twice as
+        many others as without priorities, whatever these claim. A neighbour that is doubted is given the oldest.
+
+        Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. While
+        the air is full, data that have probably arrived wait too: other copies of them have.
         """
-        holdings = self._keeper.holdings
-        free: Iterator[Holding] = (holding for holding in holdings.custody.values() if holding.pending is None)
-        allowance = self._keeper.takers.allowance(neighbour)
+        keeper, pace, holdings = self._keeper, self._pace, self._keeper.holdings
+        allowance = keeper.takers.allowance(neighbour)
+        large = MAX_OFFERED if self._takes_large(neighbour) else 0
+        most = None
         if allowance is not None:
             under_way = sum(
                 h.pending is not None and h.pending.neighbour == neighbour for h in holdings.pending.values()
             )
-            free = islice(free, max(0, allowance - under_way))
-        elif not self._transfers.free(neighbour):
-            inline = self._keeper.settings.inline_bytes
-            free = (holding for holding in free if holding.size <= inline)
-        elif not holdings.pending and not self._pace.full:
-            return iter(holdings.custody)
-        if self._pace.full:
-            arrived = self._keeper.arrived
-            free = (holding for holding in free if not holding.matched and holding.id not in arrived)
-        return (holding.id for holding in free)
+            most = max(0, allowance - under_way)
+
+        def free(custody: Iterable[Holding]) -> Iterator[Holding]:
+            found: Iterator[Holding] = (holding for holding in custody if holding.pending is None)
+            found = self._few_large(found, large) if allowance is None else islice(found, most)
+            if pace.full:
+                found = (holding for holding in found if not holding.matched and holding.id not in keeper.arrived)
+            return found
+
+        chosen = free(holdings.custody.values())
+        if allowance is None and holdings.by_terms.differ:
+            chosen = self._few_large(_by_turns(free(holdings.by_terms.urgent()), chosen, self._by_age), large)
+        return (holding.id for holding in chosen)
+
+    def _few_large(self, holdings: Iterator[Holding], large: int) -> Iterator[Holding]:
+        """The same with so many large data at most: more cannot begin, and small ones behind them do not wait."""
+        inline = self._keeper.settings.inline_bytes
+        for holding in holdings:
+            if holding.size > inline:
+                large -= 1
+                if large < 0:
+                    continue
+            yield holding
+
+    def _takes_large(self, neighbour: int) -> bool:
+        """Whether a large datum can be handed over to a neighbour now. In danger it need not have passed others on."""
+        partner = self._keeper.holdings.partners.get(neighbour)
+        heaped = partner is not None and partner.large >= MAX_HEAPED
+        return self._transfers.free(neighbour) and (self._in_danger or not heaped)
 
     def _retry(self, now: float, out: list[Message]) -> None:
         """Repeat unanswered hand-overs; give up on neighbours that are gone or stay silent."""
@@ -179,7 +255,7 @@ class Percolation:
                 keeper.holdings.cancel(holding)
             elif pending.due <= now and pace.left > 0:
                 self._send_again(holding, pending, now, out)
-            elif pending.due < now + pace.turn_s and self._risk.risk(now) >= DANGER:
+            elif pending.due < now + pace.turn_s and self._in_danger:
                 self.due = min(self.due, pending.due)
 
     def _is_hopeless(self, pending: Pending, now: float) -> bool:
@@ -196,7 +272,7 @@ class Percolation:
         may wait for the same air."""
         settings, turn_s, again = self._keeper.settings, self._pace.turn_s, pending.tries - 1
         if not settings.measured or pending.sending is not None:
-            # A transfer stands still until it is probed.
+            # Where this is a transfer, its turns without progress are counted.
             pending.due = now + (settings.retry_steps - 0.5) * turn_s
             return
         trips = self._trips
@@ -244,7 +320,7 @@ class Percolation:
 
     def _send_again(self, holding: Holding, pending: Pending, now: float, out: list[Message]) -> None:
         if pending.sending is not None:
-            self._transfers.probe(pending, pending.sending, now, out)
+            self._transfers.check(pending, pending.sending, now, out)
             self._wait(pending, now)
             return
         datum = self._keeper.load(holding)
@@ -255,3 +331,15 @@ class Percolation:
             pending.sent = now
             self._wait(pending, now)
             self._send(pending.neighbour, pending.number, datum, again=True)
+
+
+def _by_turns(urgent: Iterator[Holding], oldest: Iterator[Holding], by_age: bool) -> Iterator[Holding]:
+    """The same data in two orders, as one: the next of each in turn. `by_age`: begin with the oldest."""
+    seen: set[DatumId] = set()
+    while True:
+        holding = next((holding for holding in (oldest if by_age else urgent) if holding.id not in seen), None)
+        if holding is None:
+            return
+        seen.add(holding.id)
+        yield holding
+        by_age = not by_age

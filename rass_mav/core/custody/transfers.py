@@ -1,29 +1,77 @@
-"""The chunked transfers of one node, out and in: at most one for each neighbour and direction, and bounded in all."""
+"""The chunked transfers of one node, out and in: a few for each neighbour and direction, and bounded in all."""
 
 from __future__ import annotations
 
 import random
+from collections import deque
+from collections.abc import Iterable, Iterator
+from math import inf
 
+from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, times
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.keeper import Keeper
-from rass_mav.core.custody.transfer import Receiving, Sending
+from rass_mav.core.custody.receiving import Receiving
+from rass_mav.core.custody.sending import Sending
 from rass_mav.core.datum import MAX_PAYLOAD, Datum
-from rass_mav.core.messages import Accept, Chunk, Committed, Message, Offer, Sack
+from rass_mav.core.messages import (
+    MAX_OTHERS,
+    OTHER_BITS,
+    REPORT_BITS,
+    Accept,
+    Chunk,
+    Committed,
+    Message,
+    Offer,
+    Report,
+    Sack,
+)
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
 
 #: Transfers at a time, in each direction. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
-#: How many incoming transfers may be data of one origin.
-MAX_OF_ONE_ORIGIN = 4
+#: How many of them may be with one neighbour, and how many incoming ones may be data of one origin.
+MAX_OF_ONE = 4
+#: How many offers to one neighbour may wait for an answer.
+MAX_OFFERED = 2
+#: The next datum is offered when fewer chunks than this many windows are unsent.
+AHEAD = 3
 #: Chunk indexes have 14 bits.
 MAX_CHUNKS = 1 << 14
+#: Where nothing else can be sent, what was missing is sent more than once: one copy for so many chunks, and the most
+#: that are saved up.
+CHUNKS_A_COPY, MOST_SAVED = 32, 64
+#: What is known of a link that was idle for longer does not count any more, seconds.
+IDLE_S = 30.0
+#: Incoming transfers are kept for at least so long, seconds, however short a turn is: chunks may wait behind others in
+#: the giver's queue, and under a new handle it would send them once more.
+LEAST_KEPT_S = 10.0
+#: Questions that are remembered, for each neighbour.
+MAX_QUESTIONS = 8
+
+
+class Stream:
+    """What one neighbour is sent in chunks, over all transfers to it."""
+
+    __slots__ = ("flow", "full", "last_question", "questions")
+
+    def __init__(self, now: float, first_question: int) -> None:
+        self.flow = Flow(now)
+        self.full = False
+        """Whether no transfer could begin when this was looked at last."""
+        self.last_question = first_question
+        """Number of the last question. The first is drawn at random: another node may have the same handle."""
+        self.questions: dict[int, Flight] = {}
+        """The last questions, by number."""
 
 
 class Transfers:
     """Offers, chunks and their acknowledgement for one node."""
 
-    __slots__ = ("_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "lifetime_s")
+    __slots__ = (
+        "_done", "_due", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_streams", "_unreported",
+        "lifetime_s",
+    )  # fmt: skip
 
     def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
         self._id = keeper.settings.node_id
@@ -32,16 +80,39 @@ class Transfers:
         self._pace = pace
         self._rng = rng
         self.lifetime_s = routing.lifetime_s
-        """An incoming transfer silent for longer is given up, and its bytes forgotten."""
+        """Incoming transfers of a giver that is silent for longer are given up, and their bytes forgotten."""
+        self._streams: dict[int, Stream] = {}
+        """By neighbour."""
+        self._due = inf
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
+        self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
+        """Handles and offers of the last data that came in whole: the giver may ask again."""
+        self._unreported: dict[int, int] = {}
+        """Chunks that came since the last Sack, by giver."""
 
     # -- outgoing ------------------------------------------------------------------------------------------------------
 
+    def _to(self, neighbour: int) -> Iterator[Sending]:
+        """The transfers to a neighbour, the earliest first."""
+        for holding in self._keeper.holdings.large.get(neighbour, {}).values():
+            if holding.pending is not None and holding.pending.sending is not None:
+                yield holding.pending.sending
+
     def free(self, neighbour: int) -> bool:
-        """Whether a transfer to this neighbour can begin."""
+        """Whether a transfer to this neighbour can begin: there is a place, and the ones before it are nearly sent."""
         large = self._keeper.holdings.large
-        return neighbour not in large and len(large) < MAX_TRANSFERS
+        if sum(map(len, large.values())) >= MAX_TRANSFERS:
+            return False
+        sendings = list(self._to(neighbour))
+        if not sendings:
+            return True
+        offered = sum(sending.handle is None for sending in sendings)
+        if len(sendings) >= MAX_OF_ONE or offered >= MAX_OFFERED:
+            return False
+        unsent = sum(sending.unsent for sending in sendings if sending.handle is not None)
+        flow = self._streams[neighbour].flow
+        return unsent < AHEAD * flow.window()
 
     def begin(self, holding: Holding, datum: Datum, neighbour: int, now: float, out: list[Message]) -> None:
         """Offer a datum to a neighbour that is `free`."""
@@ -51,70 +122,269 @@ class Transfers:
         pending = Pending(number, neighbour, now, sending)
         pending.due = now + (keeper.settings.retry_steps - 0.5) * self._pace.turn_s
         keeper.holdings.give(holding, pending)
-        out.append(sending.offer(self._id))
+        stream = self._streams.get(neighbour)
+        if stream is None or now - stream.flow.active > IDLE_S:
+            stream = self._streams[neighbour] = Stream(now, self._rng.getrandbits(14))
+        self._offer(sending, stream.flow, now, out)
 
-    def probe(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
-        """Repeat the offer of a chunked datum if its transfer has made no progress since the last time."""
+    def _offer(self, sending: Sending, flow: Flow, now: float, out: list[Message]) -> None:
+        # One that gets lost may leave the link idle, and is small.
+        out += [sending.offer(self._id, now)] * (2 if flow.loss > RESIDUE else 1)
+        self._wake(now + flow.wait_s(self._pace.turn_s, sending.tries))
+
+    def check(self, pending: Pending, sending: Sending, now: float, out: list[Message]) -> None:
+        """Count the turns in which a transfer made no progress."""
         pending.sent = now
-        if sending.moved:
-            pending.tries = 1
-            sending.moved = False
-        else:
-            pending.tries += 1
-            out.append(sending.offer(self._id))
-
-    def _to(self, neighbour: int) -> Sending | None:
-        holding = self._keeper.holdings.large.get(neighbour)
-        return None if holding is None or holding.pending is None else holding.pending.sending
+        waits = bool(sending.unsent or sending.missing)
+        idle = sending.handle is not None and not sending.flying and sending.omitted is None and waits
+        # One that waits for those before it cannot move: that says nothing of the neighbour.
+        behind = idle and any(other.flying for other in self._to(sending.neighbour))
+        if not behind:
+            pending.tries = 1 if sending.moved else pending.tries + 1
+        sending.moved = False
+        if idle and not behind:
+            # Those before it were given up.
+            out += self._fill(sending.neighbour, self._streams[sending.neighbour], now)
 
     def on_accept(self, accept: Accept, now: float) -> list[Message]:
-        """The neighbour opened a transfer (again): send, starting where it asks."""
-        sending = self._to(accept.sender)
-        if sending is None or sending.number != accept.number:
+        """The neighbour opened a transfer, or says of one that is open what it has."""
+        holding = self._keeper.holdings.large.get(accept.sender, {}).get(accept.number)
+        sending = None if holding is None or holding.pending is None else holding.pending.sending
+        if sending is None:
             return []
-        return self._sent(sending.on_accept(accept))
+        stream = self._streams[accept.sender]
+        flow, report = stream.flow, Report(accept.handle, accept.next_index, accept.bitmap).chunks
+        wait_s = flow.wait_s(self._pace.turn_s, 0)
+        if accept.handle != sending.handle:
+            # A node that names it again and again would be sent it again and again.
+            if sending.handle is not None and now - sending.named < wait_s:
+                return []
+            first = not sending.tries and sending.handle is None
+            if not sending.open(accept.handle, report, now):
+                return []
+            if first:
+                flow.measure_answer(now - sending.offered)
+        elif not sending.believes(report):
+            return []
+        elif sending.complete and sending.tries:
+            sending.contradict(report)
+        else:
+            self._landed(stream, sending.take(report, flow), now, asked=True)
+        sending.tries = 0
+        return self._fill(accept.sender, stream, now)
 
     def on_sack(self, sack: Sack, now: float) -> list[Message]:
         """The neighbour reports the chunks it has."""
-        sending = self._to(sack.sender)
-        if sending is None or sending.handle != sack.handle:
+        stream = self._streams.get(sack.sender)
+        if stream is None:
             return []
-        return self._sent(sending.on_sack(sack))
+        by_handle = {sending.handle: sending for sending in self._to(sack.sender)}
+        reports: list[tuple[Sending, Report, int]] = []
+        for number, report in enumerate((Report(*sack[2:5]), *sack.others)):
+            sending = by_handle.pop(report.handle, None)
+            if sending is not None and sending.handle is not None and sending.believes(report.chunks):
+                covered = report.next_index + 1 + (OTHER_BITS if number else REPORT_BITS)
+                reports.append((sending, report, covered))
+        if not reports:
+            return []
+        flow = stream.flow
+        landed = [flight for sending, report, _ in reports for flight in sending.take(report.chunks, flow)]
+        asked = stream.questions.pop(sack.question, None)
+        self._landed(stream, landed, now, asked=asked is not None)
+        before = flow.lost_before()
+        if asked is not None:
+            # It was sent after all others, so nothing has overtaken them.
+            before = max(before, asked.serial)
+            flow.measure_answer(now - asked.at)
+            flow.report(now)
+        for sending, _, covered in reports:
+            sending.miss(before, covered, flow)
+        for sending in by_handle.values():
+            sending.omit(before, now)
+        return self._fill(sack.sender, stream, now)
 
-    def _sent(self, chunks: list[Chunk]) -> list[Message]:
-        self._pace.sent += len(chunks)
+    def taken(self, sending: Sending, now: float) -> list[Message]:
+        """The neighbour has the whole datum on disk."""
+        stream = self._streams[sending.neighbour]
+        for _ in sending.flying:
+            stream.flow.arrived()
+        stream.flow.report(now)
+        # The next one may begin.
+        stream.full = True
+        return self._fill(sending.neighbour, stream, now)
+
+    def _landed(self, stream: Stream, landed: Iterable[tuple[int, Flight]], now: float, *, asked: bool) -> None:
+        """Chunks that were on their way are reported. `asked`: in the answer to an offer or a question."""
+        flow = stream.flow
+        newest: Flight | None = None
+        for _, flight in landed:
+            flow.arrived()
+            if not flow.is_new(flight, now):
+                flow.overtaken()
+            elif newest is None or flight.serial > newest.serial:
+                newest = flight
+            flow.report(now)
+        if newest is not None:
+            flow.newest = max(flow.newest, newest.serial)
+            flow.measure(newest, now, asked=asked)
+
+    def _fill(self, neighbour: int, stream: Stream, now: float) -> list[Message]:
+        """Send as many chunks as the window allows; those that are missing first, then by age of the transfer."""
+        flow = stream.flow
+        every = list(self._to(neighbour))
+        sendings = [sending for sending in every if sending.handle is not None]
+        room = flow.window() - sum(len(sending.flying) for sending in sendings if sending.omitted is None)
+        chunks: list[Chunk] = []
+        again = []
+        ended = True
+        for fresh in (False, True):
+            for sending in sendings:
+                for position in sending.due(fresh=fresh):
+                    if room <= 0:
+                        ended = False
+                        break
+                    room -= 1
+                    if not fresh:
+                        again.append((sending, position))
+                    chunks.append(sending.chunk(position, flow, now))
+        flow.copies = min(MOST_SAVED, flow.copies + len(chunks) / CHUNKS_A_COPY)
+        flow.unpolled += len(chunks)
+        if chunks and (ended or flow.unpolled >= SACK_EVERY // 2):
+            chunks[-1] = chunks[-1]._replace(poll=True)
+            flow.unpolled = 0
+        if chunks and ended and len(sendings) == len(every) and flow.window() - room <= flow.fits:
+            chunks += self._copies(flow, again)
+        if chunks and ended and flow.loss > RESIDUE:
+            # Without a report nothing else would be sent.
+            asked = next(sending for sending in sendings if sending.flying)
+            chunks += [self._question(stream, asked, now) for _ in range(flow.asks)]
+        self._pace.sent += sum(bool(chunk.data) for chunk in chunks)
+        if not any(sending.flying and sending.omitted is None for sending in every):
+            # Offers that wait for their answers wait less long now.
+            self._wake(now)
+        elif chunks:
+            self._wake(now + flow.wait_s(self._pace.turn_s, flow.tries))
+        full = not self.free(neighbour)
+        if stream.full and not full:
+            self._keeper.stirred = True
+        stream.full = full
         return list(chunks)
+
+    def _copies(self, flow: Flow, again: list[tuple[Sending, int]]) -> list[Chunk]:
+        """Nothing else waits: what was missing is sent so often that it should not be missing once more."""
+        more = min(times(flow.loss) - 1, int(flow.copies / max(1, len(again))))
+        flow.copies -= more * len(again)
+        return [sending.content(position) for _ in range(more) for sending, position in again]
+
+    def _question(self, stream: Stream, sending: Sending, now: float) -> Chunk:
+        stream.last_question = stream.last_question % (MAX_CHUNKS - 1) + 1
+        stream.questions[stream.last_question] = stream.flow.send(now)
+        while len(stream.questions) > MAX_QUESTIONS:
+            del stream.questions[next(iter(stream.questions))]
+        return sending.question(stream.last_question)
+
+    # -- waiting -------------------------------------------------------------------------------------------------------
+
+    @property
+    def due(self) -> float:
+        """When to call `tend`, seconds, or sooner; infinity: nothing is waited for."""
+        return self._due
+
+    def _wake(self, at: float) -> None:
+        self._due = min(self._due, at)
+
+    def tend(self, now: float) -> list[Message]:
+        """Ask for reports that are late, and repeat offers that are not answered."""
+        if now < self._due:
+            return []
+        out: list[Message] = []
+        self._due = inf
+        turn_s = self._pace.turn_s
+        for neighbour in self._keeper.holdings.large:
+            stream = self._streams[neighbour]
+            flow = stream.flow
+            flying = [sending for sending in self._to(neighbour) if sending.flying and sending.omitted is None]
+            if flying:
+                at = flow.quiet + flow.wait_s(turn_s, flow.tries)
+                if at <= now:
+                    flow.tries += 1
+                    if flow.tries % 2:
+                        out.append(self._question(stream, flying[0], now))
+                    else:
+                        # The neighbour may have started anew, and know nothing of its handles.
+                        flow.quiet = now
+                        out += [sending.offer(self._id, now) for sending in flying]
+                    at = now + flow.wait_s(turn_s, flow.tries)
+                self._wake(at)
+            for sending in self._to(neighbour):
+                if (since := sending.waits) is not None:
+                    at = since + flow.wait_s(turn_s, sending.tries, idle=not flying)
+                    if at <= now:
+                        sending.tries += 1
+                        self._offer(sending, flow, now, out)
+                    else:
+                        self._wake(at)
+        return out
 
     # -- incoming ------------------------------------------------------------------------------------------------------
 
     def age(self, now: float) -> None:
-        """Give up silent incoming transfers."""
+        """Give up the incoming transfers of silent givers, and forget links that are long idle."""
         if self._receiving:
-            for handle in [h for h, t in self._receiving.items() if now - t.heard > self.lifetime_s]:
-                del self._receiving[handle]
+            heard: dict[int, float] = {}
+            for transfer in self._receiving.values():
+                giver = transfer.offer.sender
+                heard[giver] = max(heard.get(giver, -inf), transfer.heard)
+            for transfer in list(self._receiving.values()):
+                if now - heard[transfer.offer.sender] > max(self.lifetime_s, LEAST_KEPT_S):
+                    self._end(transfer)
+        if self._streams:
+            large = self._keeper.holdings.large
+            for neighbour, stream in list(self._streams.items()):
+                if neighbour not in large and now - stream.flow.active > IDLE_S:
+                    del self._streams[neighbour]
+
+    def _from(self, giver: int) -> list[Receiving]:
+        return [transfer for transfer in self._receiving.values() if transfer.offer.sender == giver]
+
+    def _end(self, transfer: Receiving) -> None:
+        """A transfer is over, or given up."""
+        del self._receiving[transfer.handle]
+        if not self._from(transfer.offer.sender):
+            self._unreported.pop(transfer.offer.sender, None)
 
     def on_offer(self, offer: Offer, now: float) -> list[Message]:
         """A neighbour offers a large datum: it is here already, there is no space, or it may come."""
-        keeper = self._keeper
-        if keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
-            keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
-            return [self._committed(offer, keeper.confirmed(offer.sender, offer.number, offer.id, offer.crc))]
-        running = next((t for t in self._receiving.values() if t.offer.sender == offer.sender), None)
-        if running is not None:
+        if (here := self._here(offer)) is not None:
+            return [here]
+        of_giver = self._from(offer.sender)
+        for running in of_giver:
             same = running.offer
             if (same.id, same.crc, same.size, same.chunk_size) == (offer.id, offer.crc, offer.size, offer.chunk_size):
                 running.offer = offer
                 running.heard = now
                 return [running.accept(self._id)]
-            del self._receiving[running.handle]
+            if same.id == offer.id:
+                self._end(running)
+        if len(of_giver) >= MAX_OF_ONE:
+            # A giver has no more at a time, so it has given up one of them.
+            self._end(min(of_giver, key=lambda transfer: transfer.heard))
         if not self._acceptable(offer) or not self._has_place(offer, now):
-            keeper.refused += 1
+            self._keeper.refused += 1
             return [self._refused(offer)]
         handle = self._rng.getrandbits(16)
-        while handle in self._receiving:
+        while handle in self._receiving or any(handle == done for done, _ in self._done):
             handle = self._rng.getrandbits(16)
         transfer = self._receiving[handle] = Receiving(offer, handle, now)
         return [transfer.accept(self._id)]
+
+    def _here(self, offer: Offer) -> Committed | None:
+        """The answer to an offer of what is here already; None: it is not."""
+        keeper = self._keeper
+        if not keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
+            return None
+        keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
+        return self._committed(offer, keeper.confirmed(offer.sender, offer.number, offer.id, offer.crc))
 
     def _acceptable(self, offer: Offer) -> bool:
         return (
@@ -128,37 +398,71 @@ class Transfers:
         )
 
     def _has_place(self, offer: Offer, now: float) -> bool:
-        """Whether one more transfer may come in; idle transfers are dropped for it, the longest idle first."""
+        """Whether one more transfer may come in; those of idle givers are dropped for it, the longest idle first."""
         receiving, may_accept = self._receiving, self._keeper.may_accept
-        idle = sorted((t for t in receiving.values() if now - t.moved > self._pace.turn_s), key=lambda t: t.moved)
+        moved: dict[int, float] = {}
+        for t in receiving.values():
+            moved[t.offer.sender] = max(moved.get(t.offer.sender, -inf), t.moved)
+        idle = sorted(
+            (t for t in receiving.values() if now - moved[t.offer.sender] > self._pace.turn_s), key=lambda t: t.moved
+        )
         staying = [t for t in receiving.values() if t not in idle]
         for leaving in range(len(idle) + 1):
             others = [*staying, *idle[leaving:]]
             akin = sum(t.id.origin == offer.id.origin for t in others)
-            if len(others) >= MAX_TRANSFERS or akin >= MAX_OF_ONE_ORIGIN:
+            if len(others) >= MAX_TRANSFERS or akin >= MAX_OF_ONE:
                 continue
-            if may_accept(offer.size + sum(t.offer.size for t in others)):
+            if may_accept(offer.size + sum(t.offer.size for t in others), 1 + len(others)):
                 for transfer in idle[:leaving]:
-                    del receiving[transfer.handle]
+                    self._end(transfer)
                 return True
         return False
 
     def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
-        """A piece of a datum; if the handle is not ours, it belongs to another node's transfer."""
+        """A piece of a datum, or a question; if the handle is not ours, it belongs to another node's transfer."""
         transfer = self._receiving.get(chunk.handle)
         if transfer is None:
-            return []
-        acknowledge = transfer.on_chunk(chunk, now)
-        if not transfer.complete:
-            return [transfer.sack(self._id)] if acknowledge else []
-        del self._receiving[chunk.handle]
-        datum, offer = transfer.datum(), transfer.offer
+            return self._after_the_end(chunk) if chunk.poll else []
+        giver, unreported = transfer.offer.sender, self._unreported
+        if transfer.take(chunk, now):
+            unreported[giver] = unreported.get(giver, 0) + 1
+        if transfer.complete:
+            return self._complete(transfer)
+        # While nothing is missing there is less to say.
+        if chunk.poll or unreported.get(giver, 0) >= (SACK_EVERY if transfer.has_gaps else 2 * SACK_EVERY):
+            return [self._sack(transfer, 0 if chunk.data else chunk.position)]
+        return []
+
+    def _complete(self, transfer: Receiving) -> list[Message]:
+        offer, datum = transfer.offer, transfer.datum()
+        self._end(transfer)
         if datum is None:
-            # Chunks of another transfer with the same handle got mixed in: the giver's next probe starts it again.
+            # Chunks of another transfer with the same handle got mixed in: the giver's next offer starts it again.
             self._keeper.corrupt_received += 1
             return []
-        taken = self._keeper.take_custody(offer.sender, offer.number, datum)
-        return [self._committed(offer, self._keeper.numbers.prints.of(datum)) if taken else self._refused(offer)]
+        if not self._keeper.take_custody(offer.sender, offer.number, datum):
+            return [self._refused(offer)]
+        self._done.append((transfer.handle, offer))
+        return [self._committed(offer, self._keeper.numbers.prints.of(datum))]
+
+    def _after_the_end(self, chunk: Chunk) -> list[Message]:
+        """The giver wants a report of a transfer that is over: it has not heard the answer."""
+        giver = next((offer.sender for handle, offer in self._done if handle == chunk.handle), None)
+        if giver is None:
+            return []
+        here = [told for _, offer in self._done if offer.sender == giver and (told := self._here(offer)) is not None]
+        pairs = tuple([pair for told in here[-MAX_OF_ONE:] for pair in told.committed])
+        question = 0 if chunk.data else chunk.position
+        sacks = [self._sack(transfer, question) for transfer in self._from(giver)[:1]]
+        return [*([Committed(self._id, giver, pairs, ())] if pairs else []), *sacks]
+
+    def _sack(self, transfer: Receiving, question: int) -> Sack:
+        """What has arrived in this transfer, and in others of the same giver."""
+        giver = transfer.offer.sender
+        self._unreported[giver] = 0
+        further = [t.report(OTHER_BITS) for t in self._from(giver) if t is not transfer]
+        report = transfer.report(REPORT_BITS)
+        return Sack(self._id, giver, *report, question, tuple(further[:MAX_OTHERS]))
 
     def _committed(self, offer: Offer, fingerprint: int) -> Committed:
         return Committed(self._id, offer.sender, ((offer.number, fingerprint),), ())

@@ -116,7 +116,7 @@ class Mirrors(NoSpares):
         self._repairs.end(holding.id)
         self._overheard.forget(holding.id)
         self._passed.pop(holding.id, None)
-        if giver is not None:
+        if giver is not None and not holding.told.share:
             self._back(holding, giver)
             self._offers.came(holding)
 
@@ -147,12 +147,12 @@ class Mirrors(NoSpares):
     def gave(self, holding: Holding, to: int) -> bool:
         """A neighbour has taken custody: the copy here becomes its spare. Returns whether the copy stays. A base counts
         on no spare. But anybody can claim to be a base, so where spares are kept until a receipt this copy stays
-        too."""
+        too. Of a share no other copy stays."""
         keeper, id = self._keeper, holding.id
         holdings = keeper.holdings
         neighbour = self._routing.neighbours.get(to)
         to_base = neighbour is not None and neighbour.beacon.flags & BEACON_BASE
-        stays = id not in keeper.arrived and (not to_base or self._until_receipt)
+        stays = id not in keeper.arrived and (self._until_receipt if to_base else not holding.told.share)
         stays = stays and len(holdings) - len(holdings.custody) < MAX_SPARES
         if stays:
             # The datum goes back to the node that the backer keeps away from: nothing changes for the backer.
@@ -180,7 +180,9 @@ class Mirrors(NoSpares):
         self._offers.settle(holding.id)
         backer = self._keeper.holdings.unpair(holding)
         if backer is not None and backer.id != to:
-            self._speech.passed_on(backer.id, holding.id)
+            # Large data wait at the backer for that.
+            large = holding.size > self._keeper.settings.inline_bytes
+            self._speech.passed_on(backer.id, holding.id, soon=large)
 
     def repair(self, holding: Holding) -> bool:
         """The copy in custody is corrupt. Returns whether others are asked for the datum; if not, it is lost here."""
@@ -426,7 +428,10 @@ class Mirrors(NoSpares):
                 # Another custodian, which has handed its copy on.
                 if self._rests:
                     self._unbacked(holding)
-            elif holding.matched:
+                continue
+            # The next large one may follow.
+            keeper.stirred |= holding.size > keeper.settings.inline_bytes
+            if holding.matched:
                 keeper.drop(holding, Fate.DELIVERED)
             elif keeper.settings.mirror_until_receipt:
                 self._retire(holding)

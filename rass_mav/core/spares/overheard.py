@@ -38,7 +38,9 @@ KEPT_TURNS = 240
 class Overheard:
     """The overheard data of one node."""
 
-    __slots__ = ("_keeper", "_neighbours", "_of_one", "_origins", "_rng", "_senders", "_sources", "bytes", "data")
+    __slots__ = (
+        "_ends", "_keeper", "_neighbours", "_of_one", "_origins", "_rng", "_senders", "_sources", "bytes", "data",
+    )  # fmt: skip
 
     def __init__(self, keeper: Keeper, routing: RoutingTable, rng: random.Random) -> None:
         self._keeper = keeper
@@ -50,6 +52,8 @@ class Overheard:
         """Their payloads together."""
         self._sources: dict[DatumId, tuple[int, float]] = {}
         """Who sent each, and when, seconds."""
+        self._ends: dict[DatumId, float] = {}
+        """When those expire that do so by their own terms, seconds."""
         self._senders: Counter[int] = Counter()
         self._origins: Counter[int] = Counter()
         most = min(keeper.settings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
@@ -73,6 +77,8 @@ class Overheard:
                 data[id] = datum
                 self.bytes += len(datum.payload)
                 self._sources[id] = sender, now
+                if (ttl_s := datum.terms.ttl_s) is not None:
+                    self._ends[id] = datum.created + ttl_s
                 self._senders[sender] += 1
                 self._origins[id.origin] += 1
 
@@ -93,6 +99,7 @@ class Overheard:
         if datum is None:
             return
         self.bytes -= len(datum.payload)
+        self._ends.pop(id, None)
         sender, _ = self._sources.pop(id)
         for counts, name in ((self._senders, sender), (self._origins, id.origin)):
             counts[name] -= 1
@@ -118,6 +125,8 @@ class Overheard:
         if lifetime_s is not None:
             for id in [id for id, datum in self.data.items() if datum.created < now - lifetime_s]:
                 self.forget(id)
+        for id in [id for id, end in self._ends.items() if end < now]:
+            self.forget(id)
 
     def good(self, id: DatumId) -> Datum | None:
         """An overheard datum of which custody can be taken; None: there is none, or no space for it."""

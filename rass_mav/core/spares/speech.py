@@ -29,9 +29,10 @@ class Speech:
         """Send it with the next `flush`; to BROADCAST: to all neighbours."""
         self._words.setdefault(target, {})[id] = word
 
-    def passed_on(self, target: int, id: DatumId) -> None:
-        """Tell a neighbour that a datum has been passed on, or has arrived. It waits for the next step."""
+    def passed_on(self, target: int, id: DatumId, *, soon: bool = False) -> None:
+        """Tell a neighbour that a datum has been passed on, or has arrived: with the next step, or `soon`."""
         self._passed_on[id, target] = None
+        self._tells |= soon
 
     def counts_on(self, target: int, id: DatumId) -> None:
         """This node counts on the neighbour's copy again: what it was going to tell it is no longer true."""

@@ -5,16 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from pkgutil import iter_modules, resolve_name
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from rass_mav.mission.entry import Entry
-
-
-class Source(Protocol):
-    """Where the data come from."""
-
-    def payload(self, name: str) -> bytes:
-        """All contents of a datum. Raises `StoreError`: there is none, or it is corrupt or sealed."""
+from rass_mav.mission.entry import Data, Entry
 
 
 class Exported(NamedTuple):
@@ -34,7 +27,7 @@ class Format(NamedTuple):
     """Usual ending of a file, with the dot; empty: it writes several files into a folder."""
     holds: str
     """What it can hold, for people."""
-    write: Callable[[Iterable[Entry], Path, Source], Exported]
+    write: Callable[[Iterable[Entry], Path, Data], Exported]
     """Write the data to a file, or into a folder, that does not exist yet. In memory that does not grow with the number
     of data. `OSError`, `RassError`."""
 

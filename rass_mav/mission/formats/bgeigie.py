@@ -19,11 +19,11 @@ from itertools import groupby
 from operator import itemgetter, xor
 from pathlib import Path
 
-from rass_mav.mission.entry import Entry, iso
+from rass_mav.mission.entry import Data, Entry, iso
 from rass_mav.sensor.dose import TUBES
 from rass_mav.store.errors import explained
 
-from . import Exported, Format, Source
+from . import Exported, Format
 from .geojson import point_of
 
 #: Counts per minute in one of each unit.
@@ -35,7 +35,7 @@ _MOST_DEVICE, _MOST_CPM, _MOST_M, _LAST_S = 999_999_999, 999_999_999, 999_999.0,
 _HEAD = "# NEW LOG\r\n# format=1.3.5nano\r\n# deadtime=on\r\n"
 
 
-def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """Log files into the folder `out`, in order of time.
 
     Data come in order of arrival, so their lines wait in a temporary database on disk, which SQLite sorts there. One

@@ -6,9 +6,9 @@ import csv
 from collections.abc import Iterable
 from pathlib import Path
 
-from rass_mav.mission.entry import Entry, iso
+from rass_mav.mission.entry import Data, Entry, iso
 
-from . import Exported, Format, Source
+from . import Exported, Format
 
 COLUMNS = (
     "id", "drone", "kind", "created_utc", "time_error_s", "at_least_so_old", "latitude", "longitude", "altitude_m",
@@ -16,7 +16,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """Numbers as JSON writes them, dates as ISO 8601 in UTC, nothing for what is unknown."""
     count = 0
     # With a byte order mark Excel reads names in UTF-8; Python's csv and LibreOffice skip it.
@@ -32,8 +32,9 @@ def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
 def row(entry: Entry) -> list[object]:
     """The values of `COLUMNS`; None: unknown."""
     m = entry.measurement
-    unknown = (None,) * 10
-    measured: tuple[object, ...] = unknown if m is None else (
+    file = entry.manifest
+    where = (None,) * 3 if file is None or file.place is None else file.place
+    measured: tuple[object, ...] = (*where, *(None,) * 7) if m is None else (
         m.latitude, m.longitude, m.altitude, m.error_m, *(m.local or (None,) * 3), m.reading, m.unit, m.risk,
     )  # fmt: skip
     return [

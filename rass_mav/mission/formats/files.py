@@ -9,9 +9,10 @@ from pathlib import Path
 from rass_mav.app.payloads import unpack_file
 from rass_mav.core.datum import Kind
 from rass_mav.errors import DatumError, StoreError
-from rass_mav.mission.entry import Entry
+from rass_mav.mission.assembly import File, Groups
+from rass_mav.mission.entry import Data, Entry
 
-from . import Exported, Format, Source, csv
+from . import Exported, Format, csv
 
 #: The longest name of a file, bytes in UTF-8.
 MOST_BYTES = 200
@@ -22,17 +23,19 @@ _RESERVED = frozenset('<>:"/\\|?*')
 _LATEST_S = 4_294_967_295.0
 
 
-def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """Files into the folder `out`, dated as they were created, with `index.csv`, which has a line for each: the columns
-    of CSV, with the name in the folder. Their bytes are read one datum at a time; corrupt ones are left out."""
+    of CSV, with the name in the folder. Their bytes are read one datum at a time; what is corrupt or not whole is left
+    out."""
     out.mkdir()
     seen = 0
+    groups = Groups.of(source)
 
     def written() -> Iterator[Entry]:
         nonlocal seen
         for entry in entries:
             seen += 1
-            name = _write_file(entry, out, source)
+            name = _write_file(entry, out, source, groups)
             if name is not None:
                 yield entry._replace(file=name)
 
@@ -41,24 +44,33 @@ def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
     return Exported(count, seen - count, [out])
 
 
-def _write_file(entry: Entry, out: Path, source: Source) -> str | None:
-    """Write one datum; returns the name of its file, or None if there is nothing to write."""
-    if entry.kind not in (Kind.FILE, Kind.BYTES) or entry.malformed:
+def _write_file(entry: Entry, out: Path, source: Data, groups: Groups) -> str | None:
+    """Write one datum or file; returns the name of its file, or None if there is nothing to write."""
+    if entry.kind not in (Kind.FILE, Kind.BYTES, Kind.MANIFEST) or entry.malformed:
         return None
     try:
-        content = source.payload(entry.name)
+        pieces = _pieces(entry, source, groups)
     except (DatumError, StoreError):
         return None
-    if entry.kind == Kind.FILE:
-        content = unpack_file(content)[1]
     name = safe_name(entry.name, entry.file or "")
     # Not a Path for each: it would keep the name in Python's table of strings for a while.
     path = os.path.join(out, name)
     with open(path, "wb") as file:
-        file.write(content)
-    created = min(max(entry.utc, 0.0), _LATEST_S)
+        file.writelines(pieces)
+    taken = None if entry.manifest is None else entry.manifest.time
+    created = min(max(entry.utc if taken is None else taken, 0.0), _LATEST_S)
     os.utime(path, (created, created))
     return name
+
+
+def _pieces(entry: Entry, source: Data, groups: Groups) -> Iterable[bytes]:
+    """Its contents. Raises `DatumError`, `StoreError`."""
+    if entry.manifest is not None:
+        found = File(groups.parts_of(entry), entry, source.payload)
+        found.check()
+        return found.pieces()
+    content = source.payload(entry.name)
+    return [unpack_file(content)[1] if entry.kind == Kind.FILE else content]
 
 
 def safe_name(id: str, name: str) -> str:

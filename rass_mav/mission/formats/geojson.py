@@ -6,13 +6,13 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from rass_mav.mission.entry import Entry
+from rass_mav.mission.entry import Data, Entry
 
-from . import Exported, Format, Source
+from . import Exported, Format
 from .csv import COLUMNS, row
 
 
-def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """A feature a line. Its properties are the columns of CSV, without those that are unknown.
 
     The third coordinate is the altitude above mean sea level, as everywhere in this program; the RFC means the height
@@ -40,10 +40,10 @@ def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
 
 def point_of(entry: Entry) -> tuple[float, float, float] | None:
     """Longitude and latitude, degrees, and metres above mean sea level; None: no place on Earth."""
-    if entry.measurement is None or entry.place is None:
+    if entry.place is None:
         return None
     latitude, longitude = entry.place
-    return longitude, latitude, entry.measurement.altitude or 0.0
+    return longitude, latitude, entry.altitude or 0.0
 
 
 def known(entry: Entry) -> dict[str, object]:
@@ -51,4 +51,4 @@ def known(entry: Entry) -> dict[str, object]:
     return {name: value for name, value in zip(COLUMNS, row(entry), strict=True) if value is not None}
 
 
-FORMAT = Format(".geojson", "measurements with a position on Earth", write)
+FORMAT = Format(".geojson", "measurements and files with a position on Earth", write)

@@ -11,10 +11,10 @@ from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
-from rass_mav.mission.entry import UNIT_NAMES, Entry
+from rass_mav.mission.entry import UNIT_NAMES, Data, Entry
 from rass_mav.store.errors import explained
 
-from . import Exported, Format, Source
+from . import Exported, Format
 from .csv import COLUMNS
 from .csv import row as columns_of
 from .geojson import point_of
@@ -79,7 +79,7 @@ _GREY = (160, 160, 160)
 _NO_READING = -1.0
 
 
-def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """A layer `measurements` of points with the columns of CSV, a table `data` with those that have no position, and a
     style for QGIS."""
     with explained(Path(out.name), "writing the GeoPackage"), closing(sqlite3.connect(out, isolation_level=None)) as db:

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
-from rass_mav.mission.entry import Entry, iso
+from rass_mav.mission.entry import Data, Entry, iso
 
-from . import Exported, Format, Source
+from . import Exported, Format
 from .geojson import known, point_of
 
 #: From low to high, as red, green and blue: steps of viridis, which also people who are colour-blind can tell apart.
@@ -28,7 +28,7 @@ _STYLE = """<Style id="risk{}"><IconStyle><color>ff{:02x}{:02x}{:02x}</color><sc
 _TAIL = "</Document>\n</kml>\n"
 
 
-def write(entries: Iterable[Entry], out: Path, source: Source) -> Exported:
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     """A placemark a line: its time, the columns of CSV that are known, and a style for each fifth of the risk.
 
     Altitudes are absolute, above mean sea level.
@@ -73,4 +73,4 @@ def text_of(text: str) -> str:
     return escape(_FORBIDDEN.sub("", text), quote=False)
 
 
-FORMAT = Format(".kml", "measurements with a position on Earth", write)
+FORMAT = Format(".kml", "measurements and files with a position on Earth", write)

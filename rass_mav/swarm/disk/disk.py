@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
 from types import TracebackType
+
+from rass_mav.store.disk import BlockFile
 
 from . import library as c
 from .image import Image
@@ -28,6 +31,53 @@ class _File:
         """The path under which it was deleted, until that is durable."""
 
 
+class _Beside(BlockFile):
+    """A file that the program opens itself."""
+
+    def __init__(self, disk: Disk, path: Path, *, writable: bool) -> None:
+        if disk.off:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        if writable and disk.read_only:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        super().__init__(path, writable=writable)
+        self._disk = disk
+        self._file = disk.use(path)
+
+    def read(self, offset: int, size: int) -> bytes:
+        if self._disk.fails():
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return super().read(offset, size)
+
+    def write(self, offset: int, data: bytes) -> None:
+        self._change()
+        if self._disk.full and offset + len(data) > self.size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        super().write(offset, data)
+        self._disk.written += len(data)
+        self._file.image.write(offset, data)
+
+    def truncate(self, size: int) -> None:
+        self._change()
+        self._file.image.truncate(size)
+        super().truncate(size)
+
+    def sync(self) -> None:
+        try:
+            self._change()
+        except OSError:
+            self._file.image.lose(self._disk.rng)
+            raise
+        self._file.image.sync()
+
+    def close(self) -> None:
+        super().close()
+        self._disk.leave(self._file)
+
+    def _change(self) -> None:
+        if self._disk.change_fails():
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
 class Disk:
     """A directory of files whose power can be cut. A context manager; otherwise call `close`.
 
@@ -42,7 +92,11 @@ class Disk:
         """Whether nothing can be changed."""
         self.error_rate = 0.0
         """Probability 0..1 that an operation fails."""
-        self._rng = rng
+        self.written = 0
+        """Bytes written to its files so far."""
+        self.rng = rng
+        """For its own choices."""
+        self._beside = 0
         self._off = False
         self._changes_left: int | None = None
         # By inode number: files in use, and those with changes that are not durable.
@@ -90,12 +144,12 @@ class Disk:
 
         RuntimeError if SQLite still has files open: abandon the store first.
         """
-        if self._opened:
-            raise RuntimeError(f"{len(self._opened)} files of the disk are still open")
+        if self._opened or self._beside:
+            raise RuntimeError(f"{len(self._opened) + self._beside} files of the disk are still open")
         for file in self._files.values():
             image = file.image
-            image.lose(self._rng)
-            if file.deleted and self._rng.random() < 0.5 and not os.path.exists(file.deleted):
+            image.lose(self.rng)
+            if file.deleted and self.rng.random() < 0.5 and not os.path.exists(file.deleted):
                 Path(file.deleted).write_bytes(image.durable)
             if not image.exact:
                 os.truncate(file.descriptor, len(image.durable))
@@ -115,7 +169,7 @@ class Disk:
         with path.open("r+b") as stream:
             seen = bytearray(stream.read())
             for _ in range(count):
-                place, bit = divmod(self._rng.randrange(8 * len(seen)), 8)
+                place, bit = divmod(self.rng.randrange(8 * len(seen)), 8)
                 seen[place] ^= 1 << bit
                 if place < len(durable):
                     durable[place] ^= 1 << bit
@@ -124,8 +178,8 @@ class Disk:
 
     def close(self) -> None:
         """Remove the disk and its files. RuntimeError if SQLite still has some of them open."""
-        if self._opened:
-            raise RuntimeError(f"{len(self._opened)} files of the disk are still open")
+        if self._opened or self._beside:
+            raise RuntimeError(f"{len(self._opened) + self._beside} files of the disk are still open")
         self._sqlite.sqlite3_vfs_unregister(self._ours)
         ctypes.pythonapi.Py_DecRef(ctypes.py_object(self._ours))
         for file in self._files.values():
@@ -140,16 +194,37 @@ class Disk:
     ) -> None:
         self.close()
 
-    # -- what SQLite calls; an exception would not reach anybody -------------------------------------------------------
+    # -- what the program opens itself ---------------------------------------------------------------------------------
 
-    def _fails(self) -> bool:
-        return self._off or (self.error_rate > 0.0 and self._rng.random() < self.error_rate)
+    def open_file(self, path: Path, *, writable: bool) -> BlockFile:
+        """Open a file, or create it if it is to be `writable`. `OSError`, `FileNotFoundError`."""
+        return _Beside(self, path, writable=writable)
 
-    def _change_fails(self) -> bool:
+    def use(self, path: Path) -> _File:
+        """For its files: a file is open."""
+        file = self._file(str(path))
+        file.users += 1
+        self._beside += 1
+        return file
+
+    def leave(self, file: _File) -> None:
+        """For its files: it is closed."""
+        file.users -= 1
+        self._beside -= 1
+        self._forget(lambda file: file.image.settled and not file.deleted)
+
+    def fails(self) -> bool:
+        """For its files: whether an operation fails now."""
+        return self._off or (self.error_rate > 0.0 and self.rng.random() < self.error_rate)
+
+    def change_fails(self) -> bool:
+        """For its files: whether a change fails now; it counts as one."""
         if self._changes_left is not None:
             self._off = self._changes_left == 0
             self._changes_left -= not self._off
-        return self.read_only or self._fails()
+        return self.read_only or self.fails()
+
+    # -- what SQLite calls; an exception would not reach anybody -------------------------------------------------------
 
     def _file(self, path: str) -> _File:
         number = os.stat(path).st_ino
@@ -182,7 +257,7 @@ class Disk:
         return result
 
     def _delete(self, vfs: int, name: bytes, sync: int) -> int:
-        if self._change_fails():
+        if self.change_fails():
             return c.IOERR_DELETE
         path = os.fsdecode(name)
         if os.path.exists(path):
@@ -195,7 +270,7 @@ class Disk:
     def _randomness(self, vfs: int, count: int, out: int) -> int:
         # The VFS for Unix must have been asked by this process before, or it would restart SQLite's generator.
         self._unix.randomness(ctypes.addressof(self._unix), count, out)
-        ctypes.memmove(out, self._rng.randbytes(count), count)
+        ctypes.memmove(out, self.rng.randbytes(count), count)
         return count
 
     def _close(self, address: int) -> int:
@@ -206,25 +281,26 @@ class Disk:
         return result
 
     def _read(self, address: int, out: int, count: int, offset: int) -> int:
-        if self._fails():
+        if self.fails():
             return c.IOERR_READ
         result: int = self._opened[address][1].read(address, out, count, offset)
         return result
 
     def _write(self, address: int, data: int, count: int, offset: int) -> int:
         file, unix, _ = self._opened[address]
-        if self._change_fails():
+        if self.change_fails():
             return c.IOERR_WRITE
         if self.full and offset + count > os.fstat(file.descriptor).st_size:
             return c.FULL
         result: int = unix.write(address, data, count, offset)
         if result == c.OK:
+            self.written += count
             file.image.write(offset, ctypes.string_at(data, count))
         return result
 
     def _truncate(self, address: int, length: int) -> int:
         file, unix, _ = self._opened[address]
-        if self._change_fails():
+        if self.change_fails():
             return c.IOERR_TRUNCATE
         file.image.truncate(length)
         result: int = unix.truncate(address, length)
@@ -232,8 +308,8 @@ class Disk:
 
     def _sync(self, address: int, flags: int) -> int:
         image = self._opened[address][0].image
-        if self._change_fails():
-            image.lose(self._rng)
+        if self.change_fails():
+            image.lose(self.rng)
             return c.IOERR_FSYNC
         image.sync()
         self._forget(lambda file: bool(file.deleted))

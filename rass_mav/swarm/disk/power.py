@@ -60,7 +60,7 @@ class Computer:
             node_id=self._settings.node_id,
             draw_epoch=lambda: self._rng.getrandbits(32),
             quota_bytes=self._settings.store.quota_bytes,
-            vfs=self.disk.vfs,
+            disk=self.disk,
         )
         report = self.store.report
         if report.unwritable:
@@ -88,8 +88,8 @@ class Computer:
         self.diary.lose_all()
 
     def flip_bit(self) -> None:
-        """A random bit of the database, or of its log, flips."""
-        paths = [self.disk.directory / name for name in ("node.db", "node.db-wal")]
+        """A random bit of the database, its log or its large payloads flips."""
+        paths = [self.disk.directory / name for name in ("node.db", "node.db-wal", "node.db.payloads")]
         paths = [path for path in paths if path.exists() and path.stat().st_size]
         if paths:
             self.disk.flip_bits(self.draws.choice(paths), 1)

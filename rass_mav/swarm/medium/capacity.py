@@ -9,7 +9,7 @@ from random import Random
 from typing import NamedTuple
 
 from rass_mav.agent.outgoing import frames_of
-from rass_mav.core.custody.transfer import SACK_EVERY
+from rass_mav.core.custody.flow import SACK_EVERY
 from rass_mav.core.datum import DatumId, Kind, make_datum
 from rass_mav.core.messages import Accept, Beacon, Chunk, Committed, Data, Handover, Message, Offer, Sack, Urgency
 from rass_mav.core.settings import NodeSettings

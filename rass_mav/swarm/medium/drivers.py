@@ -101,7 +101,7 @@ class Drivers(Air):
         """Tell a node what its link can carry."""
         lane = self._lanes[node]
         if lane is not None:
-            lane.meet(len(agent.node.routing.neighbours))
+            lane.meet(agent.node.routing.neighbours.keys())
             set_pace(agent, [lane], now)
         else:
             agent.node.pace.queue = len(self._medium.stations[node].waiting)
@@ -121,7 +121,7 @@ class Drivers(Air):
         """Let what may leave now go to the radio."""
         pacer = lane.pacer
         assert pacer is not None
-        while (queued := pacer.pop(now)) is not None:
+        while (queued := lane.pop(now)) is not None:
             self._medium.send(node, queued.frame, queued.since, now)
         due = pacer.next_at(now) if pacer.waiting else None
         if due is None:
@@ -162,5 +162,5 @@ class Drivers(Air):
             for hearer in hearers:
                 lane = self._lanes[hearer]
                 if lane is not None and lane.pacer is not None:
-                    lane.pacer.heard(now)
+                    lane.pacer.heard(now, len(frame))
         self._heard(hearers, frame, now)

@@ -1,0 +1,330 @@
+"""Files that are put: taken whole into the spool, then created as data of the store, one by one (docs/files.md).
+
+A file is put when the spool has it. Its data are created as the store has space, with the number of the last one in the
+same commit. So after whatever end of the program the node continues with the next.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from rass_mav.core.datum import DatumId, Kind
+from rass_mav.core.terms import TERMS_SIZE
+from rass_mav.errors import ControlError, DatumError, StoreDamagedError, StoreError, StoreFullError
+from rass_mav.mavlink.frames import Frame
+from rass_mav.mavlink.telemetry import Position
+from rass_mav.store.quota import ROW_OVERHEAD
+from rass_mav.wire.file import PART_HEAD, Cut, Manifest, Part, cut_file, encode_manifest, encode_part
+
+from .driver import Driver
+from .spool import MOST_WAITING, Draft, Spool, Spooled
+from .staging import About
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+#: Files of which `status` tells how far they are; of more, the latest.
+MOST_TOLD = 64
+#: Positions of the node that are remembered, how far apart they are at least, and how near in time one must be to that
+#: of a file. Seconds.
+MOST_TRACK, APART_S, NEAR_S = 300, 1.0, 2.0
+#: The smallest part that is worth its head, bytes.
+LEAST_PART = 1024
+# The store keeps under these: the number of the last file whose manifest was created; the number of the file whose
+# other data are being created, with the index from which on they are missing in the lower bits.
+_ANNOUNCED, _PLACE = "file.manifest", "file.part"
+_BITS = 32
+
+
+@dataclass
+class Progress:
+    """How far a file is."""
+
+    manifest: Manifest
+    id: DatumId | None = None
+    """Of its manifest, in this run."""
+    begun: int = 0
+    """Data that were created before this run."""
+    made: dict[int, int] = field(default_factory=dict)
+    """The sequence numbers of those created in this run, by index."""
+
+
+class Files:
+    """The files of a node. Also a service of its agent, which is called once a step."""
+
+    def __init__(
+        self, driver: Driver, spool: Spool, part_bytes: int, executor: Executor, wall: Callable[[], float] = time.time
+    ) -> None:
+        """`part_bytes`: of a part at most. `executor`: one thread, for the spool. `wall`: seconds since 1970."""
+        self._driver = driver
+        self._spool = spool
+        self._part_bytes = part_bytes
+        self._executor = executor
+        self._wall = wall
+        self._drafts: set[Draft] = set()
+        self._wake = asyncio.Event()
+        self._told: dict[int, Progress] = {}
+        self._track: deque[Position] = deque(maxlen=MOST_TRACK)
+        """Where the node was lately."""
+        spool.number_after(max(self._place[0], self._announced))
+        driver.agent.services.append(self)
+
+    # -- taking files --------------------------------------------------------------------------------------------------
+
+    async def begin(
+        self, about: About, place: tuple[float, float, float] | None = None, redundancy: tuple[int, int] | None = None
+    ) -> Draft:
+        """Begin to take a file. `place`: where it was made; None: where the node was then. `redundancy`: K and N.
+
+        Raises `StoreFullError`: there is no space for it; `StoreError`, `DatumError`.
+        """
+        node = self._driver.agent.node
+        most = min(self._part_bytes, node.most_put - PART_HEAD - TERMS_SIZE)
+        if most < LEAST_PART:
+            raise DatumError(f"{about.name}: too large, under this policy a datum holds {node.most_put} bytes")
+        if not about.size:
+            raise DatumError(f"{about.name}: empty, and cannot be cut")
+        cut = cut_file(about.size, about.length, about.digest, about.packing, most, redundancy)
+        self._admit(about.name, cut)
+        manifest = Manifest(cut, about.name, about.size, about.digest, about.time, place or self.place_at(about.time))
+        draft = await self._aside(self._spool.draft, manifest, about.terms)
+        self._drafts.add(draft)
+        return draft
+
+    def place_at(self, when: float) -> tuple[float, float, float] | None:
+        """Where the node was at a date, seconds since 1970: degrees and metres above mean sea level; None: unknown."""
+        moment = self._driver.now() - (self._wall() - when)
+        nearest = min(self._track, key=lambda position: abs(position.at - moment), default=None)
+        if nearest is None or abs(nearest.at - moment) > NEAR_S:
+            return None
+        return nearest.latitude, nearest.longitude, nearest.altitude
+
+    def _admit(self, name: str, cut: Cut) -> None:
+        """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk."""
+        if len(self._spool.waiting) + len(self._drafts) >= MOST_WAITING:
+            raise StoreFullError(f"{name}: {MOST_WAITING} files wait already")
+        store, quota = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
+        more, waiting = self._cost(cut), self._waiting()
+        if quota is not None and store.used_bytes + waiting + more > quota:
+            raise StoreFullError(
+                f"{name}: quota of {quota} bytes: {store.used_bytes} are in use, {waiting} wait to be stored, {more} "
+                "more do not fit; nothing of it was put"
+            )
+        # Until its last part is stored, it is there twice.
+        about = os.statvfs(self._spool.folder.parent)
+        free = about.f_bavail * about.f_frsize
+        if 2 * more + waiting > free:
+            raise StoreFullError(
+                f"{name}: the disk has {free} bytes free, {2 * more + waiting} are needed; nothing of it was put"
+            )
+
+    def _cost(self, cut: Cut, begun: int = 0) -> int:
+        """Bytes of the store for the data of a file, without the first `begun`."""
+        each = TERMS_SIZE + PART_HEAD + self._driver.agent.node.seals.added + ROW_OVERHEAD
+        return max(0, cut.total() - begun * cut.part_bytes) + max(0, cut.data() - begun) * each
+
+    def _waiting(self) -> int:
+        number, index = self._place
+        taken = sum(
+            self._cost(file.manifest.cut, index if file.number == number else 0)
+            for file in self._spool.waiting.values()
+        )
+        return taken + sum(self._cost(draft.manifest.cut) for draft in self._drafts)
+
+    async def write(self, draft: Draft, data: bytes) -> None:
+        """The next bytes. Raises `StoreError`."""
+        await self._aside(draft.write, data)
+
+    async def finish(self, draft: Draft) -> DatumId:
+        """Take a file. Returns the id of its manifest when all is on disk. Raises `StoreError`: nothing of it was put,
+        or it is kept, and its manifest written as soon as possible."""
+        spooled = await self._aside(self._spool.take, draft)
+        self._drafts.discard(draft)
+        self._wake.set()
+        try:
+            self._announce()
+        except StoreFullError:
+            await self._aside(self._spool.remove, spooled)
+            raise
+        await self._driver.writer.durable()
+        id = self._tell(spooled).id
+        assert id is not None
+        return id
+
+    def give_up(self, draft: Draft) -> None:
+        """Leave nothing of a file that was not finished."""
+        if draft in self._drafts:
+            self._drafts.discard(draft)
+            draft.give_up()
+
+    async def _aside(self, call: Callable[..., T], *arguments: Any) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._executor, call, *arguments)
+
+    # -- creating data -------------------------------------------------------------------------------------------------
+
+    @property
+    def _announced(self) -> int:
+        return self._driver.agent.store.get_meta(_ANNOUNCED) or 0
+
+    @property
+    def _place(self) -> tuple[int, int]:
+        """The file whose data are being created, and the index from which on they are missing."""
+        return divmod(self._driver.agent.store.get_meta(_PLACE) or 0, 1 << _BITS)
+
+    async def run(self) -> None:
+        """Create the data of the files that wait, until it is cancelled. Damage and faults end the driver."""
+        try:
+            while True:
+                self._wake.clear()
+                try:
+                    busy = await self._go_on()
+                except StoreDamagedError:
+                    raise
+                except StoreError as error:
+                    log.warning("%s", error)
+                    busy = False
+                if not busy:
+                    await self._wake.wait()
+        except asyncio.CancelledError:
+            raise
+        except BaseException as error:
+            self._driver.fail(error)
+            raise
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """Nothing that the autopilot sends is about files."""
+
+    def step(self, now: float) -> None:
+        """Remember where the node is. There may be space now."""
+        position = self._driver.agent.telemetry.position
+        if position is not None and (not self._track or position.at >= self._track[-1].at + APART_S):
+            self._track.append(position)
+        if self._spool.waiting:
+            self._wake.set()
+
+    async def _go_on(self) -> bool:
+        """Create the next datum of the first file that waits. False: there is none, or no space. `StoreError`."""
+        spooled = next(iter(self._spool.waiting.values()), None)
+        if spooled is None:
+            return False
+        cut = spooled.manifest.cut
+        number, index = self._place
+        if spooled.number < number or (spooled.number == number and index >= cut.end):
+            # Its last datum is on disk, or this place would not be.
+            await self._driver.writer.durable()
+            await self._aside(self._spool.remove, spooled)
+            return True
+        if spooled.number > self._announced:
+            if not self.has_space(len(encode_manifest(spooled.manifest))):
+                return False
+            self._announce()
+        else:
+            index = index if spooled.number == number else 0
+            if not self.has_space(PART_HEAD + cut.size(index)):
+                return False
+            try:
+                content = await self._aside(spooled.read, index)
+            except StoreError as error:
+                self._spool.set_aside(spooled.number, spooled.path, str(error))
+                return True
+            if self.has_space(PART_HEAD + cut.size(index)):
+                self._create(spooled, index, content)
+        await self._driver.writer.durable()
+        return True
+
+    def has_space(self, size: int) -> bool:
+        """Whether a datum may be created. On a drone files take no more than half of the store, so that there is space
+        for measurements."""
+        agent = self._driver.agent
+        node, store, settings = agent.node, agent.store, agent.settings.store
+        holdings, size = node.holdings, size + TERMS_SIZE + node.seals.added
+        if not (store.accepting and store.room_for(size - holdings.spare_bytes)):
+            return False
+        if node.sink:
+            return True
+        items, most = settings.capacity_items, settings.capacity_bytes
+        half_free = (items is None or 2 * (len(holdings.custody) + 1) <= items) and (
+            most is None or 2 * (holdings.custody_bytes + size) <= most
+        )
+        return holdings.room_for(size, own=True) and (half_free or not holdings.custody)
+
+    def _announce(self) -> None:
+        """Create the manifests of all files that were taken. Raises `StoreError`."""
+        for spooled in self._spool.waiting.values():
+            if spooled.number > self._announced:
+                self._tell(spooled).id = self._driver.create(
+                    encode_manifest(spooled.manifest), Kind.MANIFEST, spooled.terms
+                )
+                self._driver.agent.store.set_meta(_ANNOUNCED, spooled.number)
+
+    def _create(self, spooled: Spooled, index: int, content: bytes) -> None:
+        """Create the datum of an index. Raises `StoreError`."""
+        cut = spooled.manifest.cut
+        kind = Kind.SHARE if cut.needed else Kind.PART
+        id = self._driver.create(encode_part(Part(cut, index, content)), kind, spooled.terms)
+        following = next((after for after in range(index + 1, cut.end) if cut.size(after)), cut.end)
+        self._driver.agent.store.set_meta(_PLACE, spooled.number << _BITS | following)
+        self._tell(spooled).made[index] = id.sequence
+
+    # -- progress ------------------------------------------------------------------------------------------------------
+
+    def _tell(self, spooled: Spooled) -> Progress:
+        """The progress of a file. One of an earlier run may have data already."""
+        progress = self._told.get(spooled.number)
+        if progress is None:
+            number, index = self._place
+            begun = (
+                sum(1 for each in range(index) if spooled.manifest.cut.size(each)) if spooled.number == number else 0
+            )
+            progress = self._told[spooled.number] = Progress(spooled.manifest, begun=begun)
+            for number in list(self._told)[:-MOST_TOLD]:
+                del self._told[number]
+        return progress
+
+    def report(self) -> list[dict[str, Any]]:
+        """For `status`: the files that are under way, or were at last, the oldest first."""
+        for spooled in list(self._spool.waiting.values())[:MOST_TOLD]:
+            self._tell(spooled)
+        return [self._plain(progress) for _, progress in sorted(self._told.items())]
+
+    def progress(self, id: DatumId) -> dict[str, int]:
+        """How far a datum that was created here is, or the file of a manifest: how many `data` are needed, and
+        how many of them have `arrived` or are `lost`, as far as is known. Raises `ControlError`: it hears nothing."""
+        node = self._driver.agent.node
+        if not (node.sink or node.receipts.told):
+            raise ControlError("this node does not hear what has arrived (custody.receipts: false)")
+        receipts = node.receipts
+        file = next((each for each in self._told.values() if each.id == id), None)
+        arrived, lost = int(node.sink or id in receipts), int(receipts.told_lost(id))
+        if file is None:
+            return {"data": 1, "arrived": arrived, "lost": lost}
+        cut = file.manifest.cut
+        ids = {index: id._replace(sequence=made) for index, made in file.made.items()}
+        gone = {index for index, each in ids.items() if receipts.told_lost(each)}
+        return {
+            "data": 1 + cut.parts,
+            "arrived": arrived + cut.enough(index for index, each in ids.items() if node.sink or each in receipts),
+            "lost": lost + cut.parts - cut.enough(index for index in cut.indexes() if index not in gone),
+        }
+
+    def _plain(self, progress: Progress) -> dict[str, Any]:
+        node, manifest = self._driver.agent.node, progress.manifest
+        ids = [DatumId(node.id, node.store.epoch, sequence) for sequence in progress.made.values()]
+        return {
+            "name": manifest.name,
+            "id": None if progress.id is None else str(progress.id),
+            "size": manifest.size,
+            "parts": manifest.cut.data(),
+            "created": progress.begun + len(ids),
+            "handed_over": progress.begun + sum(id not in node.holdings.custody for id in ids),
+            "arrived": sum(node.sink or id in node.receipts for id in ids) if node.sink or node.receipts.told else None,
+        }

@@ -1,0 +1,74 @@
+"""The receiver's side of a transfer: the chunks of one datum that have come."""
+
+from __future__ import annotations
+
+from rass_mav.core.datum import Datum, DatumId, datum_crc
+from rass_mav.core.messages import REPORT_BITS, Accept, Chunk, Offer, Report
+
+
+class Receiving:
+    """One datum that comes in chunks. Holds at most the datum's bytes."""
+
+    __slots__ = ("_chunks", "_here", "_next", "count", "handle", "heard", "moved", "offer")
+
+    def __init__(self, offer: Offer, handle: int, now: float) -> None:
+        self.offer = offer
+        self.handle = handle
+        self.count = -(-offer.size // offer.chunk_size)
+        self.heard = now
+        """When the giver was last heard about this datum, seconds."""
+        self.moved = now
+        """When the last missing chunk came, seconds."""
+        self._chunks: dict[int, bytes] = {}
+        self._here = 0
+        """The same as bits."""
+        self._next = 0
+
+    @property
+    def id(self) -> DatumId:
+        """The datum that is being transferred."""
+        return self.offer.id
+
+    def accept(self, receiver: int) -> Accept:
+        """The answer to the offer, at first and after an interruption."""
+        _, next_index, bitmap = self.report(REPORT_BITS)
+        return Accept(receiver, self.offer.sender, self.offer.number, self.handle, next_index, bitmap)
+
+    def take(self, chunk: Chunk, now: float) -> bool:
+        """Keep a chunk. False: it is here already, or of a wrong length."""
+        index = chunk.position
+        self.heard = now
+        if index >= self.count or index in self._chunks or len(chunk.data) != self._length(index):
+            return False
+        self._chunks[index] = chunk.data
+        self._here |= 1 << index
+        self.moved = now
+        while self._next in self._chunks:
+            self._next += 1
+        return True
+
+    def _length(self, index: int) -> int:
+        size = self.offer.chunk_size
+        return size if index < self.count - 1 else self.offer.size - size * (self.count - 1)
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether a chunk has come before one that belongs in front of it."""
+        return len(self._chunks) > self._next
+
+    @property
+    def complete(self) -> bool:
+        """Whether all chunks are there."""
+        return self._next == self.count
+
+    def report(self, bits: int) -> Report:
+        """What has come, up to so many chunks after the first missing one."""
+        return Report(self.handle, self._next, self._here >> self._next + 1 & (1 << bits) - 1)
+
+    def datum(self) -> Datum | None:
+        """The datum as it was offered; None if its checksum does not match. Only when complete."""
+        offer = self.offer
+        payload = b"".join(self._chunks[i] for i in range(self.count))
+        if datum_crc(offer.id, offer.kind, payload) != offer.crc:
+            return None
+        return Datum(offer.id, offer.kind, offer.created, offer.hops, offer.crc, payload, offer.at_least)

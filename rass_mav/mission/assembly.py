@@ -1,0 +1,236 @@
+"""Files that came in parts: which are there, how much of them, and their contents (docs/files.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from hashlib import sha256
+from typing import Any, NamedTuple
+
+from rass_mav.app.packing import unpacked
+from rass_mav.app.payloads import parse_name
+from rass_mav.app.redundancy import restored
+from rass_mav.errors import ConfigError, DatumError, MalformedError, StoreError
+from rass_mav.wire.file import MOST_FILE, Cut, decode_part, key_of
+
+from .entry import Data, Entry
+
+#: Of several data that say they are the same part, so many are looked at.
+MOST_RIVALS = 8
+#: Of a file whose manifest is lost nobody knows the size. It has at most so many times the bytes of its parts.
+_MOST_UNPACKED = 1024
+
+
+class Extent(NamedTuple):
+    """How much of a file is there."""
+
+    there: int
+    """Parts that are there, or can be computed."""
+    of: int
+    """Parts that it has."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether all of it is there."""
+        return self.there >= self.of
+
+    @property
+    def share(self) -> float:
+        """How much of it is there, 0..1."""
+        return self.there / self.of
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"{self.of} parts" if self.whole else f"{self.there} of {self.of} parts"
+
+
+class Group:
+    """The data of one drone that say they are parts of the same file. Its memory grows with them only."""
+
+    __slots__ = ("cut", "names", "origin", "rivals")
+
+    def __init__(self, origin: int, cut: Cut) -> None:
+        self.origin = origin
+        self.cut = cut
+        self.names: dict[int, str] = {}
+        """The first datum of each index, as `get` takes it."""
+        self.rivals: dict[int, list[str]] = {}
+        """Further data of the same index."""
+
+    @property
+    def name(self) -> str:
+        """Names it if its manifest is not there."""
+        return f"file-{self.cut.key.hex()}"
+
+    @property
+    def key(self) -> tuple[int, Cut]:
+        """What all its data have in common."""
+        return self.origin, self.cut
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON, where the manifest is not there."""
+        return {"name": self.name, "drone": self.origin, "parts": self.extent._asdict()}
+
+    def add(self, index: int, name: str) -> None:
+        """One more part."""
+        if self.names.setdefault(index, name) != name:
+            rivals = self.rivals.setdefault(index, [])
+            if len(rivals) < MOST_RIVALS and name not in rivals:
+                rivals.append(name)
+
+    @property
+    def extent(self) -> Extent:
+        """How much is there."""
+        return Extent(self.cut.enough(self.names), self.cut.parts)
+
+    def stored(self, payload: Callable[[str], bytes]) -> Iterator[bytes]:
+        """The packed file, as far as it is there without a gap. `payload`: returns the contents of a datum. Raises
+        `StoreError`: one of them cannot be read."""
+        if self.cut.needed:
+            yield from self._restored(payload)
+            return
+        for index in range(self.cut.parts):
+            if index not in self.names:
+                return
+            yield self._content(index, self.names[index], payload)
+
+    def _restored(self, payload: Callable[[str], bytes]) -> Iterator[bytes]:
+        cut = self.cut
+        for stripe in range(cut.stripes):
+            first = stripe * cut.shares
+            places = [place for place in range(cut.shares) if first + place in self.names][: cut.needed]
+            found = {place: self._content(first + place, self.names[first + place], payload) for place in places}
+            parts = restored(found, stripe, cut)
+            if parts is None:
+                return
+            yield parts
+
+    def _content(self, index: int, name: str, payload: Callable[[str], bytes]) -> bytes:
+        try:
+            part = decode_part(payload(name))
+        except MalformedError as error:
+            raise StoreError(f"{name}: {error}") from None
+        if part.cut != self.cut or part.number != index:
+            raise StoreError(f"{name}: another part than listed")
+        return part.content
+
+    def contradicts(self, payload: Callable[[str], bytes]) -> list[str]:
+        """The data of which others with the same index have other contents."""
+        found = []
+        for index, rivals in self.rivals.items():
+            first = self._content(index, self.names[index], payload)
+            found += [name for name in rivals if self._content(index, name, payload) != first]
+        return found
+
+
+class Groups:
+    """The parts in a store, by their file."""
+
+    def __init__(self) -> None:
+        self._groups: dict[tuple[int, Cut], Group] = {}
+        self.unread = 0
+        """Parts of which nobody can tell to which file they belong: sealed or malformed ones."""
+
+    @classmethod
+    def of(cls, data: Data) -> Groups:
+        """All that are there."""
+        groups = cls()
+        for entry in data.entries(parts=True):
+            groups.add(entry)
+        return groups
+
+    def add(self, entry: Entry) -> Group | None:
+        """One more datum. Returns its group; None: it is no part, or a second content of an id."""
+        if entry.part is None or entry.apart:
+            self.unread += entry.part is None
+            return None
+        key = entry.id.origin, entry.part.cut
+        group = self._groups.get(key)
+        if group is None:
+            group = self._groups[key] = Group(*key)
+        group.add(entry.part.number, entry.name)
+        return group
+
+    def parts_of(self, entry: Entry) -> Group:
+        """What there is of the file of a manifest."""
+        assert entry.manifest is not None
+        key = entry.id.origin, entry.manifest.cut
+        return self._groups.get(key) or Group(*key)
+
+    def orphans(self, data: Data) -> list[Group]:
+        """Those whose manifest is not there."""
+        known = {
+            (entry.id.origin, entry.manifest.cut) for entry in data.entries(parts=False) if entry.manifest is not None
+        }
+        return [group for key, group in self._groups.items() if key not in known]
+
+
+class File:
+    """A file of a store."""
+
+    def __init__(self, group: Group, entry: Entry | None, payload: Callable[[str], bytes]) -> None:
+        """`entry`: of the manifest; None: it is not there. `payload`: returns the contents of a datum."""
+        self._group = group
+        self._manifest = None if entry is None else entry.manifest
+        self._payload = payload
+        self.name = group.name if self._manifest is None else self._manifest.name
+        """As its drone gave it: not trustworthy."""
+
+    @property
+    def extent(self) -> Extent:
+        """How much of it is there."""
+        return self._group.extent
+
+    def check(self) -> int:
+        """Read all of it once; returns its size. Raises `StoreError`: it is not whole, or not what was put."""
+        extent = self._group.extent
+        if not extent.whole:
+            raise StoreError(f"{self.name}: {extent.words} are here; --partial gives its beginning")
+        digest, size = sha256(), 0
+        for piece in self.pieces():
+            digest.update(piece)
+            size += len(piece)
+        if key_of(digest.digest(), *self._group.cut[:5]) != self._group.cut.key or (
+            self._manifest is not None and (digest.digest(), size) != (self._manifest.digest, self._manifest.size)
+        ):
+            against = self._group.contradicts(self._payload)
+            why = f": {', '.join(against)} contradict other parts" if against else ""
+            raise StoreError(f"{self.name}: not the file that was put, its SHA-256 does not match{why}")
+        return size
+
+    def pieces(self, *, partial: bool = False) -> Iterator[bytes]:
+        """The contents, of a file that was checked. `partial`: what there is of the beginning. Raises `StoreError`."""
+        cut, manifest = self._group.cut, self._manifest
+        most = min(MOST_FILE, _MOST_UNPACKED * cut.length) if manifest is None else manifest.size
+        try:
+            yield from unpacked(self._group.stored(self._payload), cut.packing, most)
+        except MalformedError as error:
+            if not partial:
+                raise StoreError(f"{self.name}: {error}") from None
+
+
+def find(data: Data, name: str) -> tuple[Entry | None, File | None]:
+    """What `get` is asked for: an id, or the name of a file. The entry of the datum, which may be a manifest; None: the
+    manifest of the file is not there. The file; None: the datum is none that came in parts.
+
+    Raises `DatumError`: neither; `StoreError`: it is not there; `ConfigError`: several files have this name.
+    """
+    with suppress(DatumError):
+        parse_name(name)
+        entry = data.entry(name)
+        return entry, None if entry.manifest is None else File(Groups.of(data).parts_of(entry), entry, data.payload)
+    named = [entry for entry in data.entries(parts=False) if entry.file == name and not entry.malformed]
+    groups = Groups.of(data)
+    if not named:
+        orphan = next((group for group in groups.orphans(data) if group.name == name), None)
+        if orphan is None:
+            raise DatumError(f"expected an id like 7-0123abcd-42, or the name of a file that is here, got {name!r}")
+        return None, File(orphan, None, data.payload)
+    if len({None if entry.manifest is None else entry.manifest.digest for entry in named}) > 1 or (
+        len(named) > 1 and named[0].manifest is None
+    ):
+        raise ConfigError(f"{name!r}: several files have this name: {', '.join(entry.name for entry in named)}")
+    # Put twice, by one drone or by several: the same contents.
+    entry = max(named, key=lambda each: 0.0 if each.manifest is None else groups.parts_of(each).extent.share)
+    return entry, None if entry.manifest is None else File(groups.parts_of(entry), entry, data.payload)

@@ -1,0 +1,79 @@
+"""Real processes: a picture over four lossy hops, while each drone between is killed once."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.environment import unmeasured
+from tests.extent import extents
+
+from .app_nodes import ROOT, RunningNode, Tidy, free_ports, process
+
+HOPS = 4
+LOSS = 0.1
+#: Faster than the nodes: what they lose, and not what the link carries, is tried here.
+BYTES_S = 1e7
+
+
+@contextmanager
+def lossy_link(seed: int) -> Iterator[tuple[str, str]]:
+    """An emulated link until the end of the block: where its two ends are heard."""
+    arguments = [sys.executable, "-m", "benchmarks.relay", "--bytes-s", str(BYTES_S), "--delay", "0"]
+    with subprocess.Popen(
+        [*arguments, "--loss", str(LOSS), "--seed", str(seed)], cwd=ROOT, env=unmeasured(PYTHONPATH=str(ROOT)),
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    ) as relay:  # fmt: skip
+        assert relay.stdout is not None
+        ends = json.loads(relay.stdout.readline())
+        left, right = (f"{host}:{port}" for host, port in (ends["left"], ends["right"]))
+        yield left, right
+        relay.communicate()
+
+
+def lossy_line(directory: Path, links: list[tuple[str, str]]) -> list[RunningNode]:
+    """The base, and drones that hear only those next to them. Not started."""
+    ids = range(1, len(links) + 2)
+    nodes = []
+    for node_id, port in zip(ids, free_ports(len(ids)), strict=True):
+        peers = []
+        if node_id > 1:
+            peers.append({"id": node_id - 1, "address": links[node_id - 2][1]})
+        if node_id <= len(links):
+            peers.append({"id": node_id + 1, "address": links[node_id - 1][0]})
+        link = {"listen": f"127.0.0.1:{port}", "peers": peers}
+        role = {"role": "base" if node_id == 1 else "drone"}
+        nodes.append(RunningNode(directory, node_id, node=role, links=[link]))
+    return nodes
+
+
+@pytest.mark.parametrize("size", extents(400_000, 6_000_000))
+def test_a_picture_arrives_byte_for_byte(size: int, tmp_path: Path, tidy: Tidy) -> None:
+    picture = random.Random(size).randbytes(size)
+    (tmp_path / "photo.jpg").write_bytes(picture)
+    with ExitStack() as stack:
+        links = [stack.enter_context(lossy_link(seed)) for seed in range(HOPS)]
+        nodes = [tidy(node).start(measured=False) for node in lossy_line(tmp_path, links)]
+        base, *between, source = nodes
+        assert process(tmp_path, "put", "-c", source.config, "photo.jpg").returncode == 0
+
+        def there() -> int:
+            return len(base.listing())
+
+        parts = size // 32768
+        for number, relay in enumerate(between, 1):
+            base.until(lambda number=number: there() >= parts * number // HOPS)  # type: ignore[misc]
+            assert relay.signal(signal.SIGKILL) == -signal.SIGKILL
+            relay.start(measured=False)
+        base.until(lambda: there() > parts)
+        said = process(tmp_path, "get", "-c", base.config, "photo.jpg", "-o", "got.jpg")
+        assert said.returncode == 0, said.stderr
+    assert (tmp_path / "got.jpg").read_bytes() == picture
