@@ -12,6 +12,7 @@ from rass_mav.agent.floods import Flood
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.agent.streams import WINDOW
 from rass_mav.link.airtime import Budget, Pacer, Queued
+from rass_mav.link.backlog import Backlog
 from rass_mav.mavlink.frames import Frame, timestamp_of
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
@@ -34,13 +35,15 @@ class Lane:
         duplicates: Duplicates,
         *,
         budget: Budget | None = None,
+        interface: Callable[[], int] = lambda: 0,
         stream: bool = False,
         only: frozenset[int] | None = None,
         rng: random.Random,
         now: float,
     ) -> None:
-        """`budget`: None: frames leave at once. `stream`: bytes come in pieces that end anywhere; otherwise in
-        datagrams of whole frames. `only`: node ids accepted as neighbours on this link; None: all."""
+        """`budget`: None: frames leave as fast as the interface takes them. `interface`: how much waits in it, bytes,
+        for a link without a budget. `stream`: bytes come in pieces that end anywhere; otherwise in datagrams of whole
+        frames. `only`: node ids accepted as neighbours on this link; None: all."""
         self.agent = agent
         self.duplicates = duplicates
         signed = agent.peers.signed
@@ -48,6 +51,7 @@ class Lane:
         """Counts the frames that are not signed rightly; None: signatures are not checked."""
         self.reader = FrameReader(self.check)
         self.pacer = None if budget is None else Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
+        self._queue = self.pacer or Backlog(interface, now)
         self.not_neighbours = 0
         """Beacons of nodes that are not on the list `only`."""
         self.copies = 0
@@ -59,7 +63,7 @@ class Lane:
         self._only = only
         self._generation = 0
         self._newest = -1
-        """The highest timestamp that has left, of a link with a budget."""
+        """The highest timestamp that has left."""
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
@@ -121,17 +125,15 @@ class Lane:
         if self.pacer is not None:
             # The ground may have changed the length of a step.
             self.pacer.step_s = self.agent.settings.step_s
-            self.pacer.meet(neighbours)
+        self._queue.meet(neighbours)
 
     def push(self, outgoing: Outgoing, now: float, *, first: bool = False) -> None:
-        """Queue a frame; `first`: before all others of the same urgency. Only for a lane with a budget."""
-        assert self.pacer is not None
-        self.pacer.push(outgoing.frame, outgoing.target, outgoing.urgency, now, first=first)
+        """Queue a frame; `first`: before all others of the same urgency."""
+        self._queue.push(outgoing.frame, outgoing.target, outgoing.urgency, now, first=first)
 
     def pop(self, now: float) -> Queued | None:
-        """The frame that leaves now, or None; as `Pacer.pop`. Only for a lane with a budget."""
-        assert self.pacer is not None
-        queued = self.pacer.pop(now)
+        """The frame that leaves now, or None. Ask again until None."""
+        queued = self._queue.pop(now)
         signed = self.agent.peers.signed
         if queued is None or signed is None or (timestamp := timestamp_of(queued.frame)) is None:
             return queued
@@ -143,6 +145,10 @@ class Lane:
         self._newest = max(self._newest, timestamp)
         return queued
 
+    def next_at(self, now: float) -> float | None:
+        """When to `pop` next; None: nothing waits."""
+        return self._queue.next_at(now)
+
     def report(self) -> dict[str, Any]:
         """For `status`."""
         told: dict[str, Any] = {"copies": self.copies, "not_the_radio": self.not_the_radio}
@@ -151,6 +157,8 @@ class Lane:
         if self.check is not None:
             told["unsigned"], told["forged"] = self.check.unsigned, self.check.forged
         pacer = self.pacer
+        if isinstance(self._queue, Backlog):
+            told["dropped_chunks"] = self._queue.dropped
         if pacer is not None:
             turn_s, items = pacer.pace()
             told["airtime"] = {

@@ -23,23 +23,18 @@ class Channel:
 
     def send(self, outgoing: Outgoing, *, first: bool = False) -> None:
         """Send a frame as soon as the link can carry it; `first`: before all others of the same urgency."""
-        if self.lane.pacer is None:
-            self.link.send(outgoing.frame, outgoing.target)
-        else:
-            self.lane.push(outgoing, self._now(), first=first)
-            self._pump()
+        self.lane.push(outgoing, self._now(), first=first)
+        self._pump()
 
     def _pump(self) -> None:
         """Send what may leave now, and schedule the next call."""
-        pacer = self.lane.pacer
-        assert pacer is not None
         if self._closed():
             return
         now = self._now()
         while (queued := self.lane.pop(now)) is not None:
             self.link.send(queued.frame, queued.target)
         self.stop()
-        due = pacer.next_at(now)
+        due = self.lane.next_at(now)
         if due is not None:
             self._alarm = asyncio.get_running_loop().call_later(due - now, self._pump)
 

@@ -95,7 +95,8 @@ class Driver:
             Channel(
                 link,
                 Lane(
-                    agent, self.duplicates, budget=link.budget, stream=link.stream, only=link.only, rng=rng, now=now()
+                    agent, self.duplicates, budget=link.budget, interface=partial(_waiting, link), stream=link.stream,
+                    only=link.only, rng=rng, now=now(),
                 ),
                 now,
                 partial(self._greeting, link),
@@ -306,6 +307,10 @@ class Driver:
             log.error("%s", error)
             self.agent.tell_ground(_CRITICAL, f"RASS: {what}, data are not confirmed; trying again")
             self._tend()
+
+
+def _waiting(link: Link) -> int:
+    return link.waiting
 
 
 def _learn(link: Link, source: Address, node_id: int) -> None:

@@ -62,6 +62,8 @@ class Air:
         """Seconds of airtime by kind; None: telemetry."""
         self.telemetry_waits: list[float] = []
         """How long each telemetry frame waited for the channel, seconds."""
+        self.beacons: list[tuple[int | None, float]] = []
+        """Sender of each beacon, and when it was heard."""
 
     def send(self, sender: int | None, frame: bytes, urgency: Urgency | None) -> None:
         """`urgency` None: telemetry."""
@@ -80,6 +82,8 @@ class Air:
 
         def end() -> None:
             self._busy = False
+            if urgency is Urgency.BEACON:
+                self.beacons.append((sender, self._simulation.now))
             for hearer, hear in self.hearers:
                 if hearer != sender:
                     hear(frame)
@@ -141,6 +145,12 @@ class RadioNode:
         if agent.ground is not None:
             self.tend()
         self.simulation.at(now + 1.0, self.step)
+
+    def put(self, payload: bytes) -> None:
+        """Create a datum."""
+        now = self.simulation.now
+        self.agent.node.put(payload, now)
+        self.say(self.agent.forward(now))
 
     def tend(self) -> None:
         """What goes to the autopilot and the ground, over the same radio; as the driver does it."""

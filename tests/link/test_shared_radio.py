@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,6 +24,8 @@ pytestmark = pytest.mark.no_cover
 TELEMETRY_BYTES_S = 2000.0
 #: A NAMED_VALUE_FLOAT on the air.
 VALUE_BYTES = 30
+#: Pictures of each drone: more than the radio carries in the whole flight.
+PARTS, PART_BYTES = 10, 32 * 1024
 #: Seconds: until everybody knows how many they are, and what is looked at then.
 WARM_S, WATCHED_S = 40.0, 60.0
 
@@ -35,13 +38,15 @@ class Flight(NamedTuple):
     """Part of the airtime, by what took it."""
     heartbeats: list[tuple[int, float]]
     """System id of a node, and when its heartbeat was heard."""
+    beacons: list[tuple[int, float]]
+    """Node id, and when its beacon was heard."""
     waits: list[float]
     """How long each telemetry frame waited for the channel, seconds."""
 
 
-def fly(nodes: int, swarm: bool, *, ground: bool = False) -> Flight:
+def fly(nodes: int, swarm: bool, *, ground: bool = False, pictures: bool = False) -> Flight:
     """The same telemetry with a swarm and without. `ground`: the radio is the autopilots', so what the nodes say to
-    them and to the ground is on it too."""
+    them and to the ground is on it too. `pictures`: the drones have more of them than the radio can carry."""
     simulation = Simulation()
     air = Air(simulation)
     rng = random.Random(5)
@@ -68,6 +73,14 @@ def fly(nodes: int, swarm: bool, *, ground: bool = False) -> Flight:
             ),
         )
     )
+    if pictures:
+        content = random.Random(6)
+        for member in members[1:]:
+            for _ in range(PARTS):
+                simulation.at(
+                    WARM_S / 2,
+                    partial(member.put, content.randbytes(PART_BYTES)),
+                )
     simulation.run(WARM_S)
     warm, before = len(air.telemetry_waits), dict(air.used)
     simulation.run(WARM_S + WATCHED_S)
@@ -78,6 +91,7 @@ def fly(nodes: int, swarm: bool, *, ground: bool = False) -> Flight:
         len(arrivals.ids),
         {kind: (air.used[kind] - before[kind]) / WATCHED_S for kind in before},
         [(system_id, at) for system_id, at in heartbeats if at >= WARM_S],
+        [(sender, at) for sender, at in air.beacons if sender is not None and at >= WARM_S],
         air.telemetry_waits[warm:],
     )
 
@@ -120,6 +134,23 @@ def test_what_the_autopilots_are_told_counts_on_the_radio_behind_them(nodes: int
     assert max(flight.waits) <= 0.100, "telemetry"
     assert flight.arrived >= 0.6 * flight.created
     assert {system_id for system_id, _ in flight.heartbeats} == {(n - 1) % 255 + 1 for n in range(nodes)}
+
+
+def test_telemetry_heartbeats_and_beacons_keep_their_times_beside_pictures() -> None:
+    idle, flight = fly(4, True, ground=True), fly(4, True, ground=True, pictures=True)
+    assert flight.used[Urgency.BULK] > 0.1, "the drones send as much as they may"
+    assert max(flight.waits) <= 0.100, "telemetry"
+    for beside, alone in ((flight.heartbeats, idle.heartbeats), (flight.beacons, idle.beacons)):
+        assert len(beside) >= 0.95 * len(alone) > 0
+        assert longest(beside) <= 2.0 * longest(alone)
+
+
+def longest(heard: list[tuple[int, float]]) -> float:
+    """Between two of one sender, seconds."""
+    by_sender: dict[int, list[float]] = {}
+    for sender, at in heard:
+        by_sender.setdefault(sender, []).append(at)
+    return max(later - earlier for times in by_sender.values() for earlier, later in pairwise(times))
 
 
 def test_the_emulated_radio_is_half_duplex_and_as_fast_as_it_says() -> None:

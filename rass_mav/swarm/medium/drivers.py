@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.lane import Lane, set_pace
 from rass_mav.agent.outgoing import Outgoing
+from rass_mav.link.backlog import WAITING_FRAME_BYTES
 from rass_mav.swarm.neighbours import Position
 
 from .air import Air, Heard
@@ -56,7 +58,7 @@ class Drivers(Air):
         self._nodes = nodes
         self._seed = seed
         self._lanes: list[Lane | None] = [None] * nodes
-        """The link of each node; None: it has no pacer, and frames go to the radio at once."""
+        """The link of each node; None: it is off."""
         self._due = [0] * nodes
         """Number of each node's last alarm: earlier ones are cancelled."""
         self._reporting: list[Lane | None] = [None] * nodes
@@ -83,10 +85,10 @@ class Drivers(Air):
         channel = self._medium.channel
         if channel.budget is None:
             agent.answers.spread_s = SPREAD_S
-            return
         self._lanes[node] = Lane(
-            agent, Duplicates(), budget=channel.budget, rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now
-        )
+            agent, Duplicates(), budget=channel.budget, interface=partial(self._waiting, node),
+            rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now,
+        )  # fmt: skip
 
     def stop(self, node: int) -> None:
         """A node goes off: what waits is gone."""
@@ -100,30 +102,24 @@ class Drivers(Air):
     def begin_turn(self, node: int, agent: Agent, now: float) -> None:
         """Tell a node what its link can carry."""
         lane = self._lanes[node]
-        if lane is not None:
-            lane.meet(agent.node.routing.neighbours.keys())
-            set_pace(agent, [lane], now)
-        else:
-            agent.node.pace.queue = len(self._medium.stations[node].waiting)
+        assert lane is not None
+        lane.meet(agent.node.routing.neighbours.keys())
+        set_pace(agent, [lane], now, 0 if lane.pacer is not None else len(self._medium.stations[node].waiting))
 
     def send(self, node: int, outgoing: Outgoing, now: float) -> None:
         """A node sends a frame to its neighbours."""
         lane = self._lanes[node]
-        if lane is None:
-            self._medium.send(node, outgoing.frame, now, now)
-        else:
-            lane.push(outgoing, now)
-            self._pump(node, lane, now)
-            if self._medium.channel.reports:
-                self._report_later(node, lane, now)
+        assert lane is not None
+        lane.push(outgoing, now)
+        self._pump(node, lane, now)
+        if self._medium.channel.reports:
+            self._report_later(node, lane, now)
 
     def _pump(self, node: int, lane: Lane, now: float) -> None:
         """Let what may leave now go to the radio."""
-        pacer = lane.pacer
-        assert pacer is not None
         while (queued := lane.pop(now)) is not None:
             self._medium.send(node, queued.frame, queued.since, now)
-        due = pacer.next_at(now) if pacer.waiting else None
+        due = lane.next_at(now)
         if due is None:
             return
         self._due[node] += 1
@@ -134,6 +130,11 @@ class Drivers(Air):
                 self._pump(node, lane, now)
 
         self._timeline.at(max(due, now), Order.AIR, ring)
+
+    def _waiting(self, node: int) -> int:
+        """What a node's radio has to send, bytes as a system counts them."""
+        station = self._medium.stations[node]
+        return WAITING_FRAME_BYTES * (len(station.waiting) + (station.sends is not None))
 
     def _report_later(self, node: int, lane: Lane, now: float) -> None:
         """Let the radio report its buffer in a second, and then as long as its reports change anything."""
