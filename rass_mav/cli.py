@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from rass_mav import __version__
-from rass_mav.commands.common import HelpFormatter, help_alone, painted, print_json
+from rass_mav.commands.common import HelpFormatter, complain, help_alone, print_json
 from rass_mav.errors import ConfigError, DatumError, RassError
 
 #: Modules with a function `register(subparsers)`, in the order of `--help`.
@@ -108,8 +108,7 @@ def _failed(options: argparse.Namespace, error: RassError, code: int) -> int:
 
 
 def _tell(lines: Sequence[str], *, json: bool) -> None:
-    for line in lines:
-        sys.stderr.write(painted(line, "red", sys.stderr) + "\n")
+    complain(lines)
     if json:
         print_json({"error": list(lines)})
 

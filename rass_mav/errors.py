@@ -98,6 +98,10 @@ class ControlError(RassError):
     """The running node could not be reached, or refused a command."""
 
 
+class RefusedError(ControlError):
+    """The running node refused a command. It can be asked for something else."""
+
+
 class ServiceError(RassError):
     """The system service could not be installed, removed or queried."""
 

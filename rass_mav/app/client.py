@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from rass_mav.errors import ControlError, MalformedError, why
+from rass_mav.errors import ControlError, MalformedError, RefusedError, why
 
 from .jsonlines import dump_line, load_line
 
@@ -30,7 +30,8 @@ class ControlClient:
         self._file = self._socket.makefile("rb")
 
     def ask(self, command: str, **fields: Any) -> dict[str, Any]:
-        """One request, one answer. Bytes travel as base64. Raises `ControlError`, also if the node refuses."""
+        """One request, one answer. Bytes travel as base64. Raises `ControlError`; `RefusedError` if the node
+        refuses."""
         try:
             self._socket.sendall(dump_line({"command": command, **fields}))
             line = self._file.readline()
@@ -44,7 +45,7 @@ class ControlClient:
         except MalformedError as error:
             raise ControlError(f"{self._path}: not a rass-mav node ({error})") from None
         if not answer.pop("ok"):
-            raise ControlError(answer["error"])
+            raise RefusedError(answer["error"])
         return answer
 
     def close(self) -> None:

@@ -32,8 +32,9 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-#: Files of which `status` tells how far they are; of more, the latest.
-MOST_TOLD = 64
+#: Files of which `status` tells how far they are; of more, the latest. And files of which the node remembers it when
+#: all their data are created.
+MOST_TOLD, MOST_KNOWN = 64, 1024
 #: Positions of the node that are remembered, how far apart they are at least, and how near in time one must be to that
 #: of a file. Seconds.
 MOST_TRACK, APART_S, NEAR_S = 300, 1.0, 2.0
@@ -56,6 +57,8 @@ class Progress:
     """Data that were created before this run."""
     made: dict[int, int] = field(default_factory=dict)
     """The sequence numbers of those created in this run, by index."""
+    damaged: bool = False
+    """Whether the others can never be created."""
 
 
 class Files:
@@ -70,6 +73,8 @@ class Files:
         self._part_bytes = part_bytes
         self._executor = executor
         self._wall = wall
+        self._coming: list[Cut] = []
+        """Of the files that are being taken: space is kept for them."""
         self._drafts: set[Draft] = set()
         self._wake = asyncio.Event()
         self._told: dict[int, Progress] = {}
@@ -96,7 +101,13 @@ class Files:
         cut = cut_file(about.size, about.length, about.digest, about.packing, most, redundancy)
         self._admit(about.name, cut)
         manifest = Manifest(cut, about.name, about.size, about.digest, about.time, place or self.place_at(about.time))
-        draft = await self._aside(self._spool.draft, manifest, about.terms)
+        # Before anything is waited for, or two files could be promised the same space.
+        self._coming.append(cut)
+        try:
+            draft = await self._aside(self._spool.draft, manifest, about.terms)
+        except BaseException:
+            self._coming.remove(cut)
+            raise
         self._drafts.add(draft)
         return draft
 
@@ -109,11 +120,14 @@ class Files:
         return nearest.latitude, nearest.longitude, nearest.altitude
 
     def _admit(self, name: str, cut: Cut) -> None:
-        """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk."""
-        if len(self._spool.waiting) + len(self._drafts) >= MOST_WAITING:
+        """Raises `StoreFullError` if the data of one more file would not fit the store's quota, or the disk, and
+        `DatumError` if they never will."""
+        if len(self._spool.waiting) + len(self._coming) >= MOST_WAITING:
             raise StoreFullError(f"{name}: {MOST_WAITING} files wait already")
         store, quota = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
         more, waiting = self._cost(cut), self._waiting()
+        if quota is not None and more > quota:
+            raise DatumError(f"{name}: quota of {quota} bytes: {more} are needed; nothing of it was put")
         if quota is not None and store.used_bytes + waiting + more > quota:
             raise StoreFullError(
                 f"{name}: quota of {quota} bytes: {store.used_bytes} are in use, {waiting} wait to be stored, {more} "
@@ -138,7 +152,7 @@ class Files:
             self._cost(file.manifest.cut, index if file.number == number else 0)
             for file in self._spool.waiting.values()
         )
-        return taken + sum(self._cost(draft.manifest.cut) for draft in self._drafts)
+        return taken + sum(map(self._cost, self._coming))
 
     async def write(self, draft: Draft, data: bytes) -> None:
         """The next bytes. Raises `StoreError`."""
@@ -148,12 +162,13 @@ class Files:
         """Take a file. Returns the id of its manifest when all is on disk. Raises `StoreError`: nothing of it was put,
         or it is kept, and its manifest written as soon as possible."""
         spooled = await self._aside(self._spool.take, draft)
-        self._drafts.discard(draft)
+        self._spool.waiting[spooled.number] = spooled
+        self._forget(draft)
         self._wake.set()
         try:
             self._announce()
         except StoreFullError:
-            await self._aside(self._spool.remove, spooled)
+            await self._remove(spooled)
             raise
         await self._driver.writer.durable()
         id = self._tell(spooled).id
@@ -163,8 +178,16 @@ class Files:
     def give_up(self, draft: Draft) -> None:
         """Leave nothing of a file that was not finished."""
         if draft in self._drafts:
-            self._drafts.discard(draft)
+            self._forget(draft)
             draft.give_up()
+
+    def _forget(self, draft: Draft) -> None:
+        self._drafts.discard(draft)
+        self._coming.remove(draft.manifest.cut)
+
+    async def _remove(self, spooled: Spooled) -> None:
+        del self._spool.waiting[spooled.number]
+        await self._aside(spooled.delete)
 
     async def _aside(self, call: Callable[..., T], *arguments: Any) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._executor, call, *arguments)
@@ -221,7 +244,7 @@ class Files:
         if spooled.number < number or (spooled.number == number and index >= cut.end):
             # Its last datum is on disk, or this place would not be.
             await self._driver.writer.durable()
-            await self._aside(self._spool.remove, spooled)
+            await self._remove(spooled)
             return True
         if spooled.number > self._announced:
             if not self.has_space(len(encode_manifest(spooled.manifest))):
@@ -235,6 +258,7 @@ class Files:
                 content = await self._aside(spooled.read, index)
             except StoreError as error:
                 self._spool.set_aside(spooled.number, spooled.path, str(error))
+                self._tell(spooled).damaged = True
                 return True
             if self.has_space(PART_HEAD + cut.size(index)):
                 self._create(spooled, index, content)
@@ -286,15 +310,17 @@ class Files:
                 sum(1 for each in range(index) if spooled.manifest.cut.size(each)) if spooled.number == number else 0
             )
             progress = self._told[spooled.number] = Progress(spooled.manifest, begun=begun)
-            for number in list(self._told)[:-MOST_TOLD]:
+            for number in [each for each in self._told if each not in self._spool.waiting][:-MOST_KNOWN]:
                 del self._told[number]
         return progress
 
     def report(self) -> list[dict[str, Any]]:
         """For `status`: the files that are under way, or were at last, the oldest first."""
-        for spooled in list(self._spool.waiting.values())[:MOST_TOLD]:
-            self._tell(spooled)
-        return [self._plain(progress) for _, progress in sorted(self._told.items())]
+        waiting = list(self._spool.waiting.values())[:MOST_TOLD]
+        told = {spooled.number: self._tell(spooled) for spooled in waiting}
+        others = [each for each in self._told.items() if each[0] not in self._spool.waiting]
+        told.update(others[max(0, len(others) + len(told) - MOST_TOLD) :])
+        return [self._plain(progress) for _, progress in sorted(told.items())]
 
     def progress(self, id: DatumId) -> dict[str, int]:
         """How far a datum that was created here is, or the file of a manifest: how many `data` are needed, and
@@ -310,10 +336,11 @@ class Files:
         cut = file.manifest.cut
         ids = {index: id._replace(sequence=made) for index, made in file.made.items()}
         gone = {index for index, each in ids.items() if receipts.told_lost(each)}
+        may_come = ids if file.damaged else cut.indexes()
         return {
             "data": 1 + cut.parts,
             "arrived": arrived + cut.enough(index for index, each in ids.items() if node.sink or each in receipts),
-            "lost": lost + cut.parts - cut.enough(index for index in cut.indexes() if index not in gone),
+            "lost": lost + cut.parts - cut.enough(index for index in may_come if index not in gone),
         }
 
     def _plain(self, progress: Progress) -> dict[str, Any]:
@@ -325,6 +352,7 @@ class Files:
             "size": manifest.size,
             "parts": manifest.cut.data(),
             "created": progress.begun + len(ids),
-            "handed_over": progress.begun + sum(id not in node.holdings.custody for id in ids),
+            "handed_over": sum(id not in node.holdings.custody for id in ids),
             "arrived": sum(node.sink or id in node.receipts for id in ids) if node.sink or node.receipts.told else None,
+            "damaged": progress.damaged,
         }

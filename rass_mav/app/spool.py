@@ -27,6 +27,8 @@ FILES = ".files"
 MOST_WAITING = 1024
 _MAGIC = b"RASS file 1\n"
 _SIZE = 4
+#: Bytes of kind, terms and manifest at most.
+_MOST_HEAD = 1024
 _DRAFT, _TAKEN, _BAD = ".new", ".file", ".damaged"
 _TAKING, _LOOKING = "taking a file", "looking for files to send"
 
@@ -52,6 +54,11 @@ class Spooled(NamedTuple):
         if len(content) != cut.size(index):
             raise StoreError(f"{self.path}: cut short")
         return content
+
+    def delete(self) -> None:
+        """All its data are in the store. Blocking."""
+        with suppress(OSError):
+            self.path.unlink()
 
 
 class Draft:
@@ -149,17 +156,11 @@ class Spool:
         return Draft(self.folder / f"{self._drafts}{_DRAFT}", manifest, terms)
 
     def take(self, draft: Draft) -> Spooled:
-        """Finish a file, with the next number. Blocking; one call at a time. Raises `StoreError`."""
+        """Finish a file, with the next number. It does not wait yet. Blocking; one call at a time. Raises
+        `StoreError`."""
         spooled = draft.finish(self._next)
         self._next += 1
-        self.waiting[spooled.number] = spooled
         return spooled
-
-    def remove(self, spooled: Spooled) -> None:
-        """All its data are in the store."""
-        self.waiting.pop(spooled.number, None)
-        with suppress(OSError):
-            spooled.path.unlink()
 
     def set_aside(self, number: int, path: Path, trouble: str) -> None:
         """It cannot be read: keep it for people, under another name."""
@@ -173,12 +174,12 @@ def _spooled(number: int, path: Path) -> Spooled:
     """Raises `StoreError`, `MalformedError`."""
     with explained(path, _LOOKING), path.open("rb") as file:
         start = file.read(len(_MAGIC) + _SIZE)
-        if not start.startswith(_MAGIC) or len(start) < len(_MAGIC) + _SIZE:
-            raise MalformedError(f"{path}: no file that was put")
         size = int.from_bytes(start[len(_MAGIC) :], "little")
+        if not start.startswith(_MAGIC) or len(start) < len(_MAGIC) + _SIZE or size > _MOST_HEAD:
+            raise MalformedError(f"{path}: no file that was put")
         at = len(start) + size
         length = os.fstat(file.fileno()).st_size
-        head = file.read(min(size, length))
+        head = file.read(size)
     kind, payload = head[0] if head else 0, head[1:]
     manifest = decode_manifest(parted(kind, payload)[1])
     if length != at + manifest.cut.total():

@@ -207,6 +207,12 @@ def warn(text: str) -> None:
     sys.stderr.write(painted("WARNING:", "yellow", sys.stderr) + f" {text}\n")
 
 
+def complain(lines: Iterable[str]) -> None:
+    """Print what failed on stderr. The lines may name what others have sent."""
+    for line in lines:
+        sys.stderr.write(painted(clean(line), "red", sys.stderr) + "\n")
+
+
 def clean(text: str) -> str:
     """Make untrusted text safe for a terminal: control characters are shown, not executed."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -141,6 +141,8 @@ class _Listed:
         self._singly = filter.kinds == {"part"}
         self._groups = Groups() if self._singly or follow else Groups.of(archive)
         self._files: dict[object, Entry] = {}
+        self._whole: set[object] = set()
+        """Files that were shown when they were."""
 
     def entries(self) -> Iterator[Entry]:
         """The data to list."""
@@ -177,11 +179,20 @@ class _Listed:
         for entry in entries:
             shown: Entry | None = entry
             if entry.manifest is not None:
-                self._files[self._groups.parts_of(entry).key] = entry
-            elif entry.part is not None and not self._singly and (group := self._groups.add(entry)) is not None:
-                shown = self._files.get(group.key) if group.extent.whole else None
+                file = self._groups.parts_of(entry)
+                self._files[file.key] = entry
+                self._completed(file)
+            elif not self._singly and entry.part is not None and (group := self._groups.add(entry)) is not None:
+                shown = self._completed(group)
             if shown is not None and self._filter.admits(shown):
                 yield shown
+
+    def _completed(self, group: Group) -> Entry | None:
+        """The manifest of a file that is whole now, and was not before."""
+        if group.key in self._whole or group.key not in self._files or not group.whole:
+            return None
+        self._whole.add(group.key)
+        return self._files[group.key]
 
 
 def _sorted(entries: Iterable[Entry], options: argparse.Namespace) -> Iterable[Entry]:
@@ -276,9 +287,11 @@ def _get(options: argparse.Namespace) -> int:
             assert entry is not None
             pieces = iter([_content(archive, entry)])
         else:
-            if not options.partial:
+            if options.partial and not file.extent.whole:
+                pieces = file.beginning()
+            else:
                 file.check()
-            pieces = file.pieces(partial=options.partial)
+                pieces = file.pieces()
         found: dict[str, Any] = {} if entry is None else entry.plain()
         if file is not None:
             found = {"name": file.name, **found, "parts": file.extent._asdict()}

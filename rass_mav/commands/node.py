@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from rass_mav.core.datum import MAX_PAYLOAD, Kind
 from rass_mav.core.terms import MOST_PRIORITY, MOST_TTL_S, USUAL_PRIORITY, Terms
-from rass_mav.errors import ConfigError, ControlError, DatumError
+from rass_mav.errors import ConfigError, ControlError, DatumError, RassError, RefusedError
 
 from .common import (
     Subparsers,
     add_command,
     add_set,
     answer,
+    complain,
     duration,
     keeping,
     print_json,
@@ -194,37 +195,72 @@ def _put(options: argparse.Namespace) -> int:
             raise ConfigError("--redundancy: only files have parts")
     with _client(options) as client:
         if options.line is not None:
-            done = [_put_bytes(client, options.line.encode(errors="surrogateescape"), terms)]
+            done, failed = [_put_bytes(client, options.line.encode(errors="surrogateescape"), terms)], []
         else:
-            # Read at most one byte more than a datum holds: enough to see that it is too large.
-            done = [
-                _put_bytes(client, sys.stdin.buffer.read(MAX_PAYLOAD + 1), terms)
-                if name == "-"
-                else _put_file(client, name, terms, redundancy)
-                for name in options.files
-            ]
-        if options.wait:
+            done, failed = _put_all(client, options.files, terms, redundancy)
+        if not options.json:
+            answer(options, {}, [each["id"] for each in done])
+            sys.stdout.flush()
+            complain(failed)
+        if options.wait and done:
             with keeping(lambda: "what was put stays put"):
-                _wait(client, [each["id"] for each in done], quiet=options.json)
-    answer(options, done[0] if len(done) == 1 else {"put": done}, [each["id"] for each in done])
-    return 0
+                _wait(client, done, quiet=options.json)
+    if options.json:
+        print_json({"put": done, "error": failed} if failed else done[0] if len(done) == 1 else {"put": done})
+    return 1 if failed else 0
 
 
-def _wait(client: ControlClient, ids: Sequence[str], *, quiet: bool) -> None:
-    """Until these data and files have arrived. Raises `ControlError` if some are lost."""
-    total = sum(client.ask("progress", id=id)["data"] for id in ids)
-    shown = 0
+def _put_all(
+    client: ControlClient, names: Sequence[str], terms: Terms, redundancy: tuple[int, int] | None
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Returns what was put, and what is wrong with the others. Raises what is wrong with an only one."""
+    done: list[dict[str, Any]] = []
+    failed: list[str] = []
+    for number, name in enumerate(names):
+        try:
+            if name == "-":
+                # At most one byte more than a datum holds: enough to see that it is too large.
+                done.append(_put_bytes(client, sys.stdin.buffer.read(MAX_PAYLOAD + 1), terms))
+            else:
+                done.append(_put_file(client, name, terms, redundancy))
+        except RassError as error:
+            if len(names) == 1:
+                raise
+            failed += error.lines()
+            if isinstance(error, ControlError) and not isinstance(error, RefusedError):
+                failed += [f"{other}: not put" for other in names[number:]]
+                break
+    return done, failed
+
+
+def _wait(client: ControlClient, done: Sequence[dict[str, Any]], *, quiet: bool) -> None:
+    """Until what was put has arrived. Raises `ControlError` if some of it is lost."""
+    waiting = {each["id"]: each for each in done}
+    total = sum(_progress(client, each)["data"] for each in done)
+    over = shown = 0
     with progress(total, "data", quiet=quiet) as advance:
         while True:
-            found = [client.ask("progress", id=id) for id in ids]
-            arrived = sum(each["arrived"] for each in found)
+            found = {id: _progress(client, each) for id, each in waiting.items()}
+            arrived = over + sum(each["arrived"] for each in found.values())
             advance(arrived - shown)
             shown = arrived
-            if arrived == total:
+            for id, each in found.items():
+                if each["arrived"] == each["data"]:
+                    over += each["data"]
+                    del waiting[id]
+            if not waiting:
                 return
-            if lost := sum(each["lost"] for each in found):
+            if lost := sum(each["lost"] for each in found.values()):
                 raise ControlError(f"{lost} of {total} data are lost, {arrived} have arrived")
             time.sleep(WAIT_S)
+
+
+def _progress(client: ControlClient, done: dict[str, Any]) -> dict[str, Any]:
+    """How much has arrived of something that was put."""
+    found = client.ask("progress", id=done["id"])
+    if "parts" in done and found["data"] == 1:
+        raise ControlError(f"{done['id']}: too many files later the node does not know what has arrived of it")
+    return found
 
 
 def _put_bytes(client: ControlClient, payload: bytes, terms: Terms, kind: Kind = Kind.BYTES) -> dict[str, Any]:

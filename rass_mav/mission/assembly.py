@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from hashlib import sha256
+from itertools import chain
 from typing import Any, NamedTuple
 
 from rass_mav.app.packing import unpacked
 from rass_mav.app.payloads import parse_name
 from rass_mav.app.redundancy import restored
-from rass_mav.errors import ConfigError, DatumError, MalformedError, StoreError
+from rass_mav.errors import ConfigError, DatumError, MalformedError, RassError, StoreError
 from rass_mav.wire.file import MOST_FILE, Cut, decode_part, key_of
 
 from .entry import Data, Entry
@@ -84,6 +85,11 @@ class Group:
         """How much is there."""
         return Extent(self.cut.enough(self.names), self.cut.parts)
 
+    @property
+    def whole(self) -> bool:
+        """Whether all of it is there."""
+        return len(self.names) >= self.cut.parts and self.extent.whole
+
     def stored(self, payload: Callable[[str], bytes]) -> Iterator[bytes]:
         """The packed file, as far as it is there without a gap. `payload`: returns the contents of a datum. Raises
         `StoreError`: one of them cannot be read."""
@@ -141,9 +147,9 @@ class Groups:
         return groups
 
     def add(self, entry: Entry) -> Group | None:
-        """One more datum. Returns its group; None: it is no part, or a second content of an id."""
-        if entry.part is None or entry.apart:
-            self.unread += entry.part is None
+        """One more datum. Returns its group; None: nobody can tell."""
+        if entry.part is None:
+            self.unread += 1
             return None
         key = entry.id.origin, entry.part.cut
         group = self._groups.get(key)
@@ -172,6 +178,7 @@ class File:
     def __init__(self, group: Group, entry: Entry | None, payload: Callable[[str], bytes]) -> None:
         """`entry`: of the manifest; None: it is not there. `payload`: returns the contents of a datum."""
         self._group = group
+        self.entry = entry
         self._manifest = None if entry is None else entry.manifest
         self._payload = payload
         self.name = group.name if self._manifest is None else self._manifest.name
@@ -199,6 +206,14 @@ class File:
             raise StoreError(f"{self.name}: not the file that was put, its SHA-256 does not match{why}")
         return size
 
+    def beginning(self) -> Iterator[bytes]:
+        """What there is of the beginning of a file that is not whole. Raises `StoreError`: nothing is."""
+        pieces = filter(None, self.pieces(partial=True))
+        first = next(pieces, None)
+        if first is None:
+            raise StoreError(f"{self.name}: {self.extent.words} are here, and nothing of its beginning")
+        return chain([first], pieces)
+
     def pieces(self, *, partial: bool = False) -> Iterator[bytes]:
         """The contents, of a file that was checked. `partial`: what there is of the beginning. Raises `StoreError`."""
         cut, manifest = self._group.cut, self._manifest
@@ -223,14 +238,26 @@ def find(data: Data, name: str) -> tuple[Entry | None, File | None]:
     named = [entry for entry in data.entries(parts=False) if entry.file == name and not entry.malformed]
     groups = Groups.of(data)
     if not named:
-        orphan = next((group for group in groups.orphans(data) if group.name == name), None)
-        if orphan is None:
+        orphans = [File(group, None, data.payload) for group in groups.orphans(data) if group.name == name]
+        if not orphans:
             raise DatumError(f"expected an id like 7-0123abcd-42, or the name of a file that is here, got {name!r}")
-        return None, File(orphan, None, data.payload)
+        return None, _best(orphans)
     if len({None if entry.manifest is None else entry.manifest.digest for entry in named}) > 1 or (
         len(named) > 1 and named[0].manifest is None
     ):
         raise ConfigError(f"{name!r}: several files have this name: {', '.join(entry.name for entry in named)}")
-    # Put twice, by one drone or by several: the same contents.
-    entry = max(named, key=lambda each: 0.0 if each.manifest is None else groups.parts_of(each).extent.share)
-    return entry, None if entry.manifest is None else File(groups.parts_of(entry), entry, data.payload)
+    if named[0].manifest is None:
+        return named[0], None
+    # Put more than once, by one drone or by several: the same contents.
+    best = _best([File(groups.parts_of(entry), entry, data.payload) for entry in named])
+    return best.entry, best
+
+
+def _best(files: list[File]) -> File:
+    """Of files that say that they are the same, one that is, or the one of which most is there."""
+    by_share = sorted(files, key=lambda file: -file.extent.share)
+    for file in by_share if len(files) > 1 else ():
+        with suppress(RassError):
+            file.check()
+            return file
+    return by_share[0]

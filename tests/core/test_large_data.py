@@ -303,3 +303,56 @@ def test_a_captured_handle_spoils_no_more_than_the_transfer() -> None:
     assert forged
     assert pair.nodes[BASE].keeper.corrupt_received == 1
     assert pair.arrived() == {id: part}
+
+
+class Captured:
+    """Puts chunks of its own into a running transfer, before or after the true ones."""
+
+    def __init__(self, seed: int, often: float, until: float, pair: Pair) -> None:
+        self._rng = random.Random(seed)
+        self._often = often
+        self._until = until
+        self._pair = pair
+        self.forged = 0
+
+    def __call__(self, to: int, message: Message) -> list[Message]:
+        if not isinstance(message, Chunk) or self._pair.now > self._until or self._rng.random() >= self._often:
+            return [message]
+        size = len(message.data)
+        false = self._rng.choice(
+            [
+                message._replace(data=bytes(size)),
+                message._replace(position=self._rng.randrange(300)),
+                message._replace(position=0x3FFF),
+                message._replace(data=message.data[:-1]),
+                message._replace(data=message.data + b"x"),
+                message._replace(data=b"", poll=True, position=self._rng.randrange(300)),
+            ]
+        )
+        self.forged += 1
+        return [false, message] if self._rng.random() < 0.5 else [message, false]
+
+
+@settings(max_examples=examples(20), deadline=None)
+@given(st.integers(0, 1 << 32), st.sampled_from([0.002, 0.05, 0.5]), st.sampled_from([0.0, 0.1]))
+def test_chunks_with_captured_handles_delay_and_nothing_false_is_committed(
+    seed: int, often: float, loss: float
+) -> None:
+    pair = Pair(Line(125000.0, loss=loss), seed)
+    parts = parts_of(4 * PART, PART, seed)
+    true = dict(zip(pair.put(*parts), parts, strict=True))
+    attacker = pair.tamper = Captured(seed, often, pair.now + 8.0, pair)
+
+    def nothing_false() -> bool:
+        check(pair)
+        arrived = pair.arrived()
+        assert arrived.items() <= true.items()
+        # Custody is passed on for what is there, and for nothing else.
+        assert true.keys() - pair.nodes[GIVER].holdings.custody.keys() <= arrived.keys()
+        return pair.is_over()
+
+    assert pair.run(120.0, nothing_false)
+    assert attacker.forged or often == 0.002
+    assert pair.arrived() == true
+    check_node(pair.nodes[GIVER])
+    check_node(pair.nodes[BASE])

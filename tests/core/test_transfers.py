@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -363,3 +364,63 @@ def test_what_is_on_its_way_has_its_place_in_the_store_so_nothing_is_refused_whe
     assert len(of(Offer, said)) == 2
     assert len(of(Accept, said)) == 1
     assert len(receiver.holdings.custody) == 2
+
+
+@pytest.mark.parametrize(
+    "forge",
+    [
+        lambda handle: [Chunk(3, handle, index, False, bytes(123)) for index in range(3)],
+        lambda handle: [Chunk(3, handle, 2, True, bytes(123)), Chunk(3, handle, 2, True, b"")],
+        lambda handle: [Chunk(3, handle, 99, True, bytes(123)), Chunk(3, handle, 0, True, bytes(122))],
+    ],
+    ids=["wrong bytes", "one wrong chunk", "wrong index and size"],
+)
+@pytest.mark.parametrize("when", [0, 2, 24])
+def test_whoever_captures_a_handle_hurts_no_other_transfer(forge: Callable[[int], list[Message]], when: int) -> None:
+    """Two givers to one receiver. A third node knows the handle of one, before its chunk of this index comes."""
+    givers = {id: giver_of(noise(3000 + id), id) for id in (1, 2)}
+    receiver = make_node(3)
+    accepts: dict[int, Accept] = {}
+    for id, giver in givers.items():
+        fit(giver, receiver, 0.0)
+        [offer] = of(Offer, giver.step(0.0))
+        [accepts[id]] = of(Accept, receiver.receive(offer, 0.0))
+    chunks = {id: giver.receive(accepts[id], 0.0) for id, giver in givers.items()}
+    answers: list[Message] = []
+    for index in range(max(map(len, chunks.values()))):
+        if index == when:
+            answers += [a for false in forge(accepts[1].handle) for a in receiver.receive(false, 0.0)]
+        for of_giver in chunks.values():
+            answers += [a for chunk in of_giver[index : index + 1] for a in receiver.receive(chunk, 0.0)]
+    talk({**givers, 3: receiver}, answers, 0.0)
+    [other] = [id for id in receiver.holdings.custody if id.origin == 2]
+    assert other not in givers[2].holdings.custody
+    assert receiver.keeper.corrupt_received <= 1
+    for turn in range(1, 4):
+        now = float(turn)
+        for giver in givers.values():
+            fit(giver, receiver, now)
+        talk({**givers, 3: receiver}, [m for giver in givers.values() for m in giver.step(now)], now)
+    taken = {id.origin: datum.payload for id in receiver.holdings.custody if (datum := receiver.store.get(id))}
+    assert taken == {id: noise(3000 + id) for id in givers}
+    assert not givers[1].holdings.custody
+
+
+def test_answers_about_a_captured_transfer_from_another_node_change_nothing() -> None:
+    """A third node knows the number and the handle, and answers in its own name."""
+    giver, offer = sending(20 * 123)
+    fit(giver, make_node(3), 0.0)
+    first = of(Chunk, giver.receive(Accept(1, 2, offer.number, 7, 0), 0.0))
+    for lie in (
+        Accept(3, 2, offer.number, 7, 19, 0),
+        Accept(3, 2, offer.number, 8, 0, 0),
+        Sack(3, 2, 7, 20, 0),
+        Committed(3, 2, ((offer.number, offer.crc),), ()),
+        Committed(3, 2, (), (offer.number,)),
+    ):
+        assert of(Chunk, giver.receive(lie, 0.1)) == []
+        assert offer.id in giver.holdings.custody
+    assert len(first) == 20
+    assert giver.receive(Sack(1, 2, 7, 20, 0), 0.2) == []
+    giver.receive(Committed(1, 2, ((offer.number, offer.crc),), ()), 0.3)
+    assert offer.id not in giver.holdings.custody

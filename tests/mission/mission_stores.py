@@ -73,8 +73,11 @@ PLACED, SAFECAST = 8, 4
 FILES = len(HOSTILE) + 1
 
 
-def stored(path: Path, data: Iterable[Datum], now: float = NOW, *, trusted: bool = True) -> Path:
-    """A store whose node has written its time, and has then stopped. `now`: the date then, seconds since 1970."""
+def stored(
+    path: Path, data: Iterable[Datum], now: float = NOW, *, trusted: bool = True, apart: Iterable[Datum] = ()
+) -> Path:
+    """A store whose node has written its time, and has then stopped. `now`: the date then, seconds since 1970. `apart`:
+    second contents of ids."""
     elapsed = [0.0]
     sources = TimeSources(lambda: elapsed[0], lambda: 1, lambda: now, lambda: trusted)
     with SqliteStore.open(path, node_id=0, draw_epoch=count(EPOCH).__next__) as store:
@@ -87,6 +90,8 @@ def stored(path: Path, data: Iterable[Datum], now: float = NOW, *, trusted: bool
                 batch = store.take(force=True)
                 assert batch is not None
                 store.write(batch)
+        for datum in apart:
+            assert store.keep_apart(datum)
     return path
 
 

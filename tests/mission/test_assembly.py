@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import random
 import tracemalloc
-from collections.abc import Iterable
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
-from rass_mav.app.packing import packer
 from rass_mav.app.payloads import pack_file
 from rass_mav.cli import main
-from rass_mav.core.datum import Datum, Kind
+from rass_mav.core.datum import Kind
 from rass_mav.mission.archive import Archive
 from rass_mav.mission.assembly import Groups
 from rass_mav.wire.file import (
@@ -28,29 +25,11 @@ from rass_mav.wire.file import (
     encode_part,
 )
 
-from .mission_stores import put, stored
+from .cut_files import HERE, PHOTO, cut_of, data_of, got, store
+from .mission_stores import put
 from .sealed_data import OPENS, sealed
 
 Capture = pytest.CaptureFixture[str]
-PHOTO = random.Random(3).randbytes(100_000)
-HERE = (47.3769, 8.5417, 412.5)
-
-
-def data_of(
-    name: str, content: bytes, first: int = 0, *, packing: int = PLAIN, drone: int = 7, most: int = 1 << 14
-) -> list[Datum]:
-    """The manifest and the parts of a file, as a drone creates them."""
-    one = packer(packing)
-    packed = one.compress(content) + one.flush()
-    cut = cut_file(len(content), len(packed), sha256(content).digest(), packing, most)
-    manifest = Manifest(cut, name, len(content), sha256(content).digest(), 1_795_341_600.0, HERE)
-    parts = [
-        Part(cut, index, packed[cut.offset(index) : cut.offset(index) + cut.size(index)]) for index in cut.indexes()
-    ]
-    return [
-        put(first, Kind.MANIFEST, encode_manifest(manifest), drone=drone),
-        *(put(first + 1 + p.number, Kind.PART, encode_part(p), drone=drone) for p in parts),
-    ]
 
 
 @pytest.fixture(autouse=True)
@@ -58,19 +37,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def store(*data: Iterable[Datum]) -> str:
-    return str(stored(Path("rass-1.db"), [datum for each in data for datum in each]))
-
-
 def listed(capsys: Capture, *options: str) -> list[str]:
     assert main(["ls", "rass-1.db", *options]) == 0
     return capsys.readouterr().out.splitlines()[1:]
-
-
-def got(capsysbinary: pytest.CaptureFixture[bytes], *options: str) -> tuple[int, bytes, str]:
-    code = main(["get", "-c", "rass-1.db", *options])
-    said = capsysbinary.readouterr()
-    return code, said.out, said.err.decode()
 
 
 @pytest.mark.parametrize("packing", [PLAIN, ZLIB])
@@ -128,11 +97,7 @@ def test_a_file_without_its_manifest_is_listed_and_comes_back(capsysbinary: pyte
 
 def test_contents_that_do_not_fit_the_sha_256_are_not_given(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
     manifest, *parts = data_of("photo.jpg", PHOTO)
-    with Archive(store([manifest], parts)) as archive:
-        part = next(e for e in archive.entries(parts=True) if e.part is not None and e.part.number == 2)
-        assert part.part is not None
-        cut = part.part.cut
-    Path("rass-1.db").unlink()
+    cut = cut_of(PHOTO)
     forged = put(3, Kind.PART, encode_part(Part(cut, 2, bytes(cut.size(2)))))
     store([manifest], parts[:2], [forged], parts[3:])
     code, out, err = got(capsysbinary, "photo.jpg")
@@ -144,7 +109,7 @@ def test_contents_that_do_not_fit_the_sha_256_are_not_given(capsysbinary: pytest
 
 def test_parts_that_contradict_each_other_are_named(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
     manifest, *parts = data_of("photo.jpg", PHOTO)
-    cut = cut_file(len(PHOTO), len(PHOTO), sha256(PHOTO).digest(), PLAIN, 1 << 14)
+    cut = cut_of(PHOTO)
     forged = put(99, Kind.PART, encode_part(Part(cut, 2, bytes(cut.size(2)))))
     store([manifest], [forged], parts)
     code, _, err = got(capsysbinary, "photo.jpg")
