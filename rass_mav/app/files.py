@@ -320,7 +320,8 @@ class Files:
         told = {spooled.number: self._tell(spooled) for spooled in waiting}
         others = [each for each in self._told.items() if each[0] not in self._spool.waiting]
         told.update(others[max(0, len(others) + len(told) - MOST_TOLD) :])
-        return [self._plain(progress) for _, progress in sorted(told.items())]
+        losses = {id for id, _ in self._driver.agent.store.losses()} if told else set()
+        return [self._plain(progress, losses) for _, progress in sorted(told.items())]
 
     def progress(self, id: DatumId) -> dict[str, int]:
         """How far a datum that was created here is, or the file of a manifest: how many `data` are needed, and
@@ -343,16 +344,20 @@ class Files:
             "lost": lost + cut.parts - cut.enough(index for index in may_come if index not in gone),
         }
 
-    def _plain(self, progress: Progress) -> dict[str, Any]:
+    def _plain(self, progress: Progress, losses: set[DatumId]) -> dict[str, Any]:
+        """`losses`: those that this node has not handed over yet."""
         node, manifest = self._driver.agent.node, progress.manifest
         ids = [DatumId(node.id, node.store.epoch, sequence) for sequence in progress.made.values()]
+        receipts = node.receipts
+        lost = {id for id in ids if receipts.told_lost(id) or (id in losses and id not in receipts)}
         return {
             "name": manifest.name,
             "id": None if progress.id is None else str(progress.id),
             "size": manifest.size,
             "parts": manifest.cut.data(),
             "created": progress.begun + len(ids),
-            "handed_over": sum(id not in node.holdings.custody for id in ids),
-            "arrived": sum(node.sink or id in node.receipts for id in ids) if node.sink or node.receipts.told else None,
+            "handed_over": sum(id not in node.holdings.custody and id not in lost for id in ids),
+            "arrived": sum(node.sink or id in receipts for id in ids) if node.sink or receipts.told else None,
+            "lost": len(lost),
             "damaged": progress.damaged,
         }

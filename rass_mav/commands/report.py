@@ -88,8 +88,9 @@ def _files(files: Sequence[dict[str, Any]], watch: dict[str, Any] | None) -> Ite
     for file in files:
         created = f"{file['created']} of {file['parts']} parts created"
         arrived = "" if file["arrived"] is None else f", {file['arrived']} arrived"
+        lost = f", {file['lost']} lost" if file["lost"] else ""
         damaged = ", the others are damaged on the disk" if file["damaged"] else ""
-        yield clean(f"file {file['name']}: {created}, {file['handed_over']} handed over{arrived}{damaged}")
+        yield clean(f"file {file['name']}: {created}, {file['handed_over']} handed over{arrived}{lost}{damaged}")
 
 
 def _port_signatures(refused: dict[str, int] | None) -> str:

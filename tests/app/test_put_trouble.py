@@ -67,7 +67,9 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
         relay.until(lambda: relay.status()["store"]["items"] > 0)
         for node in (relay, far):
             node.until(lambda node=node: node.status()["store"]["items"] == 0 and spool(node) == [])  # type: ignore[misc]
-        assert put.poll() is None, "nobody knows yet"
+        assert put.poll() is None, "of what the relay has lost it does not know"
+        (told,) = far.status()["files"]
+        assert (told["lost"] > 0, told["lost"] + told["handed_over"]) == (True, 92)
         base.start()
         _, said = put.communicate(timeout=PATIENCE_S)
     assert put.returncode == 1
@@ -84,9 +86,11 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
     said_by_get = command(tmp_path, "get", "-c", base.config, "film.mp4")
     assert (said_by_get.returncode, said_by_get.stdout) == (1, b"")
     assert f"film.mp4: {there} of 92 parts are here".encode() in said_by_get.stderr
-    far.until(lambda: far.status()["files"][0]["arrived"] == there)
+    far.until(lambda: far.status()["files"][0]["lost"] == 92 - there)
     (told,) = far.status()["files"]
-    assert (told["created"], told["parts"]) == (92, 92)
+    assert [told[key] for key in ("parts", "created", "handed_over", "arrived")] == [92, 92, there, there]
+    line = f"92 of 92 parts created, {there} handed over, {there} arrived, {92 - there} lost"
+    assert line in command(tmp_path, "status", far.config).stdout.decode()
 
 
 # -- several files -----------------------------------------------------------------------------------------------------
