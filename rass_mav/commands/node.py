@@ -194,14 +194,15 @@ def _put(options: argparse.Namespace) -> int:
         if not options.files or "-" in options.files:
             raise ConfigError("--redundancy: only files have parts")
     with _client(options) as client:
+        failed: list[str] = []
         if options.line is not None:
-            done, failed = [_put_bytes(client, options.line.encode(errors="surrogateescape"), terms)], []
+            done = [_put_bytes(client, options.line.encode(errors="surrogateescape"), terms)]
         else:
             done, failed = _put_all(client, options.files, terms, redundancy)
         if not options.json:
             answer(options, {}, [each["id"] for each in done])
             sys.stdout.flush()
-            complain(failed)
+        complain(failed)
         if options.wait and done:
             with keeping(lambda: "what was put stays put"):
                 _wait(client, done, quiet=options.json)

@@ -112,7 +112,7 @@ def test_of_several_files_one_that_cannot_be_put_stops_no_other(tmp_path: Path, 
     again = command(tmp_path, "put", "-c", drone.config, "large.jpg", "note.txt", "--json")
     assert again.returncode == 1
     found = json.loads(again.stdout)
-    assert (len(found["put"]), found["error"]) == (1, [large])
+    assert (len(found["put"]), found["error"], again.stderr.decode().splitlines()) == (1, [large], [large])
 
 
 def test_when_the_node_goes_away_it_is_said_which_files_are_not_put(tmp_path: Path, tidy: Tidy) -> None:

@@ -304,7 +304,7 @@ def test_follow_shows_a_file_when_its_manifest_is_there_and_once_more_when_it_is
     again = [put(60 + number, each.kind, each.payload) for number, each in enumerate(twice[1:])]
     store(redundant, twice, again, [put(90, Kind.BYTES, b"the last")])
     with said_by(tmp_path, "ls", "rass-1.db", "--follow", "--json") as lines:
-        shown = []
+        shown: list[dict[str, Any]] = []
         while not shown or shown[-1]["kind"] != "bytes":
             shown.append(json.loads(next(lines)))
     assert [(entry.get("name"), entry.get("parts", {}).get("there")) for entry in shown] == [
