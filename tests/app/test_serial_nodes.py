@@ -132,14 +132,12 @@ def test_data_arrive_over_a_serial_radio_that_is_pulled_out_in_the_middle(tmp_pa
         ids += [await drone.driver.put(bytes([n]) * 3000, 0) for n in range(1, 3)]
         ids += [await drone.driver.put(b"meanwhile %d" % n, 0) for n in range(5)]
         cable.plug_in()
-        began = asyncio.get_running_loop().time()
         # One more, while all of it is on its way.
         ids.append(await drone.driver.put(b"x" * 5000, 0))
         await arrivals.until(9)
         cable.pull_out()
         cable.plug_in()
         await arrivals.until(13)
-        assert asyncio.get_running_loop().time() - began < 10.0
         assert set(arrivals.data) == set(ids)
         assert {len(datum.payload) for datum in arrivals.data.values()} >= {3000, 5000}
         for node in (base, drone):

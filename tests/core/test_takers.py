@@ -136,6 +136,35 @@ def test_who_brings_no_receipts_is_given_no_more_than_a_datum_now_and_then(polic
     assert drone.given[FAR] >= 990
 
 
+@pytest.mark.parametrize("mirror", [True, False])
+@pytest.mark.parametrize("silent", [0, 20 * JUDGED_TURNS])
+def test_a_drone_whose_only_neighbour_failed_for_long_hands_over_to_it_again(mirror: bool, silent: int) -> None:
+    """There is no news of arrivals then, because nothing arrives. That must not keep it so."""
+    drone = seasoned(mirror=mirror)
+    drone.ways = {NEAR: 1}
+    drone.deliver = set()
+    drone.turns(20 * JUDGED_TURNS)
+    assert drone.doubted == {NEAR}
+    drone.news = False
+    drone.turns(silent, creates=0)
+    drone.deliver = {NEAR}
+    drone.turns(40 * JUDGED_TURNS, creates=0)
+    assert not drone.doubted
+    assert not drone.node.holdings.custody
+
+
+def test_who_is_given_what_has_arrived_already_is_not_blamed_for_it() -> None:
+    """No base confirms it once more."""
+    drone = seasoned()
+    drone.ways = {NEAR: 1}
+    drone.turns(drone.delay + 1, creates=0)
+    drone.deliver = set()
+    drone.confirm([drone.node.put(b"known", drone.now) for _ in range(20)])
+    drone.turns(5 * JUDGED_TURNS, creates=0)
+    assert not drone.node.holdings.custody
+    assert not drone.doubted
+
+
 @pytest.mark.parametrize("policy", ["survival", "rass"])
 def test_what_it_has_goes_out_again_at_once(policy: str) -> None:
     drone = seasoned(policy=policy)

@@ -221,7 +221,9 @@ class Keeper:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
-        self.takers.gave(holding.id, holding.giver, to, holding.given_to if holding.resent else None)
+        if not (holding.matched or holding.id in self.arrived):
+            # Otherwise no base will confirm it once more, whatever the neighbour does.
+            self.takers.gave(holding.id, holding.giver, to, holding.given_to if holding.resent else None)
         if not self.spares.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
 

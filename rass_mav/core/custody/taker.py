@@ -77,7 +77,7 @@ class Taker:
         self.failed = 0
         """While it is doubted: how often it failed in a row."""
         self.rests_until = 0
-        """While it is doubted: when it may have the next one, by its clock."""
+        """While it is doubted: when it may have the next one, by the node's turns."""
 
     # -- what it delivers ----------------------------------------------------------------------------------------------
 
@@ -128,14 +128,14 @@ class Taker:
 
     # -- while it is doubted -------------------------------------------------------------------------------------------
 
-    def doubt(self, rest: int) -> None:
-        """From now on. `rest`: for how long it is given nothing, by its clock."""
+    def doubt(self, rests_until: int) -> None:
+        """From now on. `rests_until`: when it may have a datum again, by the node's turns."""
         self.doubted = True
         self.doubted_for_others = self.of_own >= DOUBTED
         self.doubted_since = self.clock
         self.window = 1
         self.failed = 0
-        self.rests_until = self.clock + rest
+        self.rests_until = rests_until
 
     def delivered(self, given: Given) -> None:
         """It delivered a datum in time."""
@@ -149,9 +149,9 @@ class Taker:
             self.doubted = False
             self.givers.clear()
 
-    def dropped(self, given: Given) -> None:
-        """A datum is overdue."""
-        if given.since >= self.doubted_since and self.clock >= self.rests_until:
-            self.rests_until = self.clock + (self.clock - given.since << self.failed)
+    def dropped(self, given: Given, turn: int) -> None:
+        """A datum is overdue in this turn of the node."""
+        if given.since >= self.doubted_since and turn >= self.rests_until:
+            self.rests_until = turn + (self.clock - given.since << self.failed)
             self.failed = min(self.failed + 1, MOST_DOUBLINGS)
         self.window = 1

@@ -39,7 +39,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import greediest
 
-from .taker import DOUBTED, MAX_GIVERS, Given, Taker
+from .taker import DOUBTED, MAX_GIVERS, MOST_DOUBLINGS, Given, Taker
 
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its taker and the base,
 JUDGED_TURNS = 20
@@ -59,6 +59,8 @@ TAKES_GAIN, DEVIATION_GAIN = 1 / 16, 1 / 8
 FINE = 0.75
 #: The least that p counts as.
 LEAST = 1 / 64
+#: A doubted neighbour is never given nothing for more turns than this.
+LONGEST_REST = JUDGED_TURNS << MOST_DOUBLINGS
 #: Without news of arrivals for this many turns nobody is judged.
 NEWS_TURNS = 30
 #: After this many turns without a route all waits begin again.
@@ -223,9 +225,9 @@ class Takers(NoTakers):
             return
         taker.count(given.giver, bad=1.0)
         if taker.doubted:
-            taker.dropped(given)
+            taker.dropped(given, self._turn)
         elif taker.delivers < DOUBTED:
-            taker.doubt(JUDGED_TURNS)
+            taker.doubt(self._turn + JUDGED_TURNS)
 
     def _sampled(self, given: Given, *, arrived: bool) -> None:
         """What became of a datum. If another neighbour had it before, that says whether it was junk."""
@@ -297,7 +299,11 @@ class Takers(NoTakers):
         taker = self._takers.get(neighbour)
         if taker is None or not taker.doubted:
             return None
-        return 0 if taker.clock < taker.rests_until else max(0, taker.window - len(taker.open))
+        if self._turn < taker.rests_until:
+            return 0
+        # Where it is the only way to a base there is no news until it delivers something, so nothing is judged.
+        recent = sum(given.turn > self._turn - LONGEST_REST for given in taker.open.values())
+        return max(0, taker.window - recent)
 
     def probes(self, neighbours: Iterable[Neighbour]) -> Iterator[int]:
         for neighbour in neighbours:
