@@ -55,8 +55,9 @@ def line(hops: int, air: str, step_s: float, loss: float, seed: int) -> Scenario
 class Line(World):
     """Writes down when beacons are heard, and when data are created and arrive, seconds."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, part_bytes: int = PART_BYTES) -> None:
         super().__init__(scenario)
+        self.part_bytes = part_bytes
         self.sent: dict[int, list[float]] = {}
         """By sender: when a beacon had been sent."""
         self.heard: dict[tuple[int, int], list[float]] = {}
@@ -89,8 +90,8 @@ class Line(World):
         for _ in range(pictures):
             left = size
             while left:
-                parts.append(node.put(rng.randbytes(min(left, PART_BYTES)), now, Kind.BYTES))
-                left -= min(left, PART_BYTES)
+                parts.append(node.put(rng.randbytes(min(left, self.part_bytes)), now, Kind.BYTES))
+                left -= min(left, self.part_bytes)
         return parts
 
     def delays(self, begin: float, end: float) -> list[float]:
@@ -102,10 +103,12 @@ class Line(World):
         )
 
 
-def measure_time(scenario: Scenario, pictures: int, size: int, *, kill: bool, most_steps: int) -> dict[str, Any]:
+def measure_time(
+    scenario: Scenario, pictures: int, size: int, *, part_bytes: int, kill: bool, most_steps: int
+) -> dict[str, Any]:
     """How long pictures take, against the bound. `kill`: each relay is off once, for `OFF_STEPS`, one after another."""
     hops = scenario.nodes - 1
-    world = Line(scenario)
+    world = Line(scenario, part_bytes)
     world.run(WARM_STEPS)
     parts = set(world.take_pictures(pictures, size))
     capacity = one_hop_bytes_s(scenario.radio, PART_BYTES, nodes=min(hops, 2) + 1, step_s=scenario.node.step_s)
@@ -196,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames, 0 to 1 (%(default)s)")
     parser.add_argument("--pictures", type=int, default=20, help="how many (%(default)s)")
     parser.add_argument("--bytes", type=int, default=4_000_000, help="of each (%(default)s)")
+    parser.add_argument("--part-bytes", type=int, default=PART_BYTES, help="of each part, at most (%(default)s)")
     parser.add_argument("--steps", type=int, default=20_000, help="the most (%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
     parser.add_argument("--kill", action="store_true", help="each drone between is off once, in the middle")
@@ -207,7 +211,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json.dumps(results)) if options.json else show_beside(results)
         return 0
     scenario = line(options.hops, options.air, options.step, options.loss, options.seed)
-    result = measure_time(scenario, options.pictures, options.bytes, kill=options.kill, most_steps=options.steps)
+    result = measure_time(
+        scenario, options.pictures, options.bytes, part_bytes=options.part_bytes, kill=options.kill,
+        most_steps=options.steps,
+    )  # fmt: skip
     print(json.dumps(result)) if options.json else show_time(result)
     return 0
 
