@@ -104,7 +104,7 @@ class Line(World):
 
 
 def measure_time(
-    scenario: Scenario, pictures: int, size: int, *, part_bytes: int, kill: bool, most_steps: int
+    scenario: Scenario, pictures: int, size: int, *, part_bytes: int = PART_BYTES, kill: bool, most_steps: int
 ) -> dict[str, Any]:
     """How long pictures take, against the bound. `kill`: each relay is off once, for `OFF_STEPS`, one after another."""
     hops = scenario.nodes - 1

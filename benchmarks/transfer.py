@@ -49,14 +49,18 @@ from tests.app.app_nodes import ROOT, RunningNode, environment, free_ports, proc
 #: Rate of the link by bit rate, bytes/s. On a serial line a byte has a start and a stop bit.
 BYTES_S = {57600: 5760.0, 1_000_000: 125_000.0}
 CELLS = tuple(f"{rate}/{loss}" for rate in BYTES_S for loss in (0, 5, 20))
-SIZE = 256 * 1024
+#: Bytes of the file: to cut and to offer it takes a tenth of a second, which must not count for much on a fast link.
+SIZES = {57600: 256 * 1024, 1_000_000: 1024 * 1024}
+#: Seconds between two beacons: a slow radio needs long steps (docs/air.md).
+STEPS_S = {57600: 5.0, 1_000_000: 1.0}
+BUSY_SIZE = 256 * 1024
 #: Payload of a chunk, and what a full TUNNEL frame takes on the link, without and with a signature, bytes.
 CHUNK_BYTES, FRAME_BYTES, SIGNED_BYTES = 123, 145, 158
 BASE_ID, DRONE_ID = 1, 7
 #: The most that MAVLink FTP carries in a frame.
 READ_SIZE = 239
 _POLL_S = 0.01
-_START_S = 60.0
+_START_S = 120.0
 #: A transfer is given up after this many times the time that the bound needs, and a minute.
 _PATIENCE = 30.0
 _BUSY_PROCESSES = 4
@@ -74,6 +78,16 @@ class Cell(NamedTuple):
     def bytes_s(self) -> float:
         """What it carries in each direction, bytes/s."""
         return BYTES_S.get(self.bit_rate, self.bit_rate / 8)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return SIZES.get(self.bit_rate, BUSY_SIZE)
+
+    @property
+    def step_s(self) -> float:
+        """Of the nodes' steps, seconds."""
+        return STEPS_S.get(self.bit_rate, 1.0)
 
     def bound(self, *, signed: bool = False) -> float:
         """The best goodput of chunks over capacity."""
@@ -197,10 +211,11 @@ def airtime(bytes_s: float) -> dict[str, Any]:
 
 @contextmanager
 def nodes(
-    directory: Path, ends: dict[int, tuple[tuple[str, int], int]], bytes_s: float | None, signed: bool,
+    directory: Path, ends: dict[int, tuple[tuple[str, int], int]], cell: Cell | None, signed: bool,
     settings: dict[str, Any],
 ) -> Iterator[tuple[RunningNode, RunningNode]]:  # fmt: skip
-    """A drone and a base that have met. `ends`: by node id, the address to send to, and the own port."""
+    """A drone and a base that have met. `ends`: by node id, the address to send to, and the own port. `cell`: the link
+    between them; None: one without a limit."""
     if signed:
         for arguments in (("new", "mission"), ("drone", str(DRONE_ID), "-d", "mission")):
             process(directory, "keys", *arguments).check_returncode()
@@ -210,10 +225,10 @@ def nodes(
         other = BASE_ID if id == DRONE_ID else DRONE_ID
         link: dict[str, Any] = {
             "listen": f"127.0.0.1:{port}", "peers": [{"address": _url(address), "id": other}],
-            **({} if bytes_s is None else {"airtime": airtime(bytes_s)}),
+            **({} if cell is None else {"airtime": airtime(cell.bytes_s)}),
         }  # fmt: skip
         plain: dict[str, Any] = {
-            "node": {"role": "base" if id == BASE_ID else "drone", "step_s": 1.0},
+            "node": {"role": "base" if id == BASE_ID else "drone", "step_s": 1.0 if cell is None else cell.step_s},
             "links": [link],
             **({"keys": {"file": str(directory / "mission" / file)}} if signed else {}),
         }
@@ -287,7 +302,7 @@ def ours(
     port, base_port = free_ports(2)
     with tempfile.TemporaryDirectory(prefix="rass-mav-") as name, emulated(cell, seed, queue) as link:
         ends = {DRONE_ID: (link.left, port), BASE_ID: (link.right, base_port)}
-        with nodes(Path(name), ends, cell.bytes_s, signed, settings or {}) as (drone, base):
+        with nodes(Path(name), ends, cell, signed, settings or {}) as (drone, base):
             before, chunks = link.sent(), int(drone.status()["ledger"]["sent_data"])
             try:
                 seconds = hand_over(drone, base, payload, cell.patience_s(size))
@@ -472,16 +487,17 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in options.cells:
         one = cell(name)
+        size = options.size or one.size
         runs: dict[str, list[Run]] = {}
         # In turns, so that other load on the machine affects all alike.
         for round in range(options.rounds):
             seed = f"{options.seed}:{name}:{round}"
             runs.setdefault("ours", []).append(
-                ours(one, options.size, seed, signed=options.signed, settings=options.set, queue=options.queue)
+                ours(one, size, seed, signed=options.signed, settings=options.set, queue=options.queue)
             )
             for client in () if options.skip_ftp else CLIENTS:
                 runs.setdefault(client, []).append(
-                    ftp(client, one, options.size, seed, read_size=options.read_size, queue=options.queue)
+                    ftp(client, one, size, seed, read_size=options.read_size, queue=options.queue)
                 )
         found[name] = {
             who: figures(one, made, signed=options.signed and who == "ours", ours=who == "ours")
@@ -513,7 +529,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", nargs="+", default=list(CELLS), metavar="BIT_S/PERCENT")
-    parser.add_argument("--size", type=int, default=SIZE, help="bytes of the file (%(default)s)")
+    parser.add_argument("--size", type=int, help="bytes of the file (256 KiB; at 1 Mbit/s 1 MiB)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--queue", type=int, default=QUEUE_BYTES, help="bytes that wait in the link (%(default)s)")
@@ -529,7 +545,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.set = dict(options.set)
     if options.busy:
         runs = [
-            busy(options.size, f"{options.seed}:{round}", signed=options.signed, settings=options.set,
+            busy(options.size or BUSY_SIZE, f"{options.seed}:{round}", signed=options.signed, settings=options.set,
                  processes=options.processes)
             for round in range(options.rounds)
         ]  # fmt: skip
