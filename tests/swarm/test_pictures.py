@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.pictures import line, measure_time
+from benchmarks.pictures import PART_BYTES, WARM_STEPS, Line, line, measure_time
 from tests.extent import extents
 
 
@@ -14,3 +14,25 @@ def test_a_picture_arrives_over_four_hops_though_each_relay_is_killed_once(size:
     result = measure_time(line(4, "wifi-1m", 1.0, 0.1, 1), 1, size, kill=True, most_steps=5000)
     assert result["arrived"] == result["parts"] > size // 40_000
     assert result["altered"] == 0
+
+
+@pytest.mark.no_cover
+def test_a_transmission_makes_the_copy_of_the_custodian_and_the_spare() -> None:
+    """Who hands a part over keeps it as the spare, so no chunk is sent for spares alone."""
+    parts, hops, chunk_bytes = 20, 3, 123
+    world = Line(line(hops, "wifi-6m", 1.0, 0.0, 1))
+    world.run(WARM_STEPS)
+    ids = set(world.take_pictures(1, parts * PART_BYTES))
+    nodes = [agent.node for agent in world.agents]
+    before = sum(node.pace.sent for node in nodes)
+    relayed = 0
+    while not ids <= world.arrived.keys():
+        world.step()
+        for relay in nodes[1:-1]:
+            for id in ids & relay.holdings.custody.keys():
+                relayed += 1
+                assert any(id in node.holdings for node in nodes if node is not relay)
+    assert relayed
+    needed = hops * parts * -(-PART_BYTES // chunk_bytes)
+    # Some collide, and each drone has a measurement a step. Spares of their own would make it twice as many.
+    assert needed < sum(node.pace.sent for node in nodes) - before < 1.5 * needed
