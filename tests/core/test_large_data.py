@@ -171,12 +171,13 @@ def test_a_break_of_the_link_costs_little_more_than_its_time() -> None:
     assert pair.chunks <= sum(-(-len(part) // CHUNK) for part in parts) + MAX_WINDOW
 
 
-@pytest.mark.parametrize("away_s", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("away_s", [0.0, 3.0, 60.0])
 def test_a_restarted_giver_sends_what_is_missing(away_s: float) -> None:
     pair = Pair(Line(5760.0), 2)
     parts = parts_of(3 * PART, PART, 2)
     ids = pair.put(*parts)
-    pair.run(9.0)
+    # The second part is nearly there.
+    pair.run(12.5)
     assert len(pair.arrived()) == 1
     sent = pair.chunks
     pair.stop(GIVER)

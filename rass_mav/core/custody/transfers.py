@@ -43,9 +43,9 @@ MAX_CHUNKS = 1 << 14
 CHUNKS_A_COPY, MOST_SAVED = 32, 64
 #: What is known of a link that was idle for longer does not count any more, seconds.
 IDLE_S = 30.0
-#: Incoming transfers are kept for at least so long, seconds, however short a turn is: chunks may wait behind others in
-#: the giver's queue, and under a new handle it would send them once more.
-LEAST_KEPT_S = 10.0
+#: Incoming transfers are kept for at least so long, seconds, however short a turn is: the giver may be starting again,
+#: or its chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
+LEAST_KEPT_S = 120.0
 #: Questions that are remembered, for each neighbour.
 MAX_QUESTIONS = 8
 
