@@ -19,6 +19,9 @@ WAITING_FRAME_BYTES = 1024
 LOOK_S = 0.002
 #: Chunks are handed over while less than this waits in the interface, bytes: at first, and at most.
 LEAST_BYTES, MOST_BYTES = 2 * WAITING_FRAME_BYTES, 128 * WAITING_FRAME_BYTES
+#: What has not changed for so long, seconds, does not wait for its turn: the system may be asking for the hardware
+#: address of a neighbour that has gone.
+STUCK_S = 0.25
 
 
 class Backlog:
@@ -33,6 +36,10 @@ class Backlog:
         self._chunks: deque[Queued] = deque()
         self._most = LEAST_BYTES
         self._look_at = now
+        self._waiting, self._since = 0, now
+        """What waited in the interface at the last look, and since when it has been as much."""
+        self._stuck = 0
+        """How much of it has not moved for long."""
 
     def push(self, frame: bytes, target: int, urgency: Urgency, now: float, *, first: bool = False) -> None:
         """Queue a frame. `target`: node id, or BROADCAST. `first`: before all others, if it is not a chunk."""
@@ -59,7 +66,7 @@ class Backlog:
             return self._urgent.popleft()
         if not self._chunks:
             return None
-        waiting = self._interface()
+        waiting = self._moving(now)
         if now >= self._look_at:
             self._look_at = now + LOOK_S
             if not waiting:
@@ -67,6 +74,16 @@ class Backlog:
             elif 2 * waiting > self._most:
                 self._most = max(self._most - WAITING_FRAME_BYTES, LEAST_BYTES)
         return self._chunks.popleft() if waiting < self._most else None
+
+    def _moving(self, now: float) -> int:
+        """How much waits in the interface for its turn, bytes."""
+        waiting = self._interface()
+        if waiting != self._waiting:
+            self._waiting, self._since = waiting, now
+        elif now - self._since >= STUCK_S:
+            self._stuck = waiting
+        self._stuck = min(self._stuck, waiting)
+        return waiting - self._stuck
 
     def next_at(self, now: float) -> float | None:
         """When to `pop` next; None: nothing waits."""

@@ -6,7 +6,7 @@ import pytest
 
 from rass_mav.core.messages import BROADCAST, Urgency
 from rass_mav.link.airtime import MAX_WAITING
-from rass_mav.link.backlog import LEAST_BYTES, LOOK_S, MOST_BYTES, WAITING_FRAME_BYTES, Backlog
+from rass_mav.link.backlog import LEAST_BYTES, LOOK_S, MOST_BYTES, STUCK_S, WAITING_FRAME_BYTES, Backlog
 
 BULK, DATA = Urgency.BULK, Urgency.DATA
 
@@ -19,10 +19,11 @@ class Interface:
         self.now = 0.0
         self.free_at = 0.0
         self.busy_s = 0.0
+        self.stuck = 0
         self.backlog = Backlog(self.waiting, 0.0)
 
     def waiting(self) -> int:
-        return WAITING_FRAME_BYTES * round(max(0.0, self.free_at - self.now) / self.frame_s + 0.499)
+        return self.stuck + WAITING_FRAME_BYTES * round(max(0.0, self.free_at - self.now) / self.frame_s + 0.499)
 
     def run(self, until: float) -> None:
         """Pop what may leave, whenever the backlog says so, while there are always more chunks."""
@@ -57,6 +58,27 @@ def test_what_is_urgent_waits_for_a_few_chunks_only(frame_s: float) -> None:
     interface.backlog.push(b"datum", 7, DATA, interface.now)
     interface.run(interface.now)
     # Twice what it sends from one look to the next, and a frame.
+    assert interface.free_at - interface.now <= 4 * LOOK_S + 2 * frame_s
+
+
+@pytest.mark.parametrize("frame_s", [0.0005, 0.002])
+def test_frames_that_never_leave_the_interface_do_not_hold_up_the_others(frame_s: float) -> None:
+    """As those for a neighbour that has gone, whose hardware address the system asks for."""
+    interface = Interface(frame_s)
+    interface.run(20 * LOOK_S)
+    interface.stuck = 5 * WAITING_FRAME_BYTES
+    interface.run(interface.now + 2 * STUCK_S)
+    before = interface.busy_s
+    interface.run(interface.now + 1.0)
+    assert interface.busy_s - before >= 0.95
+    interface.backlog.push(b"datum", 7, DATA, interface.now)
+    interface.run(interface.now)
+    assert interface.free_at - interface.now <= 4 * LOOK_S + 2 * frame_s
+    # The system has given up.
+    interface.stuck = 0
+    interface.run(interface.now + 0.2)
+    interface.backlog.push(b"datum", 7, DATA, interface.now)
+    interface.run(interface.now)
     assert interface.free_at - interface.now <= 4 * LOOK_S + 2 * frame_s
 
 
