@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import json
@@ -15,6 +16,8 @@ from typing import Any
 import pytest
 
 from rass_mav.cli import main
+from rass_mav.link.backlog import WAITING_FRAME_BYTES
+from rass_mav.link.udp import Peer, UdpLink
 from tests.namespaces import DOWN, JOINED, NOT_JOINED, in_namespace, ip
 
 from .app_nodes import RunningNode
@@ -87,3 +90,22 @@ def test_a_node_goes_on_without_its_network_and_finds_it_later(tmp_path: Path) -
     [warning] = [line for line in log.splitlines() if NOWHERE in line]
     assert " WARNING " in warning
     assert "links[0].broadcast" in warning
+
+
+def test_a_link_says_how_much_waits_in_its_interface() -> None:
+    """Nobody has the neighbour's address, so what is sent to it stays there for some seconds."""
+
+    async def waiting() -> list[int]:
+        link = UdpLink(("192.168.4.7", 0), peers=[Peer(("192.168.4.9", 14600), 9)])
+        link.start(lambda: None)
+        found = [link.waiting]
+        for _ in range(3):
+            link.send(bytes(145), 9)
+            found.append(link.waiting)
+        link.close()
+        return found
+
+    found = in_namespace(JOINED, lambda: asyncio.run(waiting()))
+    assert found[0] == 0
+    for frames, bytes_ in enumerate(found):
+        assert frames * WAITING_FRAME_BYTES / 2 <= bytes_ <= frames * WAITING_FRAME_BYTES * 2
