@@ -169,10 +169,14 @@ def read_numbers(connection: sqlite3.Connection, table: str) -> dict[str, int]:
 
 
 def sound_numbers(connection: sqlite3.Connection, table: str) -> tuple[dict[str, int], list[bytes]]:
-    """The numbers in `meta` or `counter` that match their complement, and the raw names of the others."""
+    """The numbers in `meta` or `counter` that match their complement, and the raw names of the others. `Unsound`: one
+    has no name."""
     numbers, unsound = {}, []
     rows = connection.execute(f"SELECT CAST(name AS BLOB), value, inverse FROM {table}").fetchall()
     for raw, value, inverse in rows:
+        if raw is None:
+            # SQLite cannot find such a row, so that it cannot be left out.
+            raise Unsound(f"a number in table {table} has no name")
         try:
             if type(value) is not int or type(inverse) is not int or value != ~inverse:
                 raise ValueError
