@@ -1,19 +1,24 @@
-"""How much commits in groups gain, and what a datum costs in each of the two stores.
+"""How much commits in groups gain, what a datum costs in each of the two stores, and how much is written to the disk.
 
     python benchmarks/store.py [--directory DIR] [--seconds S]
 
 `DIR` determines which disk is measured. The absolute figures say more about the disk than about the program, so look at
-the ratios: a commit costs one fsync, two with large data, however many data it contains.
+the ratios: a commit costs one fsync, two with large data, however many data it contains. The last table compares with
+stores that have the pages of earlier versions, in turns.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import sqlite3
+import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import closing
+from itertools import count
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -21,8 +26,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.store import Store
 from rass_mav.store import MemoryStore, SqliteStore
+from rass_mav.store.page_size import EARLIER_PAGE_BYTES, PAGE_BYTES
 
 PAYLOAD = os.urandom(100)
+
+
+def opened(path: Path) -> SqliteStore:
+    """A store with an epoch as large as those that are drawn: small numbers take fewer bytes."""
+    return SqliteStore.open(path, node_id=7, draw_epoch=count(0xFEDC0001).__next__)
 
 
 def new_datum(store: Store, payload: bytes = PAYLOAD) -> Datum:
@@ -36,23 +47,66 @@ def written() -> int:
     return int(counts["wchar"])
 
 
-def parts(directory: Path, size: int, group: int, seconds: float) -> tuple[float, float]:
-    """Store parts, `group` of them a commit, and remove each 64 parts later; from opening to closing. Returns bytes
-    written for each byte stored, and milliseconds a commit."""
-    before, commits, held = written(), 0, list[DatumId]()
-    with SqliteStore.open(directory / f"{size}-{group}.db", node_id=7, draw_epoch=lambda: 1) as store:
+class Series:
+    """Data of one size that come, `group` of them a commit, and go again `lag` data later."""
+
+    def __init__(self, path: Path, page_bytes: int, size: int, group: int, lag: int) -> None:
+        """`page_bytes`: of the store, as this version or an earlier one creates it."""
+        opened(path).close()
+        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.execute("PRAGMA journal_mode = DELETE").fetchall()
+            connection.execute(f"PRAGMA page_size = {page_bytes}")
+            connection.execute("VACUUM")
+            connection.execute("PRAGMA journal_mode = WAL").fetchall()
+        self._size, self._group, self._lag = size, group, lag
+        self._commits = 0
+        self._held: list[DatumId] = []
+        self._written = -written()
+        self._store = opened(path)
+        self._written += written()
+
+    def turn(self, commits: int) -> float:
+        """So many commits. Returns the milliseconds of one."""
+        self._written -= written()
         begin = time.perf_counter()
-        while (spent := time.perf_counter() - begin) < seconds:
-            for _ in range(group):
-                datum = new_datum(store, os.urandom(size))
-                store.put(datum)
-                held.append(datum.id)
-            for id in held[:-64]:
-                store.remove(id, Fate.PASSED_ON)
-            del held[:-64]
-            store.write(store.take())
-            commits += 1
-    return (written() - before) / (commits * group * size), 1000 * spent / commits
+        for _ in range(commits):
+            for _ in range(self._group):
+                datum = new_datum(self._store, os.urandom(self._size))
+                self._store.put(datum)
+                self._held.append(datum.id)
+            for id in self._held[: -self._lag]:
+                self._store.remove(id, Fate.PASSED_ON)
+            del self._held[: -self._lag]
+            self._store.write(self._store.take())
+        spent = time.perf_counter() - begin
+        self._written += written()
+        self._commits += commits
+        return 1000 * spent / commits
+
+    def close(self) -> float:
+        """Returns the bytes written for each byte stored, from opening to closing."""
+        self._written -= written()
+        self._store.close()
+        self._written += written()
+        return self._written / (self._commits * self._group * self._size)
+
+
+def compare(directory: Path, size: int, group: int, lag: int, seconds: float) -> str:
+    """A store and one with the pages of earlier versions, in turns: a row of the table."""
+    now, before = (
+        Series(directory / f"{page_bytes}-{size}-{group}.db", page_bytes, size, group, lag)
+        for page_bytes in (PAGE_BYTES, EARLIER_PAGE_BYTES)
+    )
+    times = []
+    end = time.perf_counter() + 2 * seconds
+    while time.perf_counter() < end:
+        # Either is first half of the time.
+        first = now.turn(5)
+        second, third = before.turn(5), before.turn(5)
+        times += [(first, second), (now.turn(5), third)]
+    each = statistics.median(time for time, _ in times)
+    ratio = statistics.median(time / other for time, other in times)
+    return f"{now.close():>10.2f} {before.close():>8.2f} {each:>10.2f} {ratio:>8.2f}"
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
@@ -106,7 +160,7 @@ def main() -> None:
     first = 0.0
     with (
         tempfile.TemporaryDirectory(dir=options.directory) as directory,
-        SqliteStore.open(Path(directory) / "node.db", node_id=7, draw_epoch=lambda: 1) as store,
+        opened(Path(directory) / "node.db") as store,
     ):
         for group in (1, 10, 100):
             speed = rate(in_groups(store, group), options.seconds)
@@ -123,12 +177,13 @@ def main() -> None:
                 target.write(batch)
             speed = rate(reads(target), options.seconds)
             print(f"{name}, get                              {speed:>10.0f} {speed / first:>8.1f}")
-    print("parts                   bytes written a byte  ms a commit")
+    print("                        bytes written a byte    ms a commit")
+    print("                       now  4 KiB pages        now    ratio")
     with tempfile.TemporaryDirectory(dir=options.directory) as directory:
-        for size in (16 << 10, 32 << 10, 64 << 10):
-            for group in (1, 4, 8):
-                ratio, each = parts(Path(directory), size, group, options.seconds)
-                print(f"{size >> 10} KiB, {group} a commit       {ratio:>10.2f} {each:>12.1f}")
+        for size, lag, groups in ((100, 100, (1, 10, 100)), *((kib << 10, 64, (1, 4, 8)) for kib in (16, 32, 64))):
+            for group in groups:
+                row = compare(Path(directory), size, group, lag, options.seconds)
+                print(f"{size:>6} bytes, {group:>3} a commit {row}")
 
 
 if __name__ == "__main__":

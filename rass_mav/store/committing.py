@@ -13,8 +13,12 @@ from .disk import Disk
 from .drafts import connect
 from .errors import Unsound
 from .files import MARK, beside
+from .log import FRAME_HEAD_BYTES
 from .mark import Mark, MarkFile
 from .payloads import PayloadWriter
+
+#: When the log has reached this size, bytes, a commit moves it into the database.
+CHECKPOINT_BYTES = 4 << 20
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -27,6 +31,8 @@ class Committer:
         self.connection = connect(path, vfs=disk.vfs, busy_timeout=busy_timeout)
         try:
             self.connection.execute("PRAGMA synchronous = FULL")
+            frames = CHECKPOINT_BYTES // (FRAME_HEAD_BYTES + self._page_bytes())
+            self.connection.execute(f"PRAGMA wal_autocheckpoint = {frames}")
             upgrade(self.connection)
             self.payloads = PayloadWriter(path, disk)
             try:

@@ -17,6 +17,7 @@ from typing import Literal
 
 from .files import LOG_ENDINGS, MARK, PAYLOADS, beside, make_file, sync_directory
 from .mark import Mark, make_mark
+from .page_size import PAGE_BYTES
 from .schema import count_rows, create_tables, read_numbers, read_own
 
 _READY = ".ready-"
@@ -66,6 +67,7 @@ def drafted(
         connection = connect(draft, "rwc", vfs=vfs)
         try:
             connection.execute("PRAGMA synchronous = FULL")
+            connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
             create_tables(connection, life, epoch)
             connection.execute("BEGIN")
             yield connection

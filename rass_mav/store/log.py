@@ -7,14 +7,21 @@ and perhaps committed, but SQLite no longer sees them.
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
+
+from .page_size import is_page_size
 
 _HEADER = 32
-_FRAME_HEADER = 24
+_FRAME = struct.Struct(">6I")
+_SUMS = struct.Struct(">2I")
 _MAGIC = 0x377F0682
 _MASK = 0xFFFFFFFF
+
+#: What a frame has before its page, bytes.
+FRAME_HEAD_BYTES = _FRAME.size
 
 
 class LogFrame(NamedTuple):
@@ -33,55 +40,87 @@ class Log(NamedTuple):
 
     intact: bool
     """Whether all that was ever committed to it can be read, as far as that can be determined."""
-    page_bytes: int
-    """0: unknown."""
     frames: list[LogFrame]
     """All frames with the present salts, in the order of writing."""
     committed: int
     """How many of them, from the first, SQLite uses."""
 
 
-def read_log(path: Path) -> Log:
-    """Read a log; one that is missing or empty is intact. `OSError`."""
+class _Head(NamedTuple):
+    """What the head of a log says."""
+
+    page_bytes: int
+    order: str
+    """Of the bytes in a word of the checksums."""
+    salts: list[int]
+    sums: tuple[int, int]
+
+
+def log_page_bytes(path: Path) -> int | None:
+    """The page size that the head of a log names; None: there is none, or it is damaged. `OSError`."""
+    if not path.exists():
+        return None
+    with path.open("rb") as file:
+        head = _sound_head(file.read(_HEADER))
+    return None if head is None else head.page_bytes
+
+
+def read_log(path: Path, page_bytes: int | None = None) -> Log:
+    """Read a log; one that is missing or empty is intact. `page_bytes`: the page size if the head of the log is
+    damaged; None: then nothing of it can be read. `OSError`."""
     if not path.exists() or not path.stat().st_size:
-        return Log(True, 0, [], 0)
+        return Log(True, [], 0)
     with path.open("rb") as file:
         header = file.read(_HEADER)
-        if len(header) < _HEADER:
-            return Log(False, 0, [], 0)
-        magic, _, page_bytes, _, *salts, sum1, sum2 = struct.unpack(">8I", header)
-        order = ">" if magic & 1 else "<"
-        valid = (
-            magic & ~1 == _MAGIC and _is_page_size(page_bytes) and _checksum(order, header[:24], 0, 0) == (sum1, sum2)
-        )
-        if not valid:
+        head = sound = _sound_head(header)
+        if head is None:
+            if len(header) < _HEADER or page_bytes is None:
+                return Log(False, [], 0)
             # What follows can still be read if it is in the form in which we write it.
-            page_bytes, order = 4096, "<"
+            head = _Head(page_bytes, "<", _repeated_salts(file, page_bytes), _SUMS.unpack(header[24:]))
         frames: list[LogFrame] = []
         committed = broken = behind = 0
-        before = (sum1, sum2)
-        number = 0
-        while len(frame := file.read(_FRAME_HEADER + page_bytes)) == _FRAME_HEADER + page_bytes:
-            page, size, *salt, sum1, sum2 = struct.unpack(">6I", frame[:_FRAME_HEADER])
-            number += 1
-            if not valid and number == 1:
-                salts = salt
-            if salt == salts and page:
-                sums = _checksum(order, frame[_FRAME_HEADER:], *_checksum(order, frame[:8], *before))
-                sound = sums == (sum1, sum2)
-                frames.append(LogFrame(page, _HEADER + (number - 1) * len(frame) + _FRAME_HEADER, sound))
+        before = head.sums
+        at = _HEADER
+        file.seek(at)
+        while len(frame := file.read(FRAME_HEAD_BYTES + head.page_bytes)) == FRAME_HEAD_BYTES + head.page_bytes:
+            page, size, *salts, sum1, sum2 = _FRAME.unpack_from(frame)
+            if salts == head.salts and page:
+                sums = _checksum(head.order, frame[FRAME_HEAD_BYTES:], *_checksum(head.order, frame[:8], *before))
+                matches = sums == (sum1, sum2)
+                frames.append(LogFrame(page, at + FRAME_HEAD_BYTES, matches))
                 behind += bool(broken)
-                broken += not sound
-                if sound and not broken and size:
+                broken += not matches
+                if matches and not broken and size:
                     committed = len(frames)
             else:
                 broken += 1
             before = (sum1, sum2)
-    return Log(valid and not behind, page_bytes, frames, committed if valid else 0)
+            at += len(frame)
+    return Log(sound is not None and not behind, frames, committed if sound is not None else 0)
 
 
-def _is_page_size(size: int) -> bool:
-    return 512 <= size <= 65536 and size & (size - 1) == 0
+def _sound_head(header: bytes) -> _Head | None:
+    if len(header) < _HEADER:
+        return None
+    magic, _, page_bytes, _, *salts, sum1, sum2 = struct.unpack(">8I", header)
+    order = ">" if magic & 1 else "<"
+    if magic & ~1 != _MAGIC or not is_page_size(page_bytes) or _checksum(order, header[:24], 0, 0) != (sum1, sum2):
+        return None
+    return _Head(page_bytes, order, salts, (sum1, sum2))
+
+
+def _repeated_salts(file: BinaryIO, page_bytes: int) -> list[int]:
+    """The first salts that two frames in a row have, because the first frame may be damaged too; otherwise those of the
+    last frame."""
+    before: list[int] = []
+    while len(header := file.read(FRAME_HEAD_BYTES)) == FRAME_HEAD_BYTES:
+        page, _, *salts, _, _ = _FRAME.unpack(header)
+        if page and salts == before:
+            break
+        before = salts
+        file.seek(page_bytes, os.SEEK_CUR)
+    return before
 
 
 def _checksum(order: str, data: bytes, sum1: int, sum2: int) -> tuple[int, int]:

@@ -7,7 +7,8 @@ from rass_mav.errors import StoreFullError
 #: Bytes that a stored datum takes besides its payload: its row and its entry in the index, about 70 bytes in a SQLite
 #: file, rounded up for pages that are not quite full.
 ROW_OVERHEAD = 96
-#: Payloads of this size, bytes, and larger ones lie beside the database. They would not fit one of its pages.
+#: Payloads of this size, bytes, and larger ones lie beside the database. Smaller ones do not pay for a sync of
+#: their own.
 BESIDE_BYTES = 4096
 #: Larger ones than any node creates do not, bytes: a size that a damaged row claims must not fill the memory.
 MOST_BESIDE_BYTES = 2 << 20

@@ -21,6 +21,7 @@ from rass_mav.errors import ConfigError, StoreError
 from rass_mav.mission.archive import DATE_ERROR_S, Archive
 from rass_mav.mission.entry import Filter
 from rass_mav.mission.report import Report
+from rass_mav.store.page_size import PAGE_BYTES
 from tests.extent import examples
 from tests.store.store_helpers import commit
 from tests.users import ordinary_user
@@ -174,13 +175,13 @@ def fill(base: Base, count: int) -> None:
 def test_a_damaged_card_is_read_as_far_as_it_goes_and_stays_as_it_is(base: Base, page: int) -> None:
     fill(base, 400)
     content = bytearray(base.path.read_bytes())
-    pages = len(content) // 4096
-    at = page % pages * 4096
-    content[at : at + 4096] = bytes(4096)
+    pages = len(content) // PAGE_BYTES
+    at = page % pages * PAGE_BYTES
+    content[at : at + PAGE_BYTES] = bytes(PAGE_BYTES)
     base.path.write_bytes(content)
     with Archive(base.path, now=lambda: base.wall) as archive:
         read = [entry.id.sequence for entry in archive.entries()]
-        assert len(read) == len(set(read)) >= 400 - 4096 // 60
+        assert len(read) == len(set(read)) >= 400 - PAGE_BYTES // 60
         assert archive.remarks or len(read) == 400
         # The second page has the notes of the clock. Without them no date is known.
         assert all(entry.dated is (page != 1) for entry in archive.entries())

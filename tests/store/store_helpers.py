@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from itertools import count
 from pathlib import Path
 
@@ -44,3 +46,18 @@ def commit(store: Store, *, force: bool = True) -> bool:
         return False
     store.write(batch)
     return True
+
+
+def page_bytes(path: Path) -> int:
+    """The page size of a store's database."""
+    with closing(sqlite3.connect(path)) as connection:
+        return int(connection.execute("PRAGMA page_size").fetchone()[0])
+
+
+def give_pages(path: Path, size: int) -> None:
+    """Give the database of a closed store pages of this size, bytes, as another version would have created it."""
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE").fetchall()
+        connection.execute(f"PRAGMA page_size = {size}")
+        connection.execute("VACUUM")
+        connection.execute("PRAGMA journal_mode = WAL").fetchall()

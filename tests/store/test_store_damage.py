@@ -17,6 +17,7 @@ from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import Beacon, Data
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.store import OpenReport, SqliteReader
+from rass_mav.store.page_size import PAGE_BYTES
 from tests.core.build import make_node, of
 from tests.extent import examples
 
@@ -298,10 +299,11 @@ def break_overflow_chain(path: Path, number: int) -> None:
         connection.execute("UPDATE datum SET payload = ? WHERE sequence = ?", (payload(number, sizes(number)), number))
         connection.commit()
     content = bytearray(path.read_bytes())
-    # The second page that the payload overflows into starts with four bytes that point to the third.
-    start = content.index(payload(number, sizes(number))[-2000:-1900]) // 4096 * 4096
-    page = start // 4096 + 1
-    pointer = next(at for at in range(0, len(content), 4096) if content[at : at + 4] == page.to_bytes(4, "big"))
+    # A page that the payload overflows into starts with four bytes that point to the next.
+    start = content.index(payload(number, sizes(number))[-2000:-1900]) // PAGE_BYTES * PAGE_BYTES
+    page = start // PAGE_BYTES + 1
+    pages = range(0, len(content), PAGE_BYTES)
+    pointer = next(at for at in pages if content[at : at + 4] == page.to_bytes(4, "big"))
     content[pointer : pointer + 4] = b"\xff\xff\xff\xff"
     path.write_bytes(content)
 
@@ -426,7 +428,11 @@ def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(
             report = store.report
             assert not report.created
             held = {id.sequence for id in store.ids()}
-            assert [store.get(id) for id in store.ids()] == [datum(id.sequence) for id in store.ids()]
+            for id in store.ids():
+                found = store.get(id)
+                # No checksum of ours covers the rest of a row.
+                assert found is not None
+                assert (found.kind, found.payload) == (1, payload(id.sequence, 50))
             if store.epoch == EPOCH:
                 assert held == {*range(24)}
                 assert store.given == 24

@@ -143,18 +143,19 @@ def test_its_permissions_are_those_of_the_database(path: Path, umask: int) -> No
 # -- how much is written -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("group", [1, 8])
 @pytest.mark.parametrize(("size", "most"), [(16 * KIB, 1.3), (32 * KIB, 1.2), (64 * KIB, 1.1)])
-def test_parts_are_written_once(size: int, most: float) -> None:
-    """Eight parts a commit, 1,600 in all, each removed 200 parts later: log and checkpoints included."""
+def test_parts_are_written_once(size: int, most: float, group: int) -> None:
+    """1,600 parts, each removed 200 parts later: log and checkpoints included. `group`: parts a commit."""
     with Disk(Random(1)) as disk:
         store = open_store(disk.directory / "node.db", disk=disk)
         before = disk.written
         numbers = []
-        for _ in range(200):
-            for _ in range(8):
+        for _ in range(1600 // group):
+            for _ in range(group):
                 numbers.append(store.next_sequence())
                 store.put(datum(numbers[-1], size))
-            for number in numbers[-208:-200]:
+            for number in numbers[-200 - group : -200]:
                 store.remove(datum(number).id, Fate.PASSED_ON)
             commit(store)
         store.close()
@@ -401,8 +402,10 @@ def test_a_card_without_the_file_lists_what_it_can(path: Path, tmp_path: Path) -
 
 def test_a_full_disk_refuses_them_and_goes_on_when_there_is_space() -> None:
     with Disk(Random(1)) as disk, open_store(disk.directory / "node.db", disk=disk) as store:
+        for _ in range(1500):
+            store.put(datum(store.next_sequence(), 3000))
         # Afterwards the log is used from its beginning again.
-        fill(store, [50] * 400)
+        commit(store)
         for id in list(store.ids()):
             store.remove(id, Fate.PASSED_ON)
         data = fill(store, [LARGE] * 3)
