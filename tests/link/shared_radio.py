@@ -11,6 +11,7 @@ import itertools
 import random
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
@@ -183,11 +184,13 @@ class RadioNode:
         due = pacer.next_at(now)
         if due is not None and (self._alarm is None or due < self._alarm - 1e-9 or self._alarm <= now):
             self._alarm = due
-            self.simulation.at(due, self._wake)
+            self.simulation.at(due, partial(self._wake, due))
 
-    def _wake(self) -> None:
-        self._alarm = None
-        self.pump()
+    def _wake(self, alarm: float) -> None:
+        # One that was set earlier and for later has been replaced.
+        if alarm == self._alarm:
+            self._alarm = None
+            self.pump()
 
     def hear(self, frame: bytes) -> None:
         for answers in self.lane.take(frame, self.simulation.now, lambda sender: None):
