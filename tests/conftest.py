@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -15,6 +16,7 @@ from hypothesis import settings
 from rass_mav.mavlink.dialect import common
 
 from .app.app_nodes import RunningNode, Tidy
+from .environment import unmeasured
 from .extent import EXAMPLES, SOAK_EXAMPLES
 from .skips import pytest_make_collect_report as pytest_make_collect_report
 from .skips import pytest_runtest_makereport as pytest_runtest_makereport
@@ -41,6 +43,18 @@ def pytest_collection_finish() -> None:
     """Take what all tests share out of what each garbage collection looks through."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def _processes_unmeasured_too(request: pytest.FixtureRequest) -> Iterator[None]:
+    """pytest-cov does not measure a test with `no_cover`: nor is what it starts."""
+    if request.node.get_closest_marker("no_cover") is None:
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        for name in os.environ.keys() - unmeasured().keys():
+            patch.delenv(name)
+        yield
 
 
 @pytest.fixture(autouse=True)

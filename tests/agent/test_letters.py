@@ -182,6 +182,7 @@ def test_a_change_goes_from_hop_to_hop() -> None:
     assert crew.agents[0].store.get(id) is not None
 
 
+@pytest.mark.no_cover
 @given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.2, 0.5]))
 @settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.too_slow])
 def test_a_change_arrives_whatever_is_lost(seed: int, loss: float) -> None:

@@ -70,6 +70,7 @@ def test_a_photo_arrives_whole_over_two_hops(tmp_path: Path, tidy: Tidy) -> None
         assert "Traceback" not in node.log()
 
 
+@pytest.mark.no_cover
 def test_wait_returns_when_all_has_arrived(tmp_path: Path, tidy: Tidy) -> None:
     base, _, far = (tidy(node).start() for node in line_of(tmp_path, [1, 2, 3], **ROOM))
     (tmp_path / "photo.jpg").write_bytes(PHOTO)
@@ -87,6 +88,7 @@ def test_wait_returns_when_all_has_arrived(tmp_path: Path, tidy: Tidy) -> None:
     assert (said.returncode, said.stderr) == (0, b"")
 
 
+@pytest.mark.no_cover
 def test_a_redundant_file_is_whole_without_some_of_its_data(tmp_path: Path, tidy: Tidy) -> None:
     base, _, far = (tidy(node).start() for node in line_of(tmp_path, [1, 2, 3], **ROOM))
     (tmp_path / "photo.jpg").write_bytes(PHOTO)
@@ -163,6 +165,7 @@ def test_a_put_that_is_killed_leaves_nothing(tmp_path: Path, tidy: Tidy) -> None
     assert drone.status()["files"] == []
 
 
+@pytest.mark.no_cover
 def test_a_node_that_is_killed_has_nothing_or_all_of_a_file(tmp_path: Path, tidy: Tidy) -> None:
     # A drone with a small store, whose parts have to wait for a base.
     (port, other) = free_ports(2)

@@ -14,6 +14,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from rass_mav.app.files import MOST_TOLD, Files
 from rass_mav.app.payloads import pack_file
 from rass_mav.app.spool import Spool
@@ -57,6 +59,7 @@ def alone(directory: Path, **sections: Any) -> RunningNode:
 # -- a lifetime --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_path: Path, tidy: Tidy) -> None:
     base, relay, far = (tidy(node).start() for node in line_of(tmp_path, [1, 2, 3], **ROOM))
     (tmp_path / "film.mp4").write_bytes(PHOTO * 10)
@@ -149,6 +152,7 @@ def test_of_many_files_the_node_knows_how_far_each_is(tmp_path: Path, tidy: Tidy
     assert drone.status()["files"][0]["created"] > 0
 
 
+@pytest.mark.no_cover
 def test_two_files_of_one_name_are_two_and_the_same_file_twice_is_one(tmp_path: Path, tidy: Tidy) -> None:
     ports = free_ports(3)
     peers = [{"address": f"127.0.0.1:{port}", "id": id} for id, port in enumerate(ports, 1)]
@@ -180,6 +184,7 @@ def test_two_files_of_one_name_are_two_and_the_same_file_twice_is_one(tmp_path: 
 # -- large data of the format before -----------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_a_file_of_1_mib_in_one_datum_arrives_and_is_read(tmp_path: Path, tidy: Tidy) -> None:
     """As the program before put it: files that are under way in its stores."""
     base, relay, far = (tidy(node).start() for node in line_of(tmp_path, [1, 2, 3], **ROOM))
@@ -205,6 +210,7 @@ def test_a_file_of_1_mib_in_one_datum_arrives_and_is_read(tmp_path: Path, tidy: 
 # -- a node that ends --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 def test_whatever_was_on_the_disk_when_the_node_was_killed_a_file_is_put_once_or_not_at_all(
     tmp_path: Path, tidy: Tidy
 ) -> None:

@@ -93,6 +93,7 @@ def ids_in(url: str) -> list[str]:
         return [entry.name for entry in database.entries()]
 
 
+@pytest.mark.no_cover
 def test_nothing_is_lost_or_written_twice_whoever_is_killed(tmp_path: Path, tidy: Tidy) -> None:
     with server() as postgres:
         url = postgres.create("rass")

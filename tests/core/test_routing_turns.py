@@ -42,6 +42,7 @@ class UnevenSwarm(Swarm):
         self.now = start + 1.0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("policies", [("rass",), ("survival",), ("survival", "rass")])
 @pytest.mark.parametrize("seed", seeds(12, 400))
 def test_no_cycle_at_any_instant(seed: int, policies: Sequence[str]) -> None:
@@ -77,6 +78,7 @@ def test_no_cycle_at_any_instant(seed: int, policies: Sequence[str]) -> None:
     assert set(swarm.hops()) == set(range(size))
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("seed", seeds(12, 400))
 def test_no_cycle_between_shelters_either(seed: int) -> None:
     """No base for most of the time: data gather where it is safest, and this place changes."""

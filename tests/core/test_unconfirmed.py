@@ -122,6 +122,7 @@ RISKS = {0: 0.0, 1: 0.2, 2: 0.3, 3: 0.4, 4: 0.5, 5: 0.2, 6: 0.3}
 LINKS = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 4)]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("immediate", [False, True])
 @pytest.mark.parametrize("policy", ["rass", "survival"])
 @pytest.mark.parametrize("base", [False, True])
@@ -154,6 +155,7 @@ def test_what_a_forged_answer_has_ended_arrives_all_the_same(immediate: bool) ->
     assert not net.missing(ids)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("immediate", [False, True])
 def test_among_honest_nodes_hardly_anything_is_sent_again(immediate: bool) -> None:
     net = HostileNet(RISKS, LINKS, base=0, liar=None, immediate=immediate)

@@ -81,6 +81,7 @@ def test_the_ledger_holds_among_loss_radiation_and_failures(protocol: str, seed:
     assert expected is None or {type(agent.node) for agent in swarm.agents} == {expected}
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("protocol", OTHERS)
 def test_the_same_seed_gives_the_same_bytes(protocol: str) -> None:
     def sha256(seed: int) -> str:
@@ -91,6 +92,7 @@ def test_the_same_seed_gives_the_same_bytes(protocol: str) -> None:
     assert sha256(1) == sha256(1) != sha256(2)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("protocol", OTHERS)
 def test_nobody_sends_more_than_the_bandwidth_in_a_step(protocol: str) -> None:
     swarm = world(protocol, "node.phases=lockstep", "store.bandwidth_items=3", "data.interval_steps=2")

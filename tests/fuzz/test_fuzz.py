@@ -20,6 +20,7 @@ def test_there_is_a_corpus_for_each_target_and_no_other() -> None:
     assert {path.name for path in CORPUS.iterdir()} == set(TARGETS)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("name", TARGETS)
 def test_the_corpus(name: str) -> None:
     inputs = sorted((CORPUS / name).iterdir())

@@ -100,6 +100,7 @@ def test_data_percolate_through_autopilots(nodes: int, px4: bool) -> None:
     assert result.copies == 0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("px4", [False, True], ids=["ArduPilot", "PX4"])
 def test_a_storm_is_counted_and_not_made_worse(px4: bool) -> None:
     """Two autopilots with two links between them: each frame goes round without end."""

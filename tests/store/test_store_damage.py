@@ -361,6 +361,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(150), deadline=None)
 @given(
     header=st.booleans(),
@@ -398,6 +399,7 @@ def test_flipped_bytes_are_never_taken_for_data(sound: Path, header: bool, flips
             assert not held
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(60), deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bits=st.integers(1, 255), truncate=st.booleans(), known=st.booleans())
 def test_what_a_damaged_log_takes_with_it_is_salvaged_or_told(

@@ -72,6 +72,7 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     assert summary["delivered"] == summary["created"] == 24 * 11
 
 
+@pytest.mark.no_cover
 def test_honest_nodes_believe_each_other() -> None:
     world = World(load_scenario("demo", {}, ["keys=true", "nodes=25", "radio.loss=0.1", "radio.reorder=0.1"]))
     world.run(30, after=check)

@@ -100,6 +100,7 @@ def test_receipts_take_about_as_many_steps_and_half_as_many_bytes_more() -> None
     assert 0 < size[ANCHOR] < 0.02 * size[1]
 
 
+@pytest.mark.no_cover
 def test_what_holds_in_an_open_swarm_holds_with_two_bases() -> None:
     world = swarm("nodes=30", "bases=2", "radio.loss=0.1", "radio.duplicate=0.1", "radio.reorder=0.1", name="demo")
     world.run(100, after=check)
