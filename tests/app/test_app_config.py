@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.app.config import RunConfig, filled_in, load_config
 from rass_mav.config.loading import MAX_VALUES, convert, dump_yaml, read_yaml, set_key, to_plain
 from rass_mav.errors import MOST_LINES, ConfigError
+from tests.extent import examples
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 LINKS = "links: [{peers: [{address: '10.0.0.1:14600'}]}]\n"
@@ -402,6 +403,7 @@ TREES = st.recursive(
 )
 
 
+@settings(max_examples=examples(25))
 @given(st.dictionaries(NAMES, TREES, max_size=5))
 def test_any_tree_converts_or_is_refused_a_line_for_each_mistake(raw: dict[str, object]) -> None:
     try:

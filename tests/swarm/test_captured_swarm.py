@@ -10,13 +10,14 @@ import pytest
 from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.world import World
+from tests.extent import extents
 
 #: What these do is in other nodes' names, or repeated, or altered.
 SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
 
 
-def swarm(kind: str, *keys: str) -> World:
-    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: 120, captured: true}}]"
+def swarm(kind: str, *keys: str, end: int = 120) -> World:
+    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: {end}, captured: true}}]"
     return World(load_scenario("hostile", {}, ["keys=true", attacker, *keys]))
 
 
@@ -33,11 +34,13 @@ def not_believed(world: World) -> Counter[str]:
 @pytest.mark.no_cover
 @pytest.mark.parametrize("mirror", ["true", "false"])
 @pytest.mark.parametrize("kind", SPEAKERS)
-def test_a_captured_drone_cannot_speak_for_others(kind: str, mirror: str) -> None:
-    world = swarm(kind, f"custody.mirror={mirror}", "data.until_step=130")
-    world.run(200)
+@pytest.mark.parametrize("made", extents(70, 130))
+def test_a_captured_drone_cannot_speak_for_others(made: int, kind: str, mirror: str) -> None:
+    """`made`: data are created until this step."""
+    world = swarm(kind, f"custody.mirror={mirror}", f"data.until_step={made}", end=made - 10)
+    world.run(made + 70)
     summary = world.statistics.summary()
-    assert summary["created"] == 24 * 13
+    assert summary["created"] == 2.4 * made
     assert summary["delivered"] == summary["created"]
     assert summary["lost"]["unfounded"] == 0
     assert summary["altered"] == 0

@@ -11,6 +11,7 @@ from rass_mav.swarm.catalogue import load_scenario
 from rass_mav.swarm.invariants import check
 from rass_mav.swarm.world import World
 from rass_mav.wire.word import ANCHOR, ASK, VOUCHER
+from tests.extent import extents
 
 #: What says something in a base's name.
 LIARS = (
@@ -35,24 +36,26 @@ def counts(world: World) -> Counter[str]:
 @pytest.mark.parametrize(("kind", "policy"), [(kind, "survival") for kind in LIARS] + [
     ("false-base", "rass"), ("impostor", "rass"), ("route-forger", "rass"),
 ])  # fmt: skip
-def test_a_captured_drone_that_lies_about_bases_costs_nothing(kind: str, policy: str) -> None:
-    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: 120, captured: true}}]"
-    world = swarm(attacker, "data.until_step=130", f"policy.name={policy}")
-    world.run(119)
+@pytest.mark.parametrize("made", extents(70, 130))
+def test_a_captured_drone_that_lies_about_bases_costs_nothing(made: int, kind: str, policy: str) -> None:
+    """`made`: data are created until this step."""
+    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: {made - 10}, captured: true}}]"
+    world = swarm(attacker, f"data.until_step={made}", f"policy.name={policy}")
+    world.run(made - 11)
     during = world.statistics.summary()
-    assert during["created"] > 23 * 12
+    assert during["created"] > 2.3 * (made - 10)
     # As without an attacker: what is missing has just been created, or waits for a lost frame.
     assert during["delivered"] >= 0.96 * during["created"]
     world.run(61)
     summary = world.statistics.summary()
-    assert summary["created"] == summary["delivered"] == 24 * 13
+    assert summary["created"] == summary["delivered"] == 2.4 * made
     assert not any(summary["lost"].values())
     assert summary["altered"] == 0
     assert not any(summary["hostile"]["alarms"].values())
     assert summary["routing"]["loops"] == 0
     found = counts(world)
     if kind != "request-forger":
-        assert found["routes_refused"] > 80 or found["waiting"] > 100, "it was there"
+        assert found["routes_refused"] > 30 or found["waiting"] > 40, "it was there"
 
 
 def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:
