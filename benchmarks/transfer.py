@@ -39,7 +39,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from benchmarks.relay import DELAY_S, QUEUE_BYTES
+from benchmarks.relay import DELAY_S
 from rass_mav.app.payloads import MOST_SMALL, pack_file
 from rass_mav.app.staging import Staging, in_pieces
 from rass_mav.core.datum import Kind
@@ -295,7 +295,7 @@ def hand_over(drone: RunningNode, base: RunningNode, payload: bytes, patience_s:
 
 def ours(
     cell: Cell, size: int, seed: str, *, signed: bool = False, settings: dict[str, Any] | None = None,
-    queue: int = QUEUE_BYTES,
+    queue: int,
 ) -> Run:  # fmt: skip
     """One transfer between two of our nodes."""
     payload = random.Random(f"{seed}:file").randbytes(size)
@@ -443,7 +443,7 @@ def _fetch_with_mavsdk(address: str, name: str, into: str, size: int, read_size:
 CLIENTS: dict[str, Callable[..., None]] = {"pymavlink": _fetch_with_pymavlink, "MAVSDK": _fetch_with_mavsdk}
 
 
-def ftp(client: str, cell: Cell, size: int, seed: str, *, read_size: int = READ_SIZE, queue: int = QUEUE_BYTES) -> Run:
+def ftp(client: str, cell: Cell, size: int, seed: str, *, read_size: int = READ_SIZE, queue: int) -> Run:
     """One file that a client of MAVLink FTP fetches."""
     payload = random.Random(f"{seed}:file").randbytes(size)
     context = multiprocessing.get_context("spawn")
@@ -488,16 +488,18 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     for name in options.cells:
         one = cell(name)
         size = options.size or one.size
+        # MAVSDK's server sends the whole file in one burst.
+        queue = options.queue or 2 * size
         runs: dict[str, list[Run]] = {}
         # In turns, so that other load on the machine affects all alike.
         for round in range(options.rounds):
             seed = f"{options.seed}:{name}:{round}"
             runs.setdefault("ours", []).append(
-                ours(one, size, seed, signed=options.signed, settings=options.set, queue=options.queue)
+                ours(one, size, seed, signed=options.signed, settings=options.set, queue=queue)
             )
             for client in () if options.skip_ftp else CLIENTS:
                 runs.setdefault(client, []).append(
-                    ftp(client, one, size, seed, read_size=options.read_size, queue=options.queue)
+                    ftp(client, one, size, seed, read_size=options.read_size, queue=queue)
                 )
         found[name] = {
             who: figures(one, made, signed=options.signed and who == "ours", ours=who == "ours")
@@ -532,7 +534,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--size", type=int, help="bytes of the file (256 KiB; at 1 Mbit/s 1 MiB)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--queue", type=int, default=QUEUE_BYTES, help="bytes that wait in the link (%(default)s)")
+    parser.add_argument("--queue", type=int, help="bytes that may wait in the link (twice the file)")
     parser.add_argument("--read-size", type=int, default=READ_SIZE, help="of pymavlink's bursts (%(default)s)")
     parser.add_argument("--set", type=_setting, nargs="+", default=[], action="extend", metavar="KEY=VALUE",
                         help="a key of both nodes' configuration; links.airtime.duty is of the link")  # fmt: skip
