@@ -10,6 +10,9 @@ from rass_mav.mission.entry import UNIT_NAMES
 
 from .common import clean
 
+#: Characters of the bar that shows how much of a file has arrived.
+_BAR = 20
+
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
@@ -90,7 +93,9 @@ def _files(files: Sequence[dict[str, Any]], watch: dict[str, Any] | None) -> Ite
         arrived = "" if file["arrived"] is None else f", {file['arrived']} arrived"
         lost = f", {file['lost']} lost" if file["lost"] else ""
         damaged = ", the others are damaged on the disk" if file["damaged"] else ""
-        yield clean(f"file {file['name']}: {created}, {file['handed_over']} handed over{arrived}{lost}{damaged}")
+        done = file["handed_over"] if file["arrived"] is None else file["arrived"]
+        bar = f"[{'#' * (_BAR * done // file['parts']):.<{_BAR}}]"
+        yield clean(f"file {file['name']}: {bar} {created}, {file['handed_over']} handed over{arrived}{lost}{damaged}")
 
 
 def _port_signatures(refused: dict[str, int] | None) -> str:

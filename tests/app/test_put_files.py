@@ -82,7 +82,8 @@ def test_wait_returns_when_all_has_arrived(tmp_path: Path, tidy: Tidy) -> None:
     assert (file["name"], file["parts"], file["created"], file["handed_over"], file["arrived"]) == (
         "photo.jpg", 10, 10, 10, 10,
     )  # fmt: skip
-    assert b"file photo.jpg: 10 of 10 parts created" in command(tmp_path, "status", far.config).stdout
+    shown = command(tmp_path, "status", far.config).stdout
+    assert b"file photo.jpg: [####################] 10 of 10 parts created" in shown
     # At the base itself it has arrived at once.
     said = command(tmp_path, "put", "-c", base.config, "photo.jpg", "--wait")
     assert (said.returncode, said.stderr) == (0, b"")

@@ -96,7 +96,8 @@ def test_of_a_file_some_parts_of_which_expire_on_the_way_the_others_stay(tmp_pat
     far.until(lambda: far.status()["files"][0]["lost"] == 92 - there)
     (told,) = far.status()["files"]
     assert [told[key] for key in ("parts", "created", "handed_over", "arrived")] == [92, 92, there, there]
-    line = f"92 of 92 parts created, {there} handed over, {there} arrived, {92 - there} lost"
+    bar = "#" * (20 * there // 92)
+    line = f"[{bar:.<20}] 92 of 92 parts created, {there} handed over, {there} arrived, {92 - there} lost"
     assert line in command(tmp_path, "status", far.config).stdout.decode()
 
 
