@@ -30,6 +30,7 @@ from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.mission import keyring_of
 from rass_mav.wire import encode
 from rass_mav.wire.letters import Roll, decode_roll, enclose, encode_roll, is_about_keys, is_letter
+from tests.extent import seeds
 from tests.wire.samples import NOW, SAMPLES
 
 from .crew import Crew, agent_with_keys
@@ -493,7 +494,7 @@ def test_an_asker_without_the_key_gets_a_bounded_number_of_letters() -> None:
     assert told[1] <= told[0] + 2 * (MAX_ASKED + 100 / 8)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(2, 5))
 def test_who_asks_for_the_letters_of_others_delays_one_that_comes_back_and_no_more(seed: int) -> None:
     """A revoked drone asks in the names of all others, in each step, for as long as it can."""
     rng = random.Random(seed)

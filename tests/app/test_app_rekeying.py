@@ -8,6 +8,8 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from rass_mav.app.keyfiles import letters_path
 from rass_mav.keys.files import GROUND_FILE, drone_file
 
@@ -50,6 +52,7 @@ def create(node: RunningNode, text: str) -> str:
     return str(node.ask("put", payload=text.encode())["id"])
 
 
+@pytest.mark.no_cover
 def test_the_key_changes_and_a_drone_is_revoked_in_a_running_swarm(tmp_path: Path, tidy: Tidy) -> None:
     """A line of base 1 and drones 2, 3 and 4, and drone 5 beside the base. 3 is killed in the middle of the change."""
     mission(tmp_path, 2, 3, 4, 5)

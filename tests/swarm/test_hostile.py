@@ -112,8 +112,8 @@ def test_junk_that_does_not_end_leaves_room_for_data() -> None:
 
 @pytest.fixture(scope="module")
 def honest() -> str:
-    """The digest of what is on the air in the first 30 steps of a swarm without attackers."""
-    world = World(load_scenario("hostile"))
+    """The digest of what is on the air in the first 30 steps of a small swarm without attackers."""
+    world = World(load_scenario("hostile", {}, ["nodes=9"]))
     world.run(30)
     return world.air.tally.sha256
 
@@ -121,7 +121,7 @@ def honest() -> str:
 @pytest.mark.no_cover
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_attacker_that_is_not_there_changes_nothing(kind: str, honest: str) -> None:
-    visited = swarm(kind, begin=10**6, end=10**6 + 1)
+    visited = swarm(kind, "nodes=9", near=4, begin=10**6, end=10**6 + 1)
     visited.run(30)
     assert visited.air.tally.sha256 == honest
 
