@@ -63,6 +63,7 @@ def carry(line: Line, seed: int, *, size: int = PART, total: int = TOTAL) -> Res
     )
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("loss", [0.0, 0.05, 0.2])
 @pytest.mark.parametrize("bytes_s", [5760.0, 125000.0])
 def test_a_link_is_used_up(bytes_s: float, loss: float) -> None:
@@ -73,6 +74,7 @@ def test_a_link_is_used_up(bytes_s: float, loss: float) -> None:
     assert max(result.sent for result in results) <= 1.05
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("loss", [0.0, 0.05, 0.2])
 @pytest.mark.parametrize("bytes_s", [5760.0, 125000.0])
 def test_a_link_is_used_up_though_chunks_let_all_else_go_first(bytes_s: float, loss: float) -> None:
@@ -99,6 +101,7 @@ def test_a_part_that_waits_for_those_before_it_is_not_offered_anew() -> None:
     assert {id: len(given) for id, given in numbers.items()} == dict.fromkeys(ids, 1)
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("delay_s", [0.001, 0.02])
 def test_no_long_queue_stands_before_the_link(delay_s: float) -> None:
     pair = Pair(Line(125000.0, delay_s), 1)
@@ -264,6 +267,7 @@ class Liar:
         return rng.choice(answers)
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 1 << 32), st.sampled_from([0.02, 0.2]), st.sampled_from([0.0, 0.1]))
 @example(2408784, 0.2, 0.0)
@@ -334,6 +338,7 @@ class Captured:
         return [false, message] if self._rng.random() < 0.5 else [message, false]
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 1 << 32), st.sampled_from([0.002, 0.05, 0.5]), st.sampled_from([0.0, 0.1]))
 def test_chunks_with_captured_handles_delay_and_nothing_false_is_committed(

@@ -170,6 +170,7 @@ def test_a_wiped_base_takes_nothing_back_and_does_not_say_what_it_has_not() -> N
     assert ids(1, 0)[0] not in net.archives[0]
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("bases", [2, 3, 10])
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 def test_scattered_parts_at_several_bases_are_known_to_all_in_the_end(bases: int, loss: float) -> None:

@@ -293,6 +293,7 @@ def test_the_field_is_taken_at_whole_metres() -> None:
 # -- the whole ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("topology", TOPOLOGIES)
 def test_all_invariants_hold_and_robots_stay_in_the_arena(topology: str) -> None:
     world = World(reference(topology, steps=40))

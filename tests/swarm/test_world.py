@@ -80,6 +80,7 @@ def test_nothing_is_lost_on_a_bad_radio_and_everything_arrives(size: int, made: 
     assert summary["frames"]["dropped"] > 0
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("latency", [1, 3])
 def test_latency_delays_but_loses_nothing(latency: int) -> None:
     world = run(
@@ -148,6 +149,7 @@ def test_corruption_is_found_in_the_step_that_struck() -> None:
     assert summary["created"] == 8
 
 
+@pytest.mark.no_cover
 def test_a_full_swarm_overflows_and_the_ledger_balances() -> None:
     world = run(
         nodes=9,
@@ -164,6 +166,7 @@ def test_a_full_swarm_overflows_and_the_ledger_balances() -> None:
     assert summary["held"] > 0
 
 
+@pytest.mark.no_cover
 def test_several_bases_share_the_work() -> None:
     world = run(nodes=36, bases=3, steps=150, seed=4, radiation={"sources": []}, data={"until_step": 100})
     assert world.statistics.summary()["delivered"] == world.statistics.summary()["created"]
@@ -194,6 +197,7 @@ def test_large_data_go_in_chunks_through_the_swarm() -> None:
     assert summary["transmissions_per_datum"] > 3000 / 123
 
 
+@pytest.mark.no_cover
 def test_stigmergy_fills_every_store_and_refuses_the_rest() -> None:
     world = run(nodes=25, steps=120, seed=1, policy={"name": "stigmergy"}, radiation={"sources": []})
     summary = world.statistics.summary()
@@ -209,6 +213,7 @@ def test_data_expire() -> None:
     assert world.statistics.summary()["lost"]["expired"] > 0
 
 
+@pytest.mark.no_cover
 @settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     topology=st.sampled_from([*CONNECTED, "islands"]),
@@ -251,12 +256,14 @@ def test_counting_loops() -> None:
     assert count_loops([]) == 0
 
 
+@pytest.mark.no_cover
 def test_hop_counts_are_the_shortest_on_a_quiet_grid() -> None:
     world = run(nodes=100, steps=30, radiation={"sources": []}, policy={"name": "hop-count"})
     expected = world.graph.hops_from([0])
     assert [agent.node.routing.hops for agent in world.agents] == expected
 
 
+@pytest.mark.no_cover
 def test_routes_die_when_the_base_is_out_of_reach() -> None:
     world = run(nodes=16, steps=60, topology="islands", mobility={"split_step": 30, "gap_m": 50})
     hops = [agent.node.routing.hops for agent in world.agents]
