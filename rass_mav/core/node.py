@@ -9,6 +9,7 @@ from typing import Any
 from rass_mav.core import messages
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import Holdings
+from rass_mav.core.custody.incoming import Incoming
 from rass_mav.core.custody.keeper import Keeper, Sink
 from rass_mav.core.custody.percolation import Percolation
 from rass_mav.core.custody.transfers import Transfers
@@ -34,7 +35,7 @@ MAX_ANSWERED = 64
 class Node(Participant):
     """A participant that keeps data in custody, and percolates them towards a base."""
 
-    __slots__ = ("_answered", "archive", "digests", "keeper", "own", "percolation", "transfers")
+    __slots__ = ("_answered", "archive", "digests", "incoming", "keeper", "own", "percolation", "transfers")
 
     def _take_up(self, now: float) -> Holdings:
         self._answered: dict[tuple[int, int], tuple[DatumId, int, bool]] = {}
@@ -49,7 +50,8 @@ class Node(Participant):
         told = keeper.notes.told and self.archive is None
         self.own = OwnNumbers(self.id, self.store, self.receipts, self.alarms) if told else None
         """What becomes of own data; None: receipts do not exist."""
-        self.transfers = Transfers(keeper, self.routing, self.pace, self.rng)
+        self.transfers = Transfers(keeper, self.pace, self.rng)
+        self.incoming = Incoming(keeper, self.routing, self.pace, self.rng)
         self.percolation = Percolation(
             keeper, self.transfers, self.routing, self.pace, self.policy, self.risk, self.rng
         )
@@ -120,6 +122,7 @@ class Node(Participant):
         self.keeper.stirred = False
         self.pace.begin_turn()
         self.keeper.expire(now)
+        self.incoming.age(now)
         self.transfers.age(now)
 
     def forward(self, now: float) -> list[Message]:
@@ -189,7 +192,7 @@ class Node(Participant):
         """As for every participant; transfers live as long as neighbours do."""
         super().keep_pace(turn_s, items, now, told_s)
         routing = self.routing
-        self.transfers.lifetime_s = routing.lifetime_s * (routing.turn_s / routing.step_s)
+        self.incoming.lifetime_s = routing.lifetime_s * (routing.turn_s / routing.step_s)
 
     # -- incoming messages ---------------------------------------------------------------------------------------------
 
@@ -369,9 +372,9 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.Beacon: Node._on_beacon,
     messages.Data: Node._on_data,
     Committed: Node._on_committed,
-    messages.Offer: lambda node, message, now: node.transfers.on_offer(message, now),
+    messages.Offer: lambda node, message, now: node.incoming.on_offer(message, now),
     messages.Accept: lambda node, message, now: node.transfers.on_accept(message, now),
-    messages.Chunk: lambda node, message, now: node.transfers.on_chunk(message, now),
+    messages.Chunk: lambda node, message, now: node.incoming.on_chunk(message, now),
     messages.Sack: lambda node, message, now: node.transfers.on_sack(message, now),
     messages.Receipt: Node._on_receipt,
     messages.LossNote: Node._on_loss_note,

@@ -150,8 +150,8 @@ def test_whatever_gets_lost_doubled_and_overtaken_it_arrives_whole(
 def check(pair: Pair) -> bool:
     """The bounds hold at any moment."""
     for node in pair.nodes.values():
-        transfers, large = node.transfers, node.holdings.large
-        assert len(transfers._receiving) <= MAX_TRANSFERS
+        incoming, large = node.incoming, node.holdings.large
+        assert len(incoming._receiving) <= MAX_TRANSFERS
         assert sum(map(len, large.values())) <= MAX_TRANSFERS
         for of_neighbour in large.values():
             assert len(of_neighbour) <= MAX_OF_ONE

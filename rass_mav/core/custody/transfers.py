@@ -1,32 +1,18 @@
-"""The chunked transfers of one node, out and in: a few for each neighbour and direction, and bounded in all."""
+"""What one node sends in chunks: a few transfers to each neighbour, and bounded in all."""
 
 from __future__ import annotations
 
 import random
-from collections import deque
 from collections.abc import Iterable, Iterator
 from math import inf
 
 from rass_mav.core.custody.flow import RESIDUE, SACK_EVERY, Flight, Flow, times
 from rass_mav.core.custody.holdings import Holding, Pending
 from rass_mav.core.custody.keeper import Keeper
-from rass_mav.core.custody.receiving import Receiving
 from rass_mav.core.custody.sending import Sending
-from rass_mav.core.datum import MAX_PAYLOAD, Datum
-from rass_mav.core.messages import (
-    MAX_OTHERS,
-    OTHER_BITS,
-    REPORT_BITS,
-    Accept,
-    Chunk,
-    Committed,
-    Message,
-    Offer,
-    Report,
-    Sack,
-)
+from rass_mav.core.datum import Datum
+from rass_mav.core.messages import OTHER_BITS, REPORT_BITS, Accept, Chunk, Message, Report, Sack
 from rass_mav.core.pace import Pace
-from rass_mav.core.routes.table import RoutingTable
 
 #: Transfers at a time, in each direction. Each holds at most one datum (1 MiB) in memory.
 MAX_TRANSFERS = 8
@@ -43,9 +29,6 @@ MAX_CHUNKS = 1 << 14
 CHUNKS_A_COPY, MOST_SAVED = 32, 64
 #: What is known of a link that was idle for longer does not count any more, seconds.
 IDLE_S = 30.0
-#: Incoming transfers are kept for at least so long, seconds, however short a turn is: the giver may be starting again,
-#: or its chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
-LEAST_KEPT_S = 120.0
 #: Questions that are remembered, for each neighbour.
 MAX_QUESTIONS = 8
 
@@ -66,32 +49,18 @@ class Stream:
 
 
 class Transfers:
-    """Offers, chunks and their acknowledgement for one node."""
+    """The offers and chunks of one node, and what its neighbours report of them."""
 
-    __slots__ = (
-        "_done", "_due", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_streams", "_unreported",
-        "lifetime_s",
-    )  # fmt: skip
+    __slots__ = ("_due", "_id", "_keeper", "_pace", "_rng", "_streams")
 
-    def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
+    def __init__(self, keeper: Keeper, pace: Pace, rng: random.Random) -> None:
         self._id = keeper.settings.node_id
         self._keeper = keeper
-        self._routing = routing
         self._pace = pace
         self._rng = rng
-        self.lifetime_s = routing.lifetime_s
-        """Incoming transfers of a giver that is silent for longer are given up, and their bytes forgotten."""
         self._streams: dict[int, Stream] = {}
         """By neighbour."""
         self._due = inf
-        self._receiving: dict[int, Receiving] = {}
-        """By handle."""
-        self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
-        """Handles and offers of the last data that came in whole: the giver may ask again."""
-        self._unreported: dict[int, int] = {}
-        """Chunks that came since the last Sack, by giver."""
-
-    # -- outgoing ------------------------------------------------------------------------------------------------------
 
     def _to(self, neighbour: int) -> Iterator[Sending]:
         """The transfers to a neighbour, the earliest first."""
@@ -326,146 +295,9 @@ class Transfers:
                         self._wake(at)
         return out
 
-    # -- incoming ------------------------------------------------------------------------------------------------------
-
     def age(self, now: float) -> None:
-        """Give up the incoming transfers of silent givers, and forget links that are long idle."""
-        if self._receiving:
-            heard: dict[int, float] = {}
-            for transfer in self._receiving.values():
-                giver = transfer.offer.sender
-                heard[giver] = max(heard.get(giver, -inf), transfer.heard)
-            for transfer in list(self._receiving.values()):
-                if now - heard[transfer.offer.sender] > max(self.lifetime_s, LEAST_KEPT_S):
-                    self._end(transfer)
-        if self._streams:
-            large = self._keeper.holdings.large
-            for neighbour, stream in list(self._streams.items()):
-                if neighbour not in large and now - stream.flow.active > IDLE_S:
-                    del self._streams[neighbour]
-
-    def _from(self, giver: int) -> list[Receiving]:
-        return [transfer for transfer in self._receiving.values() if transfer.offer.sender == giver]
-
-    def _end(self, transfer: Receiving) -> None:
-        """A transfer is over, or given up."""
-        del self._receiving[transfer.handle]
-        if not self._from(transfer.offer.sender):
-            self._unreported.pop(transfer.offer.sender, None)
-
-    def on_offer(self, offer: Offer, now: float) -> list[Message]:
-        """A neighbour offers a large datum: it is here already, there is no space, or it may come."""
-        if (here := self._here(offer)) is not None:
-            return [here]
-        of_giver = self._from(offer.sender)
-        for running in of_giver:
-            same = running.offer
-            if (same.id, same.crc, same.size, same.chunk_size) == (offer.id, offer.crc, offer.size, offer.chunk_size):
-                running.offer = offer
-                running.heard = now
-                return [running.accept(self._id)]
-            if same.id == offer.id:
-                self._end(running)
-        if len(of_giver) >= MAX_OF_ONE:
-            # A giver has no more at a time, so it has given up one of them.
-            self._end(min(of_giver, key=lambda transfer: transfer.heard))
-        if not self._acceptable(offer) or not self._has_place(offer, now):
-            self._keeper.refused += 1
-            return [self._refused(offer)]
-        handle = self._rng.getrandbits(16)
-        while handle in self._receiving or any(handle == done for done, _ in self._done):
-            handle = self._rng.getrandbits(16)
-        transfer = self._receiving[handle] = Receiving(offer, handle, now)
-        return [transfer.accept(self._id)]
-
-    def _here(self, offer: Offer) -> Committed | None:
-        """The answer to an offer of what is here already; None: it is not."""
-        keeper = self._keeper
-        if not keeper.has_custody(offer.sender, offer.number, offer.id, offer.crc):
-            return None
-        keeper.rejuvenate(offer.id, offer.created, at_least=offer.at_least)
-        return self._committed(offer, keeper.confirmed(offer.sender, offer.number, offer.id, offer.crc))
-
-    def _acceptable(self, offer: Offer) -> bool:
-        return (
-            offer.size <= MAX_PAYLOAD
-            and -(-offer.size // offer.chunk_size) <= MAX_CHUNKS
-            # Names are easy to invent, and each would take a place.
-            and offer.sender in self._routing.neighbours
-            and not self._keeper.is_occupied(offer.id, offer.kind)
-            and not self._keeper.is_squatted(offer.id)
-            and self._keeper.is_fair(offer.sender, offer.id.origin, offer.size)
-        )
-
-    def _has_place(self, offer: Offer, now: float) -> bool:
-        """Whether one more transfer may come in; those of idle givers are dropped for it, the longest idle first."""
-        receiving, may_accept = self._receiving, self._keeper.may_accept
-        moved: dict[int, float] = {}
-        for t in receiving.values():
-            moved[t.offer.sender] = max(moved.get(t.offer.sender, -inf), t.moved)
-        idle = sorted(
-            (t for t in receiving.values() if now - moved[t.offer.sender] > self._pace.turn_s), key=lambda t: t.moved
-        )
-        staying = [t for t in receiving.values() if t not in idle]
-        for leaving in range(len(idle) + 1):
-            others = [*staying, *idle[leaving:]]
-            akin = sum(t.id.origin == offer.id.origin for t in others)
-            if len(others) >= MAX_TRANSFERS or akin >= MAX_OF_ONE:
-                continue
-            if may_accept(offer.size + sum(t.offer.size for t in others), 1 + len(others)):
-                for transfer in idle[:leaving]:
-                    self._end(transfer)
-                return True
-        return False
-
-    def on_chunk(self, chunk: Chunk, now: float) -> list[Message]:
-        """A piece of a datum, or a question; if the handle is not ours, it belongs to another node's transfer."""
-        transfer = self._receiving.get(chunk.handle)
-        if transfer is None:
-            return self._after_the_end(chunk) if chunk.poll else []
-        giver, unreported = transfer.offer.sender, self._unreported
-        if transfer.take(chunk, now):
-            unreported[giver] = unreported.get(giver, 0) + 1
-        if transfer.complete:
-            return self._complete(transfer)
-        # While nothing is missing there is less to say.
-        if chunk.poll or unreported.get(giver, 0) >= (SACK_EVERY if transfer.has_gaps else 2 * SACK_EVERY):
-            return [self._sack(transfer, 0 if chunk.data else chunk.position)]
-        return []
-
-    def _complete(self, transfer: Receiving) -> list[Message]:
-        offer, datum = transfer.offer, transfer.datum()
-        self._end(transfer)
-        if datum is None:
-            # Chunks of another transfer with the same handle got mixed in: the giver's next offer starts it again.
-            self._keeper.corrupt_received += 1
-            return []
-        if not self._keeper.take_custody(offer.sender, offer.number, datum):
-            return [self._refused(offer)]
-        self._done.append((transfer.handle, offer))
-        return [self._committed(offer, self._keeper.numbers.prints.of(datum))]
-
-    def _after_the_end(self, chunk: Chunk) -> list[Message]:
-        """The giver wants a report of a transfer that is over: it has not heard the answer."""
-        giver = next((offer.sender for handle, offer in self._done if handle == chunk.handle), None)
-        if giver is None:
-            return []
-        here = [told for _, offer in self._done if offer.sender == giver and (told := self._here(offer)) is not None]
-        pairs = tuple([pair for told in here[-MAX_OF_ONE:] for pair in told.committed])
-        question = 0 if chunk.data else chunk.position
-        sacks = [self._sack(transfer, question) for transfer in self._from(giver)[:1]]
-        return [*([Committed(self._id, giver, pairs, ())] if pairs else []), *sacks]
-
-    def _sack(self, transfer: Receiving, question: int) -> Sack:
-        """What has arrived in this transfer, and in others of the same giver."""
-        giver = transfer.offer.sender
-        self._unreported[giver] = 0
-        further = [t.report(OTHER_BITS) for t in self._from(giver) if t is not transfer]
-        report = transfer.report(REPORT_BITS)
-        return Sack(self._id, giver, *report, question, tuple(further[:MAX_OTHERS]))
-
-    def _committed(self, offer: Offer, fingerprint: int) -> Committed:
-        return Committed(self._id, offer.sender, ((offer.number, fingerprint),), ())
-
-    def _refused(self, offer: Offer) -> Committed:
-        return Committed(self._id, offer.sender, (), (offer.number,))
+        """Forget links that are long idle."""
+        large = self._keeper.holdings.large
+        for neighbour, stream in list(self._streams.items()):
+            if neighbour not in large and now - stream.flow.active > IDLE_S:
+                del self._streams[neighbour]
