@@ -21,7 +21,7 @@ from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode, is_data, target_of
+from rass_mav.wire import decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
 from rass_mav.wire.word import is_word
 
@@ -150,7 +150,7 @@ class Peers:
             self.foreign += 1
             return None
         self.received += 1
-        if target != self._node_id and target != BROADCAST and not (self.overhears and is_data(payload)):
+        if target != self._node_id and target != BROADCAST and not (self.overhears and is_overheard(payload)):
             return None
         if (system or component) and not addressed_to(
             system, component, self.writer.system_id, self.writer.component_id

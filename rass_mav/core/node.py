@@ -300,6 +300,20 @@ class Node(Participant):
         keeper.spares.answered(message, now, out)
         return out
 
+    def _on_offer(self, offer: messages.Offer, now: float) -> list[Message]:
+        if offer.target == self.id:
+            return self.incoming.on_offer(offer, now)
+        if self.settings.overhear:
+            self.incoming.listening.on_offer(offer)
+        return []
+
+    def _on_accept(self, accept: messages.Accept, now: float) -> list[Message]:
+        if accept.target == self.id:
+            return self.transfers.on_accept(accept, now)
+        if self.settings.overhear:
+            self.incoming.listening.on_accept(accept, now)
+        return []
+
     def _on_passed_on(self, message: messages.PassedOn, now: float) -> list[Message]:
         self.keeper.spares.on_passed_on(message)
         return []
@@ -372,8 +386,8 @@ HANDLERS: dict[type, Callable[[Node, Any, float], list[Message]]] = {
     messages.Beacon: Node._on_beacon,
     messages.Data: Node._on_data,
     Committed: Node._on_committed,
-    messages.Offer: lambda node, message, now: node.incoming.on_offer(message, now),
-    messages.Accept: lambda node, message, now: node.transfers.on_accept(message, now),
+    messages.Offer: Node._on_offer,
+    messages.Accept: Node._on_accept,
     messages.Chunk: lambda node, message, now: node.incoming.on_chunk(message, now),
     messages.Sack: lambda node, message, now: node.transfers.on_sack(message, now),
     messages.Receipt: Node._on_receipt,

@@ -189,7 +189,7 @@ def answer_said(m: Committed) -> bytes:
 #: First byte of all messages whose type is in the second one.
 MORE_HEAD = bytes([_head(MORE)])
 _BEACON_HEAD = _head(BEACON)
-_DATA_HEAD = bytes([_head(DATA)])
+_OVERHEARD = frozenset(bytes([_head(number)]) for number in (DATA, OFFER, ACCEPT))
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
@@ -398,9 +398,9 @@ def target_of(payload: bytes) -> int:
     return payload[3] | payload[4] << 8 if len(payload) > 4 and payload[0] in _TARGETED else BROADCAST
 
 
-def is_data(payload: bytes) -> bool:
-    """Whether a TUNNEL payload begins like a `Data` message of this version."""
-    return payload[:1] == _DATA_HEAD
+def is_overheard(payload: bytes) -> bool:
+    """Whether a TUNNEL payload begins like a message of this version that nodes read even if it is for another one."""
+    return payload[:1] in _OVERHEARD
 
 
 def beacon_sender(payload: bytes) -> int | None:

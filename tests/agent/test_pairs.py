@@ -18,7 +18,9 @@ from rass_mav.agent.pairs import PairTags, StrongFingerprints
 from rass_mav.core.datum import Datum, DatumId, Fate, datum_crc, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
+    Accept,
     Beacon,
+    Chunk,
     Committed,
     Data,
     Handover,
@@ -145,9 +147,9 @@ def answer(datum: Datum = D, number: int = 77, *, spare: bool = False, sender: i
     return Committed(sender, GIVER, ((number, PRINTS.of(datum, spare=spare)),), ())
 
 
-def twin(datum: Datum) -> Datum:
-    """Another content with the same id and checksum, as anybody can make one."""
-    rng = random.Random(1)
+def twin(datum: Datum, seed: int = 1) -> Datum:
+    """Another content with the same id and checksum, as anybody can make one. It is 8 bytes longer."""
+    rng = random.Random(seed)
     # The checksum is linear: some combination of 33 changes does not change it.
     rows: dict[int, tuple[int, bytes]] = {}
     base = bytes(len(datum.payload) + 8)
@@ -297,6 +299,31 @@ def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
         node.holdings.remove(node.holdings.custody[D.id], Fate.PASSED_ON)
         assert node.receive(offered(), 3.0) == [answer()], "this very one was accepted"
         assert D.id not in node.holdings
+
+
+def test_what_was_overheard_is_confirmed_as_what_it_is() -> None:
+    """A large datum is not sent to a node that has heard it on its way to another. If that was another content, with the
+    same size and checksum, the giver does not believe the answer, and keeps its own."""
+    datum = make_datum(DatumId(GIVER, 0xCAFE, 9), 0, 0.0, bytes(200))
+    true, false = twin(datum), twin(datum, seed=2)
+    size = len(true.payload)
+    node = agent_with_keys(TAKER, words=True).node
+
+    def offer(sender: int, target: int) -> Offer:
+        return Offer(sender, target, 77, true.id, 0, 0.0, 0, true.crc, size, 123)
+
+    for sender in (GIVER, CAPTURED):
+        node.receive(BEACON._replace(sender=sender), 1.0)
+    node.receive(offer(CAPTURED, BASE), 1.1)
+    node.receive(Accept(BASE, CAPTURED, 77, 5, 0), 1.1)
+    for index, part in enumerate((false.payload[:123], false.payload[123:])):
+        node.receive(Chunk(BROADCAST, 5, index, False, part), 1.1)
+    [told] = node.receive(offer(GIVER, TAKER), 1.2)
+    assert told == Committed(TAKER, GIVER, ((77, PRINTS.of(false)),), ())
+    giver, taker = acquainted(GIVER, TAKER)
+    giver.store.put(true)
+    giver.says(offer(GIVER, TAKER))
+    assert giver.believes(taker.says(told)) is None
 
 
 Change = Callable[[bytes, st.DataObject], bytes]

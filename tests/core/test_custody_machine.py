@@ -29,7 +29,7 @@ from rass_mav.errors import RassError, StoreError, StoreFullError
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.policy.settings import PolicySettings
-from rass_mav.wire import decode, is_data, target_of
+from rass_mav.wire import decode, is_overheard, target_of
 from tests.extent import examples, extents
 
 from .books import check_node
@@ -150,7 +150,7 @@ class Swarm(RuleBasedStateMachine):
     def _hear(self, i: int, payload: bytes) -> None:
         if i in self.nodes:
             node = self.nodes[i]
-            if target_of(payload) in (i, BROADCAST) or (node.overhears and is_data(payload)):
+            if target_of(payload) in (i, BROADCAST) or (node.overhears and is_overheard(payload)):
                 answers = node.receive(decode(payload, self.now), self.now)
                 self._say(i, let_ride(answers, self._forward(i)))
 

@@ -9,7 +9,7 @@ import pytest
 from rass_mav.agent.peers import Peers
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
-from rass_mav.core.messages import Committed, Data, Handover, LossNote, Word, WordEntry, Words
+from rass_mav.core.messages import Accept, Committed, Data, Handover, LossNote, Offer, Word, WordEntry, Words
 from rass_mav.core.node import Node
 from rass_mav.core.spares.overheard import KEPT_TURNS, PART
 from rass_mav.mavlink.frames import FrameWriter
@@ -266,11 +266,16 @@ def test_giving_up_custody_is_not_possible_by_overhearing() -> None:
     assert id not in node.holdings
 
 
-def test_only_data_for_others_are_let_through_and_only_on_request() -> None:
+def test_only_hand_overs_to_others_are_let_through_and_only_on_request() -> None:
     peers = Peers(1, FrameWriter(1, 191), 33200)
     [passing] = encode(data(GIVER, TAKER, (77, datum())), 0.0)
     [answer] = encode(Committed(TAKER, GIVER, ((77, 1),), ()), 0.0)
-    for payload, overhears, heard in ((passing, True, True), (passing, False, False), (answer, True, False)):
+    [offer] = encode(Offer(GIVER, TAKER, 78, DatumId(9, 1, 0), 0, 0.0, 0, 1, 5000, 123), 0.0)
+    [accept] = encode(Accept(TAKER, GIVER, 78, 7, 0), 0.0)
+    for payload, overhears, heard in (
+        *((of_hand_over, on, on) for of_hand_over in (passing, offer, accept) for on in (True, False)),
+        (answer, True, False),
+    ):
         peers.overhears = overhears
         message = peers.message((0, 0, 33200, payload, target_of(payload)), 0.0)
         assert (message is not None) == heard

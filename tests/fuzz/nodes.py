@@ -12,7 +12,7 @@ from rass_mav.core.node import Node
 from rass_mav.core.participant import Participant
 from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
-from rass_mav.wire import decode, encode, is_data, target_of
+from rass_mav.wire import decode, encode, is_overheard, target_of
 from tests.core.books import check_node
 from tests.core.build import make_node, make_replica
 from tests.core.durable import DurableStore
@@ -118,7 +118,7 @@ def _deliver(talk: Conversation, whom: int) -> None:
         sender, payload = talk.air.pop(0)
         for id, node in talk.nodes.items():
             if (
-                (target_of(payload) in (id, BROADCAST) or (node.overhears and is_data(payload)))
+                (target_of(payload) in (id, BROADCAST) or (node.overhears and is_overheard(payload)))
                 and id != sender
                 and {id, sender} != talk.cut
             ):

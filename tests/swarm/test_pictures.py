@@ -5,6 +5,9 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.pictures import PART_BYTES, WARM_STEPS, Line, line, measure_time
+from rass_mav.swarm.catalogue import load_scenario
+from rass_mav.swarm.invariants import check
+from rass_mav.swarm.world import World
 from tests.extent import extents
 
 
@@ -36,3 +39,24 @@ def test_a_transmission_makes_the_copy_of_the_custodian_and_the_spare() -> None:
     needed = hops * parts * -(-PART_BYTES // chunk_bytes)
     # Some collide, and each drone has a measurement a step. Spares of their own would make it twice as many.
     assert needed < sum(node.pace.sent for node in nodes) - before < 1.5 * needed
+
+
+@pytest.mark.no_cover
+def test_parts_that_a_node_has_heard_on_their_way_to_another_are_not_sent_to_it_again() -> None:
+    """While the base is away, parts go to and fro between drones that hear each other."""
+    sent = {}
+    for overhear in (True, False):
+        keys = {
+            "nodes": 9, "seed": 1, "custody.overhear": overhear, "failures.base_off": [[0, 60]], "data.until_step": 80,
+            "traffic.picture_bytes": 8192, "traffic.picture_part_bytes": 2048,
+        }  # fmt: skip
+        world = World(load_scenario("files", keys))
+        for _ in range(130):
+            world.step()
+            check(world)
+        pictures = world.statistics.pictures
+        assert pictures is not None
+        assert pictures.whole(world.ledger.arrived) == len(pictures.taken) == 16
+        assert world.ledger.altered == 0
+        sent[overhear] = sum(agent.node.pace.sent for agent in world.agents)
+    assert sent[True] < 0.9 * sent[False]

@@ -8,13 +8,13 @@ from math import inf
 
 from rass_mav.core.custody.flow import SACK_EVERY
 from rass_mav.core.custody.keeper import Keeper
-from rass_mav.core.custody.receiving import Receiving
+from rass_mav.core.custody.listening import Listening
+from rass_mav.core.custody.receiving import Content, Receiving, content_of
 from rass_mav.core.custody.transfers import MAX_CHUNKS, MAX_OF_ONE, MAX_TRANSFERS
-from rass_mav.core.datum import MAX_PAYLOAD
+from rass_mav.core.datum import MAX_PAYLOAD, Datum
 from rass_mav.core.messages import MAX_OTHERS, OTHER_BITS, REPORT_BITS, Chunk, Committed, Message, Offer, Sack
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
-from rass_mav.core.store import PartialKey
 
 #: Transfers are kept for at least so long, seconds, however short a turn is: the giver may be starting again, or its
 #: chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
@@ -22,14 +22,11 @@ LEAST_KEPT_S = 120.0
 
 
 class Incoming:
-    """The data that come to one node in chunks, and its reports about them.
-
-    Once a turn the store gets the chunks that are new. So another transfer of the same content, from whatever giver,
-    also after a restart, begins with what has come.
-    """
+    """The data that come to one node in chunks, and its reports about them."""
 
     __slots__ = (
-        "_done", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_spoilt", "_unreported", "lifetime_s",
+        "_done", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_unreported", "lifetime_s",
+        "listening",
     )  # fmt: skip
 
     def __init__(self, keeper: Keeper, routing: RoutingTable, pace: Pace, rng: random.Random) -> None:
@@ -39,22 +36,21 @@ class Incoming:
         self._pace = pace
         self._rng = rng
         self.lifetime_s = routing.lifetime_s
-        """Transfers of a giver that is silent for longer are given up; what has come stays in the store."""
+        """Transfers of a giver that is silent for longer are given up, and their bytes forgotten."""
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
         self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
         """Handles and offers of the last data that came in whole: the giver may ask again."""
         self._unreported: dict[int, int] = {}
         """Chunks that came since the last Sack, by giver."""
-        self._spoilt: deque[PartialKey] = deque(maxlen=MAX_TRANSFERS)
-        """Contents whose chunks in the store were wrong. They come from one giver at a time from now on: somebody who
-        adds wrong ones must not spoil those of others again and again."""
+        self.listening = Listening(keeper, routing, pace)
+        """What neighbours hand over to others."""
 
     def age(self, now: float) -> None:
-        """Save what has come, and give up the transfers of silent givers."""
+        """Give up the transfers of silent givers."""
+        self.listening.age(now)
         heard: dict[int, float] = {}
         for transfer in self._receiving.values():
-            self._save(transfer)
             giver = transfer.offer.sender
             heard[giver] = max(heard.get(giver, -inf), transfer.heard)
         for transfer in list(self._receiving.values()):
@@ -64,17 +60,8 @@ class Incoming:
     def _from(self, giver: int) -> list[Receiving]:
         return [transfer for transfer in self._receiving.values() if transfer.offer.sender == giver]
 
-    def _save(self, transfer: Receiving) -> None:
-        key, store = transfer.key, self._keeper.store
-        if key not in self._spoilt:
-            for offset, data in transfer.unsaved():
-                store.keep_partial(key, offset, data)
-
-    def _give_up(self, transfer: Receiving) -> None:
-        self._save(transfer)
-        self._end(transfer)
-
     def _end(self, transfer: Receiving) -> None:
+        """A transfer is over, or given up."""
         del self._receiving[transfer.handle]
         if not self._from(transfer.offer.sender):
             self._unreported.pop(transfer.offer.sender, None)
@@ -85,35 +72,43 @@ class Incoming:
             return [here]
         of_giver = self._from(offer.sender)
         for running in of_giver:
-            same = running.offer
-            if (same.id, same.crc, same.size, same.chunk_size) == (offer.id, offer.crc, offer.size, offer.chunk_size):
+            if running.content == content_of(offer):
                 running.offer = offer
                 running.heard = now
                 return [running.accept(self._id)]
-            if same.id == offer.id:
-                self._give_up(running)
+            if running.id == offer.id:
+                self._end(running)
         if len(of_giver) >= MAX_OF_ONE:
             # A giver has no more at a time, so it has given up one of them.
-            self._give_up(min(of_giver, key=lambda transfer: transfer.heard))
-        if not self._acceptable(offer) or not self._has_place(offer, now):
+            self._end(min(of_giver, key=lambda transfer: transfer.heard))
+        acceptable = self._acceptable(offer)
+        if acceptable and (overheard := self._overheard(offer)) is not None:
+            return [self._taken(offer, overheard)]
+        if not acceptable or not self._has_place(offer, now):
             self._keeper.refused += 1
             return [self._refused(offer)]
         handle = self._rng.getrandbits(16)
         while handle in self._receiving or any(handle == done for done, _ in self._done):
             handle = self._rng.getrandbits(16)
         transfer = Receiving(offer, handle, now)
-        self._restore(transfer)
+        transfer.begin_with(self._come(transfer.content))
         self._receiving[handle] = transfer
         return self._complete(transfer) if transfer.complete else [transfer.accept(self._id)]
 
-    def _restore(self, transfer: Receiving) -> None:
-        key = transfer.key
-        if key in self._spoilt:
-            return
-        for other in self._receiving.values():
-            if other.key == key:
-                self._save(other)
-        transfer.restore(self._keeper.store.partial(key))
+    def _overheard(self, offer: Offer) -> Datum | None:
+        """The datum on offer, if all of it was heard when it was handed over to another node."""
+        datum = self._keeper.spares.overheard.get(offer.id)
+        if datum is None or (datum.crc, len(datum.payload)) != (offer.crc, offer.size) or not datum.intact:
+            return None
+        return datum._replace(created=offer.created, hops=offer.hops, at_least=offer.at_least)
+
+    def _come(self, content: Content) -> dict[int, bytes]:
+        """The chunks of a datum that were heard while it was handed over to others, or that other givers have sent."""
+        chunks = self.listening.take(content)
+        for transfer in self._receiving.values():
+            if transfer.content == content:
+                chunks |= transfer.chunks
+        return chunks
 
     def _here(self, offer: Offer) -> Committed | None:
         """The answer to an offer of what is here already; None: it is not."""
@@ -151,7 +146,7 @@ class Incoming:
                 continue
             if may_accept(offer.size + sum(t.offer.size for t in others), 1 + len(others)):
                 for transfer in idle[:leaving]:
-                    self._give_up(transfer)
+                    self._end(transfer)
                 return True
         return False
 
@@ -159,6 +154,7 @@ class Incoming:
         """A piece of a datum, or a question; if the handle is not ours, it belongs to another node's transfer."""
         transfer = self._receiving.get(chunk.handle)
         if transfer is None:
+            self.listening.on_chunk(chunk, now)
             return self._after_the_end(chunk) if chunk.poll else []
         giver, unreported = transfer.offer.sender, self._unreported
         if transfer.take(chunk, now):
@@ -174,17 +170,22 @@ class Incoming:
         offer, datum = transfer.offer, transfer.datum()
         self._end(transfer)
         if datum is None:
-            # Chunks of another transfer with the same handle got mixed in: the giver's next offer starts it again.
+            # Chunks of another transfer with the same handle got mixed in: the giver's next offer starts it again,
+            # without those that others have sent.
+            for other in [other for other in self._receiving.values() if other.content == transfer.content]:
+                self._end(other)
             self._keeper.corrupt_received += 1
-            self._keeper.store.forget_partial(transfer.key)
-            if transfer.restored:
-                self._spoilt.append(transfer.key)
             return []
+        answer = self._taken(offer, datum)
+        if answer.committed:
+            self._done.append((transfer.handle, offer))
+        return [answer]
+
+    def _taken(self, offer: Offer, datum: Datum) -> Committed:
+        """The answer when the whole datum is there: custody of it is taken, or there is no space."""
         if not self._keeper.take_custody(offer.sender, offer.number, datum):
-            self._save(transfer)
-            return [self._refused(offer)]
-        self._done.append((transfer.handle, offer))
-        return [self._committed(offer, self._keeper.numbers.prints.of(datum))]
+            return self._refused(offer)
+        return self._committed(offer, self._keeper.numbers.prints.of(datum))
 
     def _after_the_end(self, chunk: Chunk) -> list[Message]:
         """The giver wants a report of a transfer that is over: it has not heard the answer."""

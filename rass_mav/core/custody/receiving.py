@@ -2,39 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
+from typing import NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, datum_crc
 from rass_mav.core.messages import REPORT_BITS, Accept, Chunk, Offer, Report
-from rass_mav.core.store import PartialKey
+
+
+class Content(NamedTuple):
+    """A datum and its cut: the same chunks, whoever sends them."""
+
+    id: DatumId
+    crc: int
+    size: int
+    chunk_size: int
+
+
+def content_of(offer: Offer) -> Content:
+    """What is offered."""
+    return Content(offer.id, offer.crc, offer.size, offer.chunk_size)
 
 
 class Receiving:
     """One datum that comes in chunks. Holds at most the datum's bytes."""
 
-    __slots__ = ("_chunks", "_here", "_new", "_next", "count", "handle", "heard", "moved", "offer", "restored")
+    __slots__ = ("_here", "_next", "chunks", "content", "count", "handle", "heard", "moved", "offer")
 
     def __init__(self, offer: Offer, handle: int, now: float) -> None:
         self.offer = offer
+        self.content = content_of(offer)
         self.handle = handle
         self.count = -(-offer.size // offer.chunk_size)
         self.heard = now
         """When the giver was last heard about this datum, seconds."""
         self.moved = now
         """When the last missing chunk came, seconds."""
-        self._chunks: dict[int, bytes] = {}
+        self.chunks: dict[int, bytes] = {}
+        """What has come, by index."""
         self._here = 0
         """The same as bits."""
         self._next = 0
-        self._new: list[int] = []
-        """The chunks that came since `unsaved` was asked."""
-        self.restored = False
-        """Whether some chunks did not come in this transfer."""
-
-    @property
-    def key(self) -> PartialKey:
-        """The content that comes."""
-        return PartialKey(self.offer.id, self.offer.crc, self.offer.size)
 
     @property
     def id(self) -> DatumId:
@@ -50,58 +57,34 @@ class Receiving:
         """Keep a chunk. False: it is here already, or of a wrong length."""
         index = chunk.position
         self.heard = now
-        if index >= self.count or index in self._chunks or len(chunk.data) != self._length(index):
+        if index >= self.count or index in self.chunks or len(chunk.data) != self._length(index):
             return False
         self._put(index, chunk.data)
-        self._new.append(index)
         self.moved = now
         return True
 
+    def begin_with(self, chunks: Mapping[int, bytes]) -> None:
+        """Have these chunks of the same content from the start, as far as `accept` can name them: the giver ignores
+        reports of others that it has not sent."""
+        for index in sorted(chunks):
+            if index > self._next + REPORT_BITS:
+                break
+            self._put(index, chunks[index])
+
     def _put(self, index: int, data: bytes) -> None:
-        self._chunks[index] = data
+        self.chunks[index] = data
         self._here |= 1 << index
-        while self._next in self._chunks:
+        while self._next in self.chunks:
             self._next += 1
 
     def _length(self, index: int) -> int:
         size = self.offer.chunk_size
         return size if index < self.count - 1 else self.offer.size - size * (self.count - 1)
 
-    def restore(self, pieces: Iterable[tuple[int, bytes]]) -> None:
-        """Add the chunks that are wholly among these pieces, each with its offset. They may overlap, and come from a
-        transfer with other chunks."""
-        joined: list[tuple[int, bytearray]] = []
-        for offset, data in sorted(pieces):
-            if joined and offset <= (end := joined[-1][0] + len(joined[-1][1])):
-                joined[-1][1].extend(data[end - offset :])
-            else:
-                joined.append((offset, bytearray(data)))
-        size = self.offer.chunk_size
-        for offset, whole in joined:
-            end = min(offset + len(whole), self.offer.size)
-            for index in range(-(-offset // size), self.count):
-                at, length = index * size, self._length(index)
-                if at + length > end:
-                    break
-                if index not in self._chunks:
-                    self._put(index, bytes(whole[at - offset : at - offset + length]))
-                    self.restored = True
-
-    def unsaved(self) -> list[tuple[int, bytes]]:
-        """What came since this was asked last: runs of chunks, each with its offset."""
-        runs: list[list[int]] = []
-        for index in sorted(self._new):
-            if runs and index == runs[-1][-1] + 1:
-                runs[-1].append(index)
-            else:
-                runs.append([index])
-        self._new.clear()
-        return [(run[0] * self.offer.chunk_size, b"".join([self._chunks[i] for i in run])) for run in runs]
-
     @property
     def has_gaps(self) -> bool:
         """Whether a chunk has come before one that belongs in front of it."""
-        return len(self._chunks) > self._next
+        return len(self.chunks) > self._next
 
     @property
     def complete(self) -> bool:
@@ -115,7 +98,7 @@ class Receiving:
     def datum(self) -> Datum | None:
         """The datum as it was offered; None if its checksum does not match. Only when complete."""
         offer = self.offer
-        payload = b"".join(self._chunks[i] for i in range(self.count))
+        payload = b"".join(self.chunks[i] for i in range(self.count))
         if datum_crc(offer.id, offer.kind, payload) != offer.crc:
             return None
         return Datum(offer.id, offer.kind, offer.created, offer.hops, offer.crc, payload, offer.at_least)

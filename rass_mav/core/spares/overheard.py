@@ -27,9 +27,11 @@ from rass_mav.core.routes.table import RoutingTable
 
 #: Data a node keeps at most, if its capacity allows more.
 MAX_OVERHEARD = 1024
+#: Bytes of large ones at most: they are in memory.
+MAX_BYTES = 8 << 20
 #: The chance that a datum is kept is so many times the free part of the capacity: certain, as long as a third is free.
 EAGER = 3
-#: One neighbour may fill one place in this many, and so may the data of one origin.
+#: One neighbour may fill one place and one byte in this many, and so may the data of one origin.
 PART = 4
 #: Turns after which a copy is forgotten: twice as long as a node waits for a receipt before it sends data again.
 KEPT_TURNS = 240
@@ -39,7 +41,8 @@ class Overheard:
     """The overheard data of one node."""
 
     __slots__ = (
-        "_ends", "_keeper", "_neighbours", "_of_one", "_origins", "_rng", "_senders", "_sources", "bytes", "data",
+        "_ends", "_keeper", "_neighbours", "_of_one", "_origin_bytes", "_origins", "_rng", "_sender_bytes", "_senders",
+        "_sources", "bytes", "data",
     )  # fmt: skip
 
     def __init__(self, keeper: Keeper, routing: RoutingTable, rng: random.Random) -> None:
@@ -56,6 +59,8 @@ class Overheard:
         """When those expire that do so by their own terms, seconds."""
         self._senders: Counter[int] = Counter()
         self._origins: Counter[int] = Counter()
+        self._sender_bytes: Counter[int] = Counter()
+        self._origin_bytes: Counter[int] = Counter()
         most = min(keeper.settings.capacity_items or MAX_OVERHEARD, MAX_OVERHEARD)
         self._of_one = max(1, most // PART)
         """How many may come from one neighbour, and how many from one origin."""
@@ -80,17 +85,29 @@ class Overheard:
                 if (ttl_s := datum.terms.ttl_s) is not None:
                     self._ends[id] = datum.created + ttl_s
                 self._senders[sender] += 1
+                self._sender_bytes[sender] += len(datum.payload)
                 self._origins[id.origin] += 1
+                self._origin_bytes[id.origin] += len(datum.payload)
 
     def _is_wanted(self, sender: int, datum: Datum) -> bool:
-        keeper, id = self._keeper, datum.id
+        keeper, id, size = self._keeper, datum.id, len(datum.payload)
         return (
             self._senders[sender] < self._of_one
             and self._origins[id.origin] < self._of_one
+            and self._has_bytes(sender, id.origin, size)
             and id not in keeper.arrived
-            and not keeper.holdings.crowded(self.bytes + len(datum.payload), len(self.data))
+            and not keeper.holdings.crowded(self.bytes + size, len(self.data))
             and not keeper.is_squatted(id)
             and datum.intact
+        )
+
+    def _has_bytes(self, sender: int, origin: int, size: int) -> bool:
+        """Whether so many bytes may come. Small data are few bytes in all, and find room beside large ones."""
+        most = MAX_BYTES // PART
+        return size <= self._keeper.settings.inline_bytes or (
+            self.bytes + size <= MAX_BYTES
+            and self._sender_bytes[sender] + size <= most
+            and self._origin_bytes[origin] + size <= most
         )
 
     def forget(self, id: DatumId) -> None:
@@ -101,10 +118,13 @@ class Overheard:
         self.bytes -= len(datum.payload)
         self._ends.pop(id, None)
         sender, _ = self._sources.pop(id)
-        for counts, name in ((self._senders, sender), (self._origins, id.origin)):
+        for counts, sizes, name in (
+            (self._senders, self._sender_bytes, sender), (self._origins, self._origin_bytes, id.origin)
+        ):  # fmt: skip
             counts[name] -= 1
+            sizes[name] -= len(datum.payload)
             if not counts[name]:
-                del counts[name]
+                del counts[name], sizes[name]
 
     def make_way(self, size: int) -> None:
         """Another copy of `size` bytes of payload is about to be stored: forget the oldest until it fits beside the
