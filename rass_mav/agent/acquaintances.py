@@ -192,7 +192,7 @@ class Acquaintances:
 
     def heard(self, node_id: int, now: float, stream: Stream) -> Acquaintance:
         """A beacon in the name of a node. Returns what is known of it. `stream`: in which it came."""
-        known = self._known.get(node_id)
+        known = self.get(node_id)
         if known is None or known.place is None:
             known = self._named(node_id, stream)
         known.heard = now

@@ -265,6 +265,16 @@ class Letters:
         letter = self._table.get(node_id)
         return letter is not None and serial <= letter.last_out
 
+    @property
+    def out_elsewhere(self) -> list[int]:
+        """At a base that writes letters: the drones that another copy of `ground.keys` has revoked or replaced under
+        the same number of the link key, and this copy has not. Node ids."""
+        ground = self._keyring.ground
+        if ground is None or ground.number < self.link.number:
+            return []
+        in_file = {id: serial - (id not in ground.revoked) for id, serial in ground.serials.items()}
+        return [id for id, serial in self._table.out().items() if serial > in_file.get(id, 0)]
+
     def packed(self) -> list[bytes]:
         """All letters, to be kept over restarts."""
         return self._table.packed()
@@ -296,6 +306,7 @@ class Letters:
             "forged": self.forged,
             "revoked": self.revoked,
             "out": [{"node_id": node_id, "serial": serial} for node_id, serial in self._table.out().items()],
+            "out_elsewhere": self.out_elsewhere,
         }
 
     def _resume(self) -> None:
@@ -454,6 +465,9 @@ class Letters:
                 # All link keys are derived from the ground's secret.
                 self._next = ground.link_key(letter.number)
                 self._tell(_WARNING, "RASS: the link key was changed elsewhere, copy ground.keys from there")
+            elif (id := letter.node_id) in self.out_elsewhere:
+                said = f"RASS: another copy of ground.keys has revoked or replaced drone {id}, see docs/keys.md"
+                self._tell(_WARNING, said)
         elif letter.node_id == own.node_id and letter.last_out >= own.serial and not self.revoked:
             self.revoked = True
             self._tell(_WARNING, "RASS: the ground has revoked the keys of this drone")

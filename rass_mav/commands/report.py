@@ -116,6 +116,8 @@ def _keys(s: dict[str, Any]) -> Iterator[str]:
     if letters["kept"]:
         out = ", ".join(f"drone {drone['node_id']} to serial {drone['serial']}" for drone in letters["out"])
         yield f"letters about link keys: of {letters['kept']} drones; revoked or replaced: {out or 'none'}"
+    for drone in letters["out_elsewhere"]:
+        yield f"WARNING: another copy of ground.keys has revoked or replaced drone {drone}, this one has not"
 
 
 def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
@@ -12,7 +13,7 @@ from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.tags import OPEN
-from rass_mav.agent.trust import Trust, trust_of
+from rass_mav.agent.trust import Trust
 from rass_mav.config.loading import convert
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
@@ -49,10 +50,10 @@ def agent_with_keys(
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    whole = trust_of(keyring_in(ground, node_id, base=base), random.Random(node_id), 1.0)
-    trust = links_alone(whole.letters if letters is None else letters)
+    keyring = keyring_in(ground, node_id, base=base)
+    trust = links_alone(Letters(keyring, random.Random(node_id), 1.0) if letters is None else letters)
     if words:
-        trust = trust._replace(tags=whole.tags)
+        trust = trust._replace(tags=partial(PairTags, keyring.own, trust.letters.is_out))
     return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, trust=trust)
 
 

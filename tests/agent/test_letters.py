@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from rass_mav.agent.letters import MAX_VERIFIED, Letters
 from rass_mav.agent.lettertable import MAX_ASKED, MAX_LETTERS
 from rass_mav.agent.peers import Peers, open_datagram
 from rass_mav.agent.streams import Streams
+from rass_mav.commands.report import status_lines
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import KeysError
 from rass_mav.keys.certificate import GroundPublic
@@ -48,14 +50,13 @@ STRANGER = Ground(Secret(bytes(32)), number=5, serials=GROUND.serials)
 class Changing(Crew):
     """A crew whose nodes have letters. Position 0 is base 1."""
 
-    def __init__(self, *node_ids: int, ground: Ground = GROUND) -> None:
+    def __init__(self, *node_ids: int, ground: Ground = GROUND, words: bool = False) -> None:
+        """`words`: see `agent_with_keys`."""
         super().__init__()
         self.letters: list[Letters] = []
-        self.told: list[list[str]] = []
         for node_id in node_ids:
             self.letters.append(letters_of(node_id, ground))
-            self.told.append([])
-            self.agents.append(agent_with_keys(node_id, base=node_id < 7, letters=self.letters[-1]))
+            self.agents.append(agent_with_keys(node_id, base=node_id < 7, letters=self.letters[-1], words=words))
 
     def ground_changes(self, ground: Ground, position: int = 0) -> None:
         """A base takes the changed file."""
@@ -309,6 +310,44 @@ def test_another_base_gets_it_over_the_air_and_lets_nobody_in_with_its_old_file(
     crew.ground_changes(REVOKED, 1)
     crew.steps(10)
     assert crew.hears(1) == {1, 7}
+
+
+def test_two_copies_of_the_grounds_keys_that_revoke_different_drones_are_noticed_at_both(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Both write letters about one number. Each lets in whom the other one has revoked."""
+    crew = Changing(1, 2, 7, 8, 9, words=True)
+    # Each change reaches the drone that the other one revokes.
+    crew.apart = {frozenset(pair) for pair in [(0, 1), (0, 3), (1, 4), (2, 3), (2, 4), (3, 4)]}
+    crew.steps(5)
+    other = replace(GROUND, number=2, revoked=frozenset({9}))
+    crew.ground_changes(REVOKED, 0)
+    crew.ground_changes(other, 1)
+    crew.steps(10)
+    assert crew.numbers == [2, 2, 2, 2, 2]
+    crew.apart = set()
+    crew.steps(20)
+    # Neither of them is a neighbour any more, though both have the link key.
+    assert [crew.hears(position) for position in (0, 1, 2)] == [{2, 7}, {1, 7}, {1, 2}]
+    assert all(letters.is_out(8, 1) and letters.is_out(9, 1) for letters in crew.letters)
+    for drone in (8, 9):
+        said = f"RASS: another copy of ground.keys has revoked or replaced drone {drone}, see docs/keys.md"
+        assert caplog.messages.count(said) == 1
+    assert [crew.letters[base].report(crew.now)["out_elsewhere"] for base in (0, 1)] == [[9], [8]]
+    assert [crew.letters[drone].report(crew.now)["out_elsewhere"] for drone in (2, 3, 4)] == [[], [], []]
+    status = {"node_id": 1, "role": "base", "epoch": "1", "uptime_s": 1.0, "steps": 1, "keys": None}
+    lines = status_lines({**status, "letters": crew.letters[0].report(crew.now)})
+    assert "WARNING: another copy of ground.keys has revoked or replaced drone 9, this one has not" in islice(lines, 4)
+
+    # The remedy: revoke it on this copy as well, and use this copy everywhere.
+    both = replace(GROUND, number=3, revoked=frozenset({8, 9}))
+    crew.ground_changes(both, 1)
+    crew.steps(20)
+    assert crew.numbers == [3, 3, 3, 2, 2]
+    crew.ground_changes(both, 0)
+    crew.steps(10)
+    assert crew.hears(2) == {1, 2}
+    assert [crew.letters[base].report(crew.now)["out_elsewhere"] for base in (0, 1)] == [[], []]
 
 
 def test_a_base_that_was_replaced_by_an_old_copy_of_itself_asks_others() -> None:

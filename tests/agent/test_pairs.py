@@ -531,8 +531,11 @@ def test_a_revoked_certificate_is_forgotten_and_refused() -> None:
     air.steps(4)
     giver, taker = air.voices
     giver.says(offered())
+    beacon = taker.says(BEACON._replace(sender=TAKER))
+    assert giver.believes(beacon, stream=taker.own)
     assert giver.believes(taker.says(answer()))
     giver.out.add((TAKER, 1))
+    assert giver.believes(beacon, stream=taker.own) is None, "it is no neighbour any more"
     assert giver.believes(taker.says(answer())) is None
     air.steps(20)
     assert giver.believes(taker.says(answer())) is None
