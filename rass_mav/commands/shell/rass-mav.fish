@@ -404,7 +404,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l policy -xk
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l jobs -x -d 'processes at a time (default: one per core)'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l dask -x -d 'use the workers of this Dask scheduler instead'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l set -x -d 'override a key of the file; the value is YAML; may be repeated'
-complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l attacker -xka "nobody sinkhole false-base black-hole two-faced committed-forger receipt-forger digest-forger number-squatter request-forger impostor id-inventor replayer junk-custody blamer crowd flooder bit-flipper route-forger word-forger" -d 'which attackers, all by default'
+complete -c rass-mav -n '_shtab_rass_mav_using experiment hostile' -l attacker -xka "nobody sinkhole false-base black-hole two-faced grey-hole committed-forger receipt-forger digest-forger number-squatter request-forger impostor id-inventor replayer junk-custody blamer crowd flooder bit-flipper route-forger word-forger" -d 'which attackers, all by default'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment; and test $_shtab_rass_mav_npos -eq 0' -a counting-to-infinity -d 'What Alg. 2 as published does when the base vanishes, and what sequence numbers change.'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment counting-to-infinity' -s h -l help -d 'show this help message and exit'
 complete -c rass-mav -n '_shtab_rass_mav_using experiment counting-to-infinity' -s v -l verbose -d 'logs on stderr; -vv for more'

@@ -82,9 +82,13 @@ class TwoFaced(Sinkhole):
                 self._passing.pop(number, None)
         elif isinstance(message, Data) and message.target == self.id and not message.spare:
             for _, datum in message.handovers:
-                if datum.id.origin == message.sender and len(self._passing) < MAX_REMEMBERED:
+                if self.delivers(datum, message.sender) and len(self._passing) < MAX_REMEMBERED:
                     self._passing[self.rng.getrandbits(32) | 1] = datum
         return super().overhear(message, payload, now)
+
+    def delivers(self, datum: Datum, giver: int) -> bool:
+        """Whether it hands on a datum that it has taken."""
+        return datum.id.origin == giver
 
     def turn(self, now: float) -> Iterable[Said]:
         nearest = min(self.nodes(), key=lambda b: (b.hops, b.sender), default=None)
@@ -93,6 +97,15 @@ class TwoFaced(Sinkhole):
         yield self.beacon(nearest, risk=0, free=0xFFFE)
         for number, datum in self._passing.items():
             yield Data(self.id, nearest.sender, (Handover(number, datum),))
+
+
+class GreyHole(TwoFaced):
+    """Announces the same, and hands on a little more than half of all data, whosever they are."""
+
+    SHARE = 0.55
+
+    def delivers(self, datum: Datum, giver: int) -> bool:
+        return self.rng.random() < self.SHARE
 
 
 class CommittedForger(Attacker):
@@ -384,6 +397,7 @@ KINDS: dict[str, type[Attacker]] = {
     "false-base": FalseBase,
     "black-hole": BlackHole,
     "two-faced": TwoFaced,
+    "grey-hole": GreyHole,
     "committed-forger": CommittedForger,
     "receipt-forger": ReceiptForger,
     "digest-forger": DigestForger,
