@@ -60,3 +60,26 @@ def test_parts_that_a_node_has_heard_on_their_way_to_another_are_not_sent_to_it_
         assert world.ledger.altered == 0
         sent[overhear] = sum(agent.node.pace.sent for agent in world.agents)
     assert sent[True] < 0.9 * sent[False]
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_a_receiver_that_restarts_in_the_middle_of_a_part_is_sent_the_rest(loss: float) -> None:
+    chunks = -(-PART_BYTES // 123)
+    world = Line(line(1, "sik-64k", 1.0, loss, 1))
+    world.run(WARM_STEPS)
+    source = world.agents[1].node
+    before = source.pace.sent
+    (part,) = world.take_pictures(1, PART_BYTES)
+    while source.pace.sent - before < 0.75 * chunks:
+        world.step()
+    assert part not in world.arrived
+    world.crash(0, world.t + 5)
+    began = world.t
+    while part not in world.arrived:
+        world.step()
+        assert world.t < began + 60
+    assert world.ledger.altered == 0
+    # Besides what got lost: the chunks of a second, those on their way, and a measurement a step.
+    measurements = world.t - WARM_STEPS
+    assert source.pace.sent - before - measurements <= chunks / (1.0 - 1.5 * loss) + 46 + 32
