@@ -11,6 +11,8 @@ from rass_mav.core.terms import USUAL, Terms, terms_of
 #: How many second contents a store keeps apart in all, and under one id.
 MAX_APART = 4096
 MAX_APART_OF_ONE = 256
+#: How many data of which only a part has come a store keeps.
+MAX_PARTIALS = 8
 
 
 class StoredInfo(NamedTuple):
@@ -33,6 +35,21 @@ def info_of(datum: Datum) -> StoredInfo:
     """The info of a datum whose bytes are at hand."""
     id, kind, created, hops, crc, payload, at_least = datum
     return StoredInfo(id, kind, created, hops, crc, len(payload), at_least, terms_of(kind, payload))
+
+
+class PartialKey(NamedTuple):
+    """What is coming in, by its content: it does not matter who brings it."""
+
+    id: DatumId
+    crc: int
+    """Of the whole datum."""
+    size: int
+    """Bytes of the whole payload."""
+
+
+def key_of(datum: Datum) -> PartialKey:
+    """The key under which pieces of a datum were kept before all of it was there."""
+    return PartialKey(datum.id, datum.crc, len(datum.payload))
 
 
 class Store(Protocol):
@@ -106,6 +123,17 @@ class Store(Protocol):
     def found(self, id: DatumId) -> None:
         """Remove an entry from the table of losses: the datum turned up, or the loss has been handed over. Need not be
         durable soon. Unknown ids are ignored."""
+
+    def keep_partial(self, key: PartialKey, offset: int, data: bytes) -> None:
+        """Keep a piece of a payload of which the rest has not come. The store may forget it at any time; it does so
+        when the datum is stored, and when there are more than `MAX_PARTIALS`. Never durable soon, and never an error:
+        nobody is promised anything about it."""
+
+    def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
+        """The pieces that were kept and are there, each with its offset: in no order, and they may overlap."""
+
+    def forget_partial(self, key: PartialKey) -> None:
+        """The pieces are of no use. Unknown keys are ignored."""
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter that survives restarts (the node's ledger)."""

@@ -6,6 +6,7 @@ import enum
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.store import PartialKey, key_of
 
 from .quota import cost
 
@@ -39,6 +40,11 @@ class Changes:
     """After the removals and puts: the time of creation of a stored datum, which is not older than that."""
     aged: bool = False
     """Before all else: every datum on disk is at least as old as recorded."""
+    forgotten: set[PartialKey] = field(default_factory=set)
+    """At the end: what has come of these payloads is of no use."""
+    pieces: dict[PartialKey, list[tuple[int, bytes]]] = field(default_factory=dict)
+    """And then, pieces of payloads that have not come whole, with their offsets; the payload that grew last is last.
+    They need no transaction."""
 
     def __bool__(self) -> bool:
         return self.urgent or bool(self.removes or self.founds or self.counters)
@@ -54,6 +60,17 @@ class Changes:
         # A number may occur alone: its datum was sent without custody, and removed.
         changed = self.puts or self.apart or self.losses or self.meta or self.amends or self.aged
         return bool(changed) or self.sequence is not None
+
+    @property
+    def has_partials(self) -> bool:
+        """Whether there is something about payloads that have not come whole."""
+        return bool(self.pieces or self.forgotten)
+
+    def partials(self) -> Changes:
+        """Take out that part, which can go by itself."""
+        part = Changes(forgotten=self.forgotten, pieces=self.pieces)
+        self.forgotten, self.pieces = set(), {}
+        return part
 
     @property
     def rows(self) -> int:
@@ -72,6 +89,7 @@ class Changes:
             self.removes[id] = None
         self.amends.pop(id, None)
         self.puts[id] = datum
+        self.pieces.pop(key_of(datum), None)
 
     def remove(self, id: DatumId) -> None:
         """Delete a stored datum. One inserted since the last commit is simply dropped; an older row of it stays in
@@ -89,6 +107,11 @@ class Changes:
         self.losses.pop(id, None)
         self.founds[id] = None
 
+    def forget(self, key: PartialKey) -> None:
+        """The pieces of a payload are of no use."""
+        self.pieces.pop(key, None)
+        self.forgotten.add(key)
+
     def relief(self) -> Changes:
         """The part that only removes data, with the losses that explain it: on a full disk it can go first."""
         return Changes(removes={id: None for id in self.removes if id not in self.puts}, losses=self.losses)
@@ -98,6 +121,10 @@ class Changes:
         puts = {id: datum for id, datum in self.puts.items() if id not in later.removes}
         # Of what is removed or replaced later, nothing is amended.
         amends = {id: at for id, at in self.amends.items() if id not in later.removes and id not in later.puts}
+        stored = {key_of(datum) for datum in later.puts.values()} if self.pieces else set()
+        pieces = {key: some for key, some in self.pieces.items() if key not in later.forgotten and key not in stored}
+        for key, some in later.pieces.items():
+            pieces[key] = [*pieces.pop(key, ()), *some]
         return Changes(
             puts={**puts, **later.puts},
             apart={**self.apart, **later.apart},
@@ -109,6 +136,8 @@ class Changes:
             sequence=self.sequence if later.sequence is None else later.sequence,
             amends={**amends, **later.amends},
             aged=self.aged or later.aged,
+            forgotten=self.forgotten | later.forgotten,
+            pieces=pieces,
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import errno
+import sqlite3
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from .changes import Changes
 from .conversion import upgrade
 from .disk import Disk
 from .drafts import connect
-from .errors import Unsound
+from .errors import Unsound, is_full
 from .files import MARK, beside
 from .log import FRAME_HEAD_BYTES
 from .mark import Mark, MarkFile
@@ -19,8 +19,6 @@ from .payloads import PayloadWriter
 
 #: When the log has reached this size, bytes, a commit moves it into the database.
 CHECKPOINT_BYTES = 4 << 20
-
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Committer:
@@ -64,13 +62,30 @@ class Committer:
         self._sure = True
 
     def commit(self, changes: Changes) -> None:
-        """The large payloads with one fsync, then one transaction with one; and the mark after it."""
+        """The large payloads with one fsync, then one transaction with one; and the mark after it. What has not come
+        whole follows without any, and makes way if there is no space."""
+        if changes:
+            try:
+                self._commit(changes)
+            except (OSError, sqlite3.Error) as error:
+                if not is_full(error) or not self.payloads.give_way():
+                    raise
+                self._commit(changes, tight=True)
+        if changes.has_partials:
+            limit = self._left(self._database_bytes())
+            self.payloads.keep(changes.pieces, changes.forgotten, limit)
+
+    def _commit(self, changes: Changes, *, tight: bool = False) -> None:
         assert self._mark is not None
         mark = self._mark
         if not self._sure:
             mark = mark._replace(rows=schema.count_rows(self.connection))
         self._sure = False
-        rows = self._write_payloads(changes, mark) + self._transact(changes, mark)
+        rows = self._write_payloads(changes, mark)
+        if tight:
+            # For the database.
+            self.payloads.cut_off()
+        rows += self._transact(changes, mark)
         self._mark = Mark(
             mark.life,
             mark.epoch,
@@ -92,7 +107,7 @@ class Committer:
             return 0
         except OSError as error:
             relief = changes.relief()
-            if error.errno not in _FULL or not relief.removes:
+            if not is_full(error) or not relief.removes:
                 raise
         # The space of what goes can be used as soon as that is durable. To apply changes twice does no harm.
         rows = self._transact(relief, mark)

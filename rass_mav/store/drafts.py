@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
-from .files import LOG_ENDINGS, MARK, PAYLOADS, beside, make_file, sync_directory
+from .files import LOG_ENDINGS, MARK, PARTIALS, PAYLOADS, beside, make_file, sync_directory
 from .mark import Mark, make_mark
 from .page_size import PAGE_BYTES
 from .schema import count_rows, create_tables, read_numbers, read_own
@@ -108,7 +108,8 @@ def finish(path: Path) -> Path | None:
 def free_name(path: Path, reason: str) -> Path:
     """An unused name for a file to set aside, with a number after the `reason`."""
     number = 1
-    while any(beside(path, f".{reason}-{number}{ending}").exists() for ending in ("", MARK, PAYLOADS, *LOG_ENDINGS)):
+    endings = ("", MARK, PAYLOADS, PARTIALS, *LOG_ENDINGS)
+    while any(beside(path, f".{reason}-{number}{ending}").exists() for ending in endings):
         number += 1
     return beside(path, f".{reason}-{number}")
 
@@ -128,7 +129,7 @@ def _take_place(path: Path, ready: Path) -> None:
     aside = beside(path, "." + ready.name[len(path.name + _READY) :])
     # The mark of the old store is moved only while that of the new one waits.
     # The new one has no payloads beside it yet.
-    endings = ("", *LOG_ENDINGS, PAYLOADS, *((MARK,) if beside(ready, MARK).exists() else ()))
+    endings = ("", *LOG_ENDINGS, PAYLOADS, PARTIALS, *((MARK,) if beside(ready, MARK).exists() else ()))
     for ending in endings:
         if beside(path, ending).exists():
             beside(path, ending).rename(beside(aside, ending))

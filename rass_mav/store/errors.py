@@ -48,6 +48,11 @@ def explained(path: Path, doing: str) -> Iterator[None]:
         raise _kind(error)(f"{path}: {_text(error)} (while {doing})") from error
 
 
+def is_full(error: Exception) -> bool:
+    """Whether an error of SQLite or of a file means that there is no space."""
+    return isinstance(error, (sqlite3.Error, OSError)) and _kind(error) is StoreFullError
+
+
 def _text(error: Exception) -> str:
     return (isinstance(error, OSError) and error.strerror) or str(error)
 

@@ -1,8 +1,9 @@
 """The files of a store: their names, their permissions, and durable renames.
 
-A store is `node.db`, its large payloads `node.db.payloads`, its high-water mark `node.db.mark`, the write-ahead log
-`node.db-wal` and its index `node.db-shm` while it is open, and `node.db.lock`, which stays. Files that are set aside or
-under construction have their own endings.
+A store is `node.db`, its large payloads `node.db.payloads`, what is there of those that have not come whole
+`node.db.partials`, its high-water mark `node.db.mark`, the write-ahead log `node.db-wal` and its index `node.db-shm`
+while it is open, and `node.db.lock`, which stays. Files that are set aside or under construction have endings of their
+own.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ MODE = 0o640
 LOG_ENDINGS = ("-wal", "-shm")
 MARK = ".mark"
 PAYLOADS = ".payloads"
+PARTIALS = ".partials"
 
 
 def beside(path: Path, ending: str) -> Path:
@@ -54,7 +56,7 @@ def make_file(path: Path, flags: int = os.O_CREAT | os.O_RDWR) -> int:
 
 def tighten(path: Path) -> None:
     """Remove rights beyond `MODE` from the files of a store. SQLite gives the log those of the database."""
-    for ending in ("", MARK, PAYLOADS, *LOG_ENDINGS):
+    for ending in ("", MARK, PAYLOADS, PARTIALS, *LOG_ENDINGS):
         with suppress(FileNotFoundError, PermissionError):
             file = beside(path, ending)
             mode = file.stat().st_mode & 0o777

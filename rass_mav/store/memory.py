@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, MAX_PARTIALS, PartialKey, StoredInfo, info_of, key_of
 from rass_mav.errors import StoreFullError
 
-from .quota import charge, cost
+from .quota import MOST_PARTIAL_BYTES, charge, cost, lies_beside
 
 #: Fates that are recorded in the table of losses.
 RECORDED = (Fate.CORRUPTED, Fate.EXPIRED)
@@ -33,7 +33,8 @@ class MemoryStore:
     """
 
     __slots__ = (
-        "_apart", "_counters", "_data", "_losses", "_meta", "_quota", "_sequence", "_struck", "_used", "epoch", "life",
+        "_apart", "_counters", "_data", "_losses", "_meta", "_partials", "_quota", "_sequence", "_struck", "_used",
+        "epoch", "life",
     )  # fmt: skip
     accepting = True
     """Always."""
@@ -55,6 +56,8 @@ class MemoryStore:
         self._losses: dict[DatumId, Fate] = {}
         self._counters: dict[str, int] = {}
         self._meta: dict[str, int] = {}
+        self._partials: dict[PartialKey, dict[int, bytes]] = {}
+        """Pieces by their offset. What grew last is last."""
         self._quota = quota_bytes
         self._used = 0  # counted only under a quota: without one, not every put has to ask
 
@@ -93,6 +96,8 @@ class MemoryStore:
             del data[id]
             self._struck.discard(id)
         data[id] = datum
+        if self._partials:
+            self._partials.pop(key_of(datum), None)
 
     def keep_apart(self, datum: Datum) -> bool:
         """Keep a second content of an id beside the stored one. True: it is kept, or was. False: there is no space."""
@@ -156,6 +161,27 @@ class MemoryStore:
         """
         self._data[id] = flipped(self._data[id], bit)
         self._struck.add(id)
+
+    def keep_partial(self, key: PartialKey, offset: int, data: bytes) -> None:
+        """Keep a piece of a payload of which the rest has not come."""
+        if not lies_beside(key.size) or key.id in self._data:
+            return
+        partials = self._partials
+        pieces = partials.pop(key, {})
+        pieces[offset] = data
+        while partials and (
+            len(partials) >= MAX_PARTIALS or key.size + sum(other.size for other in partials) > MOST_PARTIAL_BYTES
+        ):
+            del partials[next(iter(partials))]
+        partials[key] = pieces
+
+    def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
+        """The pieces that were kept and are there."""
+        return list(self._partials.get(key, {}).items())
+
+    def forget_partial(self, key: PartialKey) -> None:
+        """The pieces are of no use."""
+        self._partials.pop(key, None)
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter."""

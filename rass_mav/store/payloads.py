@@ -10,17 +10,20 @@ from __future__ import annotations
 import errno
 import os
 import struct
-from collections.abc import Collection, Iterable
+from bisect import bisect_left
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
 from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.store import MAX_PARTIALS, PartialKey
 
 from .disk import BlockFile, Disk
 from .extents import Extents
 from .files import PAYLOADS, beside, sync_directory
-from .quota import MOST_BESIDE_BYTES, SECTOR_BYTES, lies_beside, sectors_of
+from .partials import MAX_RUNS, Partial, PartialTable, Run
+from .quota import MOST_BESIDE_BYTES, MOST_PARTIAL_BYTES, SECTOR_BYTES, lies_beside, sectors_of
 
 #: While more than this is free at the end of the file, bytes, a commit cuts it off.
 TRIM_BYTES = 1 << 20
@@ -108,6 +111,9 @@ class PayloadWriter(Payloads):
         self._extents = Extents((), 1, 1)
         self._placed: dict[_Key, int] = {}
         """The first sectors of payloads to which no commit that succeeded refers yet."""
+        self._partials = PartialTable(path, disk)
+        self._taken: list[Partial] = []
+        """Those that have become payloads to which no commit that succeeded refers yet."""
 
     def begin(self, life: int, places: Iterable[tuple[Any, int, Any]]) -> None:
         """`life`: the store's. `places`: arrival, sector and size of each payload, as `read_places` found them. The
@@ -118,7 +124,24 @@ class PayloadWriter(Payloads):
             if type(size) is not int or size < 1:
                 raise ValueError(f"row {arrival} has a payload of {size!r} bytes")
             used.append((sector, sectors_of(size)))
-        self._extents = Extents(used, 1, sectors_of(self.size))
+        end = sectors_of(self.size)
+        self._extents = Extents(used, 1, end)
+        # The log can be as old as a power cut has left it. Rows are always right, and of two partials the later one.
+        found = self._partials.open(life)
+        kept: dict[PartialKey, Partial] = {}
+        used.sort()
+        for key, partial in reversed(found.items()):
+            extent = partial.sector, sectors_of(key.size)
+            if partial.sector < 1 or not lies_beside(key.size) or not _is_free(used, *extent):
+                continue
+            runs = tuple([run for run in partial.runs if len(self._piece(key, partial, run))])
+            if runs:
+                kept[key] = partial._replace(runs=runs)
+                used.insert(bisect_left(used, extent), extent)
+                end = max(end, sum(extent))
+        if found:
+            self._partials.find(dict(reversed(kept.items())), [one for key, one in found.items() if key not in kept])
+            self._extents = Extents(used, 1, end)
         if self._file is not None and self.life != life:
             self._file.write(0, head_of(life))
             self._file.sync()
@@ -144,19 +167,38 @@ class PayloadWriter(Payloads):
         if not large:
             return
         file = self._file or self._create()
+        # Of what was written before a sync that failed, nobody knows whether it is on the medium: all of it once more.
+        missing = {key: [(0, key.size)] for key in large}
         new = [key for key in large if key not in self._placed]
-        self._placed.update((key, self._extents.take(sectors_of(key.size))) for key in new)
+        taken: list[Partial] = []
+        for key in new:
+            if (partial := self._partials.take(PartialKey(key.id, key.crc, key.size))) is not None:
+                taken.append(partial)
+                self._placed[key] = partial.sector
+                # Pieces of another content came under this checksum, perhaps.
+                runs = [run for run in partial.runs if crc32(_part(large[key], run)) == run.crc]
+                missing[key] = Partial(partial.sector, tuple(runs)).gaps(0, key.size)
+            else:
+                self._placed[key] = self._extents.take(sectors_of(key.size))
         try:
             for key, payload in large.items():
                 at = self._placed[key] * SECTOR_BYTES
                 if limit is not None and at + key.size > limit:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                file.write(at, payload)
-            file.sync()
+                for start, stop in missing[key]:
+                    file.write(at + start, payload[start:stop])
+            try:
+                file.sync()
+            except OSError:
+                # No later sync makes up for it.
+                self.give_way()
+                raise
         except BaseException:
             for key in new:
                 self._extents.give_back(self._placed.pop(key), sectors_of(key.size))
+            self._partials.end(taken)
             raise
+        self._taken += taken
 
     def place(self, datum: Datum, *, apart: bool = False) -> int | None:
         """The first sector of a payload that was written since the last commit; None: it goes into its row."""
@@ -171,6 +213,8 @@ class PayloadWriter(Payloads):
             if sector not in kept:
                 self._extents.release(sector, sectors_of(key.size))
         self._placed.clear()
+        self._partials.end(self._taken)
+        self._taken.clear()
 
     def recycle(self, *, trim_bytes: int = TRIM_BYTES) -> None:
         """The last commit is durable: use again what was released, unless somebody still reads an older state. Cut off
@@ -179,12 +223,87 @@ class PayloadWriter(Payloads):
         if file is None or (extents.waiting and file.watched()):
             return
         extents.recycle()
-        if extents.tail * SECTOR_BYTES > trim_bytes:
+        self.cut_off(trim_bytes)
+
+    def cut_off(self, trim_bytes: int = 0) -> None:
+        """Cut off the end of the file if more than so many bytes of it are free. `OSError`."""
+        file, extents = self._file, self._extents
+        if file is not None and extents.tail * SECTOR_BYTES > trim_bytes:
             # Before the table knows: what could not be cut off is still there.
             end = (extents.end - extents.tail) * SECTOR_BYTES
             if end < file.size:
                 file.truncate(end)
             extents.trim()
+
+    # -- what has not come whole ---------------------------------------------------------------------------------------
+
+    def keep(
+        self, runs: Mapping[PartialKey, Iterable[tuple[int, bytes]]], forgotten: Iterable[PartialKey], limit: int | None
+    ) -> None:
+        """Forget some partials, and write pieces of others, each with its offset, where they stay. No sync: nobody is
+        promised anything. One for which there is no space is forgotten. `limit`: as for `write`."""
+        for key in forgotten:
+            self._forget(key)
+        for key, pieces in runs.items():
+            try:
+                self._add(key, pieces, limit)
+            except OSError:
+                self._forget(key)
+
+    def _add(self, key: PartialKey, pieces: Iterable[tuple[int, bytes]], limit: int | None) -> None:
+        partial = self._partials.kept.get(key)
+        file = self._file or self._create()
+        if partial is None:
+            kept = self._partials.kept
+            while kept and (len(kept) >= MAX_PARTIALS or key.size + sum(k.size for k in kept) > MOST_PARTIAL_BYTES):
+                self._forget(next(iter(kept)))
+                kept = self._partials.kept
+            partial = Partial(self._extents.take(sectors_of(key.size)))
+            if limit is not None and partial.sector * SECTOR_BYTES + key.size > limit:
+                self._extents.give_back(partial.sector, sectors_of(key.size))
+                return
+            self._partials.keep(key, partial)
+        for offset, data in pieces:
+            for start, stop in partial.gaps(offset, offset + len(data)):
+                if len(partial.runs) == MAX_RUNS:
+                    break
+                part = data[start - offset : stop - offset]
+                file.write(partial.sector * SECTOR_BYTES + start, part)
+                partial = partial._replace(runs=(*partial.runs, Run(start, len(part), crc32(part))))
+        self._partials.keep(key, partial)
+
+    def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
+        """The pieces that are there, each with its offset. On any thread. `OSError`."""
+        partial = self._partials.kept.get(key)
+        if partial is None:
+            return []
+        pieces = [(run.offset, self._piece(key, partial, run)) for run in partial.runs]
+        return [(offset, data) for offset, data in pieces if data]
+
+    def _piece(self, key: PartialKey, partial: Partial, run: Run) -> bytes:
+        """A piece as it was written; empty: it is not there, or others use its sectors by now."""
+        if self._file is None or run.offset + run.size > key.size:
+            return b""
+        data = self._file.read(partial.sector * SECTOR_BYTES + run.offset, run.size)
+        return data if len(data) == run.size and crc32(data) == run.crc else b""
+
+    def _forget(self, key: PartialKey) -> None:
+        partial = self._partials.take(key)
+        if partial is not None:
+            self._partials.end([partial])
+            self._extents.give_back(partial.sector, sectors_of(key.size))
+
+    def give_way(self) -> bool:
+        """Forget all partials: others can use their sectors. Returns whether there were some."""
+        kept = list(self._partials.kept)
+        for key in kept:
+            self._forget(key)
+        return bool(kept)
+
+    def close(self) -> None:
+        """Release the files."""
+        super().close()
+        self._partials.close()
 
     def _create(self) -> BlockFile:
         file = self._disk.open_file(self.path, writable=True)
@@ -197,6 +316,16 @@ class PayloadWriter(Payloads):
             raise
         self._file = file
         return file
+
+
+def _is_free(used: list[tuple[int, int]], sector: int, count: int) -> bool:
+    """Whether a range of sectors overlaps none of those `used`, which are sorted."""
+    index = bisect_left(used, (sector, 0))
+    return (index == 0 or sum(used[index - 1]) <= sector) and (index == len(used) or used[index][0] >= sector + count)
+
+
+def _part(payload: bytes, run: Run) -> bytes:
+    return payload[run.offset : run.offset + run.size]
 
 
 class _Key(NamedTuple):

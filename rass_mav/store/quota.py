@@ -12,6 +12,9 @@ ROW_OVERHEAD = 96
 BESIDE_BYTES = 4096
 #: Larger ones than any node creates do not, bytes: a size that a damaged row claims must not fill the memory.
 MOST_BESIDE_BYTES = 2 << 20
+#: What a store keeps at most of payloads that have not come whole, bytes: each counts with its whole size. The quota
+#: does not count them.
+MOST_PARTIAL_BYTES = 8 << 20
 #: There each begins at a multiple of this, bytes: what a disk writes as a whole, or not at all.
 SECTOR_BYTES = 512
 

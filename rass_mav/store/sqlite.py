@@ -11,11 +11,12 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, PartialKey, StoredInfo, info_of
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 from . import schema
@@ -28,7 +29,7 @@ from .files import checked_path
 from .lock import Lock
 from .opening import CHECK_LIMIT, Opening
 from .payloads import Payloads
-from .quota import charge, cost
+from .quota import MOST_PARTIAL_BYTES, charge, cost, lies_beside
 from .reading import open_to_read, why_unwritable
 from .repairs import Repairs
 from .repairs import apply as repair
@@ -227,7 +228,7 @@ class SqliteStore:
         """Whether a batch is not known to be durable, or one is due. Where nothing can be written nothing waits."""
         if self._committer is None:
             return False
-        return self._changes.urgent or self._in_flight() is not _NOTHING
+        return self._changes.urgent or self._in_flight().urgent
 
     def room_for(self, size: int) -> bool:
         """Whether a new datum of `size` bytes of payload fits the quota, and the limit of what may wait for a
@@ -300,6 +301,33 @@ class SqliteStore:
     def found(self, id: DatumId) -> None:
         """Remove an entry from the table of losses; need not be durable soon. Unknown ids are ignored."""
         self._changes.found(id)
+
+    def keep_partial(self, key: PartialKey, offset: int, data: bytes) -> None:
+        """Keep a piece of a payload of which the rest has not come. Those below 4 KiB come in no time, and are not
+        kept."""
+        if self._committer is None or not lies_beside(key.size) or key.id in self._sizes:
+            return
+        pieces = self._changes.pieces
+        waiting = sum(len(some) for every in pieces.values() for _, some in every)
+        if waiting + len(data) <= MOST_PARTIAL_BYTES:
+            of_key = pieces[key] = pieces.pop(key, [])
+            of_key.append((offset, data))
+
+    def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
+        """The pieces that were kept and are there."""
+        changes, out = self._changes, self._in_flight()
+        found: list[tuple[int, bytes]] = []
+        if self._committer is not None and key not in changes.forgotten:
+            if key not in out.forgotten:
+                with suppress(OSError):
+                    found += self._committer.payloads.partial(key)
+            found += out.pieces.get(key, ())
+        return [*found, *changes.pieces.get(key, ())]
+
+    def forget_partial(self, key: PartialKey) -> None:
+        """The pieces are of no use."""
+        if self._committer is not None:
+            self._changes.forget(key)
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a named counter that survives restarts."""
@@ -439,7 +467,8 @@ class SqliteStore:
         """What has to be written now, or None.
 
         Removals and counters alone wait for changes that other nodes will hear about (`Changes.urgent`), unless `force`
-        is set or there are `MAX_WAITING_REMOVALS` removals. A batch whose write has failed is returned again, together
+        is set or there are `MAX_WAITING_REMOVALS` removals. What has not come whole does not wait, and nothing waits
+        for it. A batch whose write has failed is returned again, together
         with the changes since. RuntimeError while the last batch is neither written nor restored. Where nothing can be
         written, always None.
         """
@@ -452,11 +481,12 @@ class SqliteStore:
             self.restore(self._out)
         changes = self._changes
         removals = len(changes.removes) + len(changes.founds)
-        if not (changes.urgent or removals >= MAX_WAITING_REMOVALS or (force and changes)):
-            return None
-        self._changes = Changes()
-        self._buffered = 0
-        self._out = Batch(changes)
+        if changes.urgent or removals >= MAX_WAITING_REMOVALS or (force and changes):
+            self._changes = Changes()
+            self._buffered = 0
+            self._out = Batch(changes)
+        elif changes.has_partials:
+            self._out = Batch(changes.partials())
         return self._out
 
     def restore(self, batch: object) -> None:

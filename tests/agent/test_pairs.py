@@ -302,8 +302,8 @@ def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
 
 
 def test_what_was_overheard_is_confirmed_as_what_it_is() -> None:
-    """A large datum is not sent to a node that has heard it on its way to another. If that was another content, with the
-    same size and checksum, the giver does not believe the answer, and keeps its own."""
+    """A large datum is not sent to a node that has heard it on its way to another. If that was another content, with
+    the same size and checksum, the giver does not believe the answer, and keeps its own."""
     datum = make_datum(DatumId(GIVER, 0xCAFE, 9), 0, 0.0, bytes(200))
     true, false = twin(datum), twin(datum, seed=2)
     size = len(true.payload)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, StoredInfo, info_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, PartialKey, StoredInfo, info_of, key_of
 from rass_mav.errors import StoreFullError
 from rass_mav.store.memory import flipped
 
@@ -31,7 +31,14 @@ class State:
 class DurableStore:
     """`core.store.Store` over two states: the live one, and the one on the disk."""
 
-    def __init__(self, epoch: int, *, quota_bytes: int | None = None, disk: State | None = None) -> None:
+    def __init__(
+        self,
+        epoch: int,
+        *,
+        quota_bytes: int | None = None,
+        disk: State | None = None,
+        partials: dict[PartialKey, dict[int, bytes]] | None = None,
+    ) -> None:
         self.life = self.epoch = epoch
         self.fresh = disk is None
         self.quota_bytes = quota_bytes
@@ -40,10 +47,12 @@ class DurableStore:
         self._urgent = False
         self._lazy = False
         self._out: State | None = None
+        self.partials = {} if partials is None else partials
+        """No commit covers them: a process that is killed leaves them behind."""
 
     def crashed(self) -> DurableStore:
         """What the next life finds."""
-        return DurableStore(self.epoch, quota_bytes=self.quota_bytes, disk=self.disk)
+        return DurableStore(self.epoch, quota_bytes=self.quota_bytes, disk=self.disk, partials=self.partials)
 
     def commit(self) -> None:
         """What a driver does before it sends."""
@@ -92,6 +101,7 @@ class DurableStore:
             raise StoreFullError("over quota")
         data.pop(datum.id, None)
         data[datum.id] = datum
+        self.partials.pop(key_of(datum), None)
         self._urgent = True
 
     def get(self, id: DatumId) -> Datum | None:
@@ -138,6 +148,15 @@ class DurableStore:
     def found(self, id: DatumId) -> None:
         if self._live.losses.pop(id, None) is not None:
             self._lazy = True
+
+    def keep_partial(self, key: PartialKey, offset: int, data: bytes) -> None:
+        self.partials.setdefault(key, {})[offset] = data
+
+    def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
+        return list(self.partials.get(key, {}).items())
+
+    def forget_partial(self, key: PartialKey) -> None:
+        self.partials.pop(key, None)
 
     def count(self, name: str, amount: int = 1) -> None:
         self._live.counters[name] = self._live.counters.get(name, 0) + amount

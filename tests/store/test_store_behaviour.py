@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 from rass_mav.core.datum import DatumId, Fate
-from rass_mav.core.store import Store, StoredInfo
+from rass_mav.core.store import MAX_PARTIALS, PartialKey, Store, StoredInfo, key_of
 from rass_mav.errors import StoreFullError
 from rass_mav.store import MemoryStore, SqliteStore
-from rass_mav.store.quota import ROW_OVERHEAD
+from rass_mav.store.quota import BESIDE_BYTES, MOST_BESIDE_BYTES, MOST_PARTIAL_BYTES, ROW_OVERHEAD
 
 from .store_helpers import EPOCH, commit, datum, open_store
 
@@ -208,3 +208,81 @@ def test_over_the_quota_nothing_changes(make: Make) -> None:
     store.put(datum(3, 101))
     with pytest.raises(StoreFullError):
         store.put(datum(4, 0))
+
+
+# -- what has not come whole -------------------------------------------------------------------------------------------
+
+
+def assembled(pieces: Iterable[tuple[int, bytes]], size: int) -> bytes:
+    """The payload with zeros where nothing has come."""
+    content = bytearray(size)
+    for offset, data in pieces:
+        content[offset : offset + len(data)] = data
+    return bytes(content)
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_pieces_are_there_at_once_and_again_and_again(store: Store, committed: bool) -> None:
+    one = datum(1, 20_000)
+    key = key_of(one)
+    assert store.partial(key) == []
+    for start, stop in ((3000, 6000), (0, 1000), (6000, 20_000), (900, 1500)):
+        store.keep_partial(key, start, one.payload[start:stop])
+        if committed:
+            commit(store, force=False)
+        for offset, data in store.partial(key):
+            assert data == one.payload[offset : offset + len(data)]
+    assert assembled(store.partial(key), 20_000) == one.payload[:1500] + bytes(1500) + one.payload[3000:]
+    assert not store.unwritten
+    assert [*store.held(), *store.losses()] == []
+    assert store.used_bytes == 0
+    store.forget_partial(key)
+    assert store.partial(key) == []
+    store.keep_partial(key, 0, b"new")
+    if committed:
+        commit(store, force=False)
+    assert store.partial(key) == [(0, b"new")]
+    store.forget_partial(key_of(datum(2)))
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_what_has_come_whole_is_no_partial_any_more(store: Store, committed: bool) -> None:
+    one = datum(1, 20_000)
+    key = key_of(one)
+    store.keep_partial(key, 0, one.payload[:5000])
+    if committed:
+        commit(store, force=False)
+    store.put(one)
+    store.keep_partial(key, 5000, one.payload[5000:7000])
+    commit(store)
+    assert store.get(one.id) == one
+    store.remove(one.id, Fate.PASSED_ON)
+    commit(store)
+    assert store.partial(key) == []
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_partials_are_bounded_and_the_one_that_is_idle_for_longest_goes(store: Store, committed: bool) -> None:
+    data = [datum(number, 20_000) for number in range(MAX_PARTIALS + 1)]
+    for one in data[:-1]:
+        store.keep_partial(key_of(one), 0, b"first")
+        if committed:
+            commit(store, force=False)
+    store.keep_partial(key_of(data[0]), 5, b"second")
+    store.keep_partial(key_of(data[-1]), 0, b"first")
+    commit(store, force=False)
+    assert [one.id.sequence for one in data if not store.partial(key_of(one))] == [1]
+    large = [PartialKey(datum(number).id, 7, MOST_BESIDE_BYTES) for number in range(20, 25)]
+    for key in large:
+        store.keep_partial(key, 0, b"first")
+        commit(store, force=False)
+    there = [key for key in [*map(key_of, data), *large] if store.partial(key)]
+    assert there == large[1:]
+    assert sum(key.size for key in there) == MOST_PARTIAL_BYTES
+
+
+def test_of_small_data_nothing_is_kept(store: Store) -> None:
+    small = datum(1, BESIDE_BYTES - 1)
+    store.keep_partial(key_of(small), 0, small.payload[:1000])
+    assert store.partial(key_of(small)) == []
+    assert store.take(force=True) is None

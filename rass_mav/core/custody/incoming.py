@@ -15,6 +15,7 @@ from rass_mav.core.datum import MAX_PAYLOAD, Datum
 from rass_mav.core.messages import MAX_OTHERS, OTHER_BITS, REPORT_BITS, Chunk, Committed, Message, Offer, Sack
 from rass_mav.core.pace import Pace
 from rass_mav.core.routes.table import RoutingTable
+from rass_mav.core.store import PartialKey
 
 #: Transfers are kept for at least so long, seconds, however short a turn is: the giver may be starting again, or its
 #: chunks wait in a queue, and under a new handle it would send them once more. They give way to those of others.
@@ -22,10 +23,14 @@ LEAST_KEPT_S = 120.0
 
 
 class Incoming:
-    """The data that come to one node in chunks, and its reports about them."""
+    """The data that come to one node in chunks, and its reports about them.
+
+    Once a turn the store gets the chunks that are new. So another transfer of the same content, from whatever giver,
+    also after a restart, begins with what has come.
+    """
 
     __slots__ = (
-        "_done", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_unreported", "lifetime_s",
+        "_done", "_id", "_keeper", "_pace", "_receiving", "_rng", "_routing", "_spoilt", "_unreported", "lifetime_s",
         "listening",
     )  # fmt: skip
 
@@ -36,21 +41,25 @@ class Incoming:
         self._pace = pace
         self._rng = rng
         self.lifetime_s = routing.lifetime_s
-        """Transfers of a giver that is silent for longer are given up, and their bytes forgotten."""
+        """Transfers of a giver that is silent for longer are given up; what has come stays in the store."""
         self._receiving: dict[int, Receiving] = {}
         """By handle."""
         self._done: deque[tuple[int, Offer]] = deque(maxlen=MAX_TRANSFERS)
         """Handles and offers of the last data that came in whole: the giver may ask again."""
         self._unreported: dict[int, int] = {}
         """Chunks that came since the last Sack, by giver."""
+        self._spoilt: deque[PartialKey] = deque(maxlen=MAX_TRANSFERS)
+        """Contents of which the chunks that came in other ways were wrong. They come from one giver at a time from now
+        on: somebody who adds wrong ones must not spoil those of others again and again."""
         self.listening = Listening(keeper, routing, pace)
         """What neighbours hand over to others."""
 
     def age(self, now: float) -> None:
-        """Give up the transfers of silent givers."""
+        """Save what has come, and give up the transfers of silent givers."""
         self.listening.age(now)
         heard: dict[int, float] = {}
         for transfer in self._receiving.values():
+            self._save(transfer)
             giver = transfer.offer.sender
             heard[giver] = max(heard.get(giver, -inf), transfer.heard)
         for transfer in list(self._receiving.values()):
@@ -59,6 +68,16 @@ class Incoming:
 
     def _from(self, giver: int) -> list[Receiving]:
         return [transfer for transfer in self._receiving.values() if transfer.offer.sender == giver]
+
+    def _save(self, transfer: Receiving) -> None:
+        key, store = transfer.key, self._keeper.store
+        if key not in self._spoilt:
+            for offset, data in transfer.unsaved():
+                store.keep_partial(key, offset, data)
+
+    def _give_up(self, transfer: Receiving) -> None:
+        self._save(transfer)
+        self._end(transfer)
 
     def _end(self, transfer: Receiving) -> None:
         """A transfer is over, or given up."""
@@ -77,10 +96,10 @@ class Incoming:
                 running.heard = now
                 return [running.accept(self._id)]
             if running.id == offer.id:
-                self._end(running)
+                self._give_up(running)
         if len(of_giver) >= MAX_OF_ONE:
             # A giver has no more at a time, so it has given up one of them.
-            self._end(min(of_giver, key=lambda transfer: transfer.heard))
+            self._give_up(min(of_giver, key=lambda transfer: transfer.heard))
         acceptable = self._acceptable(offer)
         if acceptable and (overheard := self._overheard(offer)) is not None:
             return [self._taken(offer, overheard)]
@@ -91,9 +110,20 @@ class Incoming:
         while handle in self._receiving or any(handle == done for done, _ in self._done):
             handle = self._rng.getrandbits(16)
         transfer = Receiving(offer, handle, now)
-        transfer.begin_with(self._come(transfer.content))
+        self._begin(transfer)
         self._receiving[handle] = transfer
         return self._complete(transfer) if transfer.complete else [transfer.accept(self._id)]
+
+    def _begin(self, transfer: Receiving) -> None:
+        """Begin with the chunks that have come in other ways, and those in the store."""
+        key, come = transfer.key, self._come(transfer.content)
+        if key in self._spoilt:
+            return
+        for other in self._receiving.values():
+            if other.key == key:
+                self._save(other)
+        stored = transfer.whole(self._keeper.store.partial(key))
+        transfer.begin_with(come | stored, stored)
 
     def _overheard(self, offer: Offer) -> Datum | None:
         """The datum on offer, if all of it was heard when it was handed over to another node."""
@@ -146,7 +176,7 @@ class Incoming:
                 continue
             if may_accept(offer.size + sum(t.offer.size for t in others), 1 + len(others)):
                 for transfer in idle[:leaving]:
-                    self._end(transfer)
+                    self._give_up(transfer)
                 return True
         return False
 
@@ -175,10 +205,15 @@ class Incoming:
             for other in [other for other in self._receiving.values() if other.content == transfer.content]:
                 self._end(other)
             self._keeper.corrupt_received += 1
+            self._keeper.store.forget_partial(transfer.key)
+            if transfer.helped:
+                self._spoilt.append(transfer.key)
             return []
         answer = self._taken(offer, datum)
         if answer.committed:
             self._done.append((transfer.handle, offer))
+        else:
+            self._save(transfer)
         return [answer]
 
     def _taken(self, offer: Offer, datum: Datum) -> Committed:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import NamedTuple
 
 from rass_mav.core.datum import Datum, DatumId, datum_crc
 from rass_mav.core.messages import REPORT_BITS, Accept, Chunk, Offer, Report
+from rass_mav.core.store import PartialKey
 
 
 class Content(NamedTuple):
@@ -26,7 +27,9 @@ def content_of(offer: Offer) -> Content:
 class Receiving:
     """One datum that comes in chunks. Holds at most the datum's bytes."""
 
-    __slots__ = ("_here", "_next", "chunks", "content", "count", "handle", "heard", "moved", "offer")
+    __slots__ = (
+        "_here", "_next", "_unsaved", "chunks", "content", "count", "handle", "heard", "helped", "moved", "offer",
+    )  # fmt: skip
 
     def __init__(self, offer: Offer, handle: int, now: float) -> None:
         self.offer = offer
@@ -42,6 +45,15 @@ class Receiving:
         self._here = 0
         """The same as bits."""
         self._next = 0
+        self._unsaved: list[int] = []
+        """The chunks that came since `unsaved` was asked."""
+        self.helped = False
+        """Whether some chunks did not come in this transfer."""
+
+    @property
+    def key(self) -> PartialKey:
+        """Under which the store keeps what has come."""
+        return PartialKey(self.offer.id, self.offer.crc, self.offer.size)
 
     @property
     def id(self) -> DatumId:
@@ -60,16 +72,49 @@ class Receiving:
         if index >= self.count or index in self.chunks or len(chunk.data) != self._length(index):
             return False
         self._put(index, chunk.data)
+        self._unsaved.append(index)
         self.moved = now
         return True
 
-    def begin_with(self, chunks: Mapping[int, bytes]) -> None:
+    def whole(self, pieces: Iterable[tuple[int, bytes]]) -> dict[int, bytes]:
+        """The chunks, by index, that are wholly among these pieces of the payload, each with its offset. They may
+        overlap, and come from a transfer with other chunks."""
+        joined: list[tuple[int, bytearray]] = []
+        for offset, data in sorted(pieces):
+            if joined and offset <= (end := joined[-1][0] + len(joined[-1][1])):
+                joined[-1][1].extend(data[end - offset :])
+            else:
+                joined.append((offset, bytearray(data)))
+        found, size = {}, self.offer.chunk_size
+        for offset, some in joined:
+            for index in range(-(-offset // size), self.count):
+                at = index * size - offset
+                if at + self._length(index) > len(some):
+                    break
+                found[index] = bytes(some[at : at + self._length(index)])
+        return found
+
+    def begin_with(self, chunks: Mapping[int, bytes], saved: Container[int] = ()) -> None:
         """Have these chunks of the same content from the start, as far as `accept` can name them: the giver ignores
-        reports of others that it has not sent."""
+        reports of others that it has not sent. `saved`: the indexes of those that the store has."""
         for index in sorted(chunks):
             if index > self._next + REPORT_BITS:
                 break
             self._put(index, chunks[index])
+            self.helped = True
+            if index not in saved:
+                self._unsaved.append(index)
+
+    def unsaved(self) -> list[tuple[int, bytes]]:
+        """What came since this was asked last: runs of chunks, each with its offset."""
+        runs: list[list[int]] = []
+        for index in sorted(self._unsaved):
+            if runs and index == runs[-1][-1] + 1:
+                runs[-1].append(index)
+            else:
+                runs.append([index])
+        self._unsaved.clear()
+        return [(run[0] * self.offer.chunk_size, b"".join([self.chunks[i] for i in run])) for run in runs]
 
     def _put(self, index: int, data: bytes) -> None:
         self.chunks[index] = data

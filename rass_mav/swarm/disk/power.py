@@ -88,8 +88,9 @@ class Computer:
         self.diary.lose_all()
 
     def flip_bit(self) -> None:
-        """A random bit of the database, its log or its large payloads flips."""
-        paths = [self.disk.directory / name for name in ("node.db", "node.db-wal", "node.db.payloads")]
+        """A random bit of the database, its log, its large payloads or the log of those flips."""
+        names = ("node.db", "node.db-wal", "node.db.payloads", "node.db.partials")
+        paths = [self.disk.directory / name for name in names]
         paths = [path for path in paths if path.exists() and path.stat().st_size]
         if paths:
             self.disk.flip_bits(self.draws.choice(paths), 1)
