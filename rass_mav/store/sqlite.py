@@ -468,9 +468,8 @@ class SqliteStore:
 
         Removals and counters alone wait for changes that other nodes will hear about (`Changes.urgent`), unless `force`
         is set or there are `MAX_WAITING_REMOVALS` removals. What has not come whole does not wait, and nothing waits
-        for it. A batch whose write has failed is returned again, together
-        with the changes since. RuntimeError while the last batch is neither written nor restored. Where nothing can be
-        written, always None.
+        for it. A batch whose write has failed is returned again, together with the changes since. RuntimeError while
+        the last batch is neither written nor restored. Where nothing can be written, always None.
         """
         if self._committer is None:
             return None
