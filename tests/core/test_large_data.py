@@ -192,22 +192,6 @@ def test_a_restarted_giver_sends_what_is_missing(away_s: float) -> None:
     assert pair.chunks - sent <= chunks - sent + MAX_WINDOW
 
 
-@pytest.mark.parametrize("away_s", [0.0, 1.0, 10.0])
-def test_after_a_restart_of_the_receiver_what_it_committed_is_not_sent_again(away_s: float) -> None:
-    pair = Pair(Line(5760.0), 3)
-    parts = parts_of(3 * PART, PART, 3)
-    ids = pair.put(*parts)
-    pair.run(9.0)
-    assert list(pair.arrived()) == ids[:1]
-    sent = pair.chunks
-    pair.stop(BASE)
-    pair.run(away_s)
-    pair.start(BASE)
-    assert pair.run(120.0, pair.is_over)
-    assert pair.arrived() == dict(zip(ids, parts, strict=True))
-    assert pair.chunks - sent <= sum(-(-len(part) // CHUNK) for part in parts[1:]) + 2 * MAX_WINDOW
-
-
 def test_committed_may_be_late_or_lost() -> None:
     pair = Pair(Line(125000.0, loss=0.1), 4, disk_s=0.4)
     parts = parts_of(TOTAL, PART, 4)
