@@ -153,6 +153,23 @@ def test_the_list_of_scenarios_is_json(capsys: Capture) -> None:
     assert json.loads(capsys.readouterr().out)["scenarios"]["islands"].startswith("the far half of the swarm")
 
 
+@pytest.mark.parametrize(
+    ("words", "unreal"),
+    [
+        ("demo", True),
+        ("hostile", False),
+        ("field-sik-64k", True),
+        ("field-sik-64k --set radiation.page_dose=9.0e+7", False),
+        ("field-sik-64k --set radiation.corruption=false", False),
+    ],
+)
+def test_a_swarm_says_when_its_radiation_does_what_real_radiation_does_not(
+    words: str, unreal: bool, capsys: Capture
+) -> None:
+    assert main(["swarm", *words.split(), "--steps", "1"]) == 0
+    assert ("about a million times too low" in capsys.readouterr().out) == unreal
+
+
 # -- who can reach a base ----------------------------------------------------------------------------------------------
 
 

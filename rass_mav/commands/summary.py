@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 
-def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """The summary of `swarm` or `replay` as lines."""
+def summary_lines(summary: dict[str, Any], remark: str | None = None) -> Iterator[str]:
+    """The summary of `swarm` or `replay` as lines. `remark`: what to know about the world in which it was measured."""
     # A node does not load the mock swarm.
     from rass_mav.swarm.blast import OLD_STEPS
 
@@ -17,6 +17,8 @@ def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
         f"{s['nodes'] - s['bases']} drones and {s['bases']} {bases}, topology {s['topology']}, policy {s['policy']}, "
         f"{s['steps']} steps, seed {s['seed']}"
     )
+    if remark is not None:
+        yield remark
     yield ""
     created = s["created"]
     lost = s["lost"]

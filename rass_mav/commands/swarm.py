@@ -131,9 +131,19 @@ def _swarm(options: argparse.Namespace) -> int:
         return 0
     with ExitStack() as stack:
         summary = _in_virtual_time(scenario, options, stack)
-        answer(options, summary, summary_lines(summary))
+        answer(options, summary, summary_lines(summary, _unlike_reality(scenario)))
         sys.stdout.flush()
     return 0
+
+
+def _unlike_reality(scenario: Scenario) -> str | None:
+    """Says that radiation destroys data in this world, unless it does so at published doses only (docs/field.md)."""
+    from rass_mav.swarm.scenario import RadiationSection
+
+    radiation = scenario.radiation
+    if not radiation.corruption or (radiation.law == "dose" and radiation.page_dose >= RadiationSection().page_dose):
+        return None
+    return "radiation destroys stored data here; doses of survey flights are about a million times too low for that"
 
 
 def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
