@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from rass_mav.core.custody.flow import MAX_WINDOW
 from rass_mav.core.custody.incoming import LEAST_KEPT_S
 from rass_mav.core.custody.receiving import Receiving
+from rass_mav.core.custody.transfers import MAX_OF_ONE
 from rass_mav.core.datum import Datum
 from rass_mav.core.messages import REPORT_BITS, Accept, Chunk, Committed, Message, Offer
 from rass_mav.core.node import Node
@@ -198,6 +199,31 @@ def test_two_contents_of_one_id_are_not_mixed() -> None:
     node = receiver_over(DurableStore(epoch=1002))
     hear(node, chunks_of(one, begin(node, offer_of(one, 3)), range(40)))
     assert begin(node, offer_of(two, 4)).next_index == 0
+
+
+def test_a_giver_that_offers_another_content_under_an_id_gives_up_that_transfer_and_no_other() -> None:
+    data = [datum(origin=9 + number, payload=noise(SIZE)) for number in range(MAX_OF_ONE)]
+    node = receiver_over(DurableStore(epoch=1002))
+    accepts = [begin(node, offer_of(one, 3, number)) for number, one in enumerate(data)]
+    other = datum(origin=9, payload=bytes(SIZE))
+    accept = begin(node, offer_of(other, 3, 10))
+    for number, one in list(enumerate(data))[1:]:
+        assert begin(node, offer_of(one, 3, number)).handle == accepts[number].handle
+    assert of(Committed, hear(node, chunks_of(other, accept, range(100))))
+    assert list(node.holdings.custody) == [other.id]
+
+
+def test_an_offer_of_the_same_bytes_as_another_kind_costs_no_chunk_that_has_come() -> None:
+    one = datum(payload=noise(SIZE))
+    node = receiver_over(DurableStore(epoch=1002))
+    accept = begin(node, offer_of(one, 3))
+    hear(node, chunks_of(one, accept, range(60)))
+    begin(node, offer_of(one, 3, 2)._replace(kind=one.kind + 1))
+    hear(node, chunks_of(one, accept, range(60, 100)))
+    accept = begin(node, offer_of(one, 3))
+    assert accept.next_index == 60
+    assert of(Committed, hear(node, chunks_of(one, accept, range(60, 100))))
+    assert list(node.holdings.custody) == [one.id]
 
 
 # -- wrong chunks ------------------------------------------------------------------------------------------------------

@@ -89,15 +89,14 @@ class Incoming:
         """A neighbour offers a large datum: it is here already, there is no space, or it may come."""
         if (here := self._here(offer)) is not None:
             return [here]
-        of_giver = self._from(offer.sender)
-        for running in of_giver:
+        for running in self._from(offer.sender):
             if running.content == content_of(offer):
                 running.offer = offer
                 running.heard = now
                 return [running.accept(self._id)]
             if running.id == offer.id:
                 self._give_up(running)
-        if len(of_giver) >= MAX_OF_ONE:
+        if len(of_giver := self._from(offer.sender)) >= MAX_OF_ONE:
             # A giver has no more at a time, so it has given up one of them.
             self._give_up(min(of_giver, key=lambda transfer: transfer.heard))
         acceptable = self._acceptable(offer)

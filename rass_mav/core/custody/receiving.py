@@ -14,6 +14,7 @@ class Content(NamedTuple):
     """A datum and its cut: the same chunks, whoever sends them."""
 
     id: DatumId
+    kind: int
     crc: int
     size: int
     chunk_size: int
@@ -21,7 +22,7 @@ class Content(NamedTuple):
 
 def content_of(offer: Offer) -> Content:
     """What is offered."""
-    return Content(offer.id, offer.crc, offer.size, offer.chunk_size)
+    return Content(offer.id, offer.kind, offer.crc, offer.size, offer.chunk_size)
 
 
 class Receiving:
