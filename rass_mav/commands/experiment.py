@@ -110,6 +110,10 @@ def register(subparsers: Subparsers) -> None:
         "rass-mav experiment hostile --out results --runs 3",
     )  # fmt: skip
     _add_names(hostile, "--attacker", "hostile:ATTACKERS", "which attackers, all by default", nargs="+")
+    _add_names(hostile, "--place", "hostile:PLACES", "where the attacker is, in runs of their own", nargs="+")
+    hostile.add_argument(
+        "--leaves", type=int, metavar="STEP", help="the attacker is gone from then on (default: never)"
+    )
 
     counting = add_command(
         names, "counting-to-infinity", _counting,
@@ -238,8 +242,9 @@ def _hostile(options: argparse.Namespace) -> int:
 
     attackers = _chosen("--attacker", options.attacker, hostile.ATTACKERS)
     policies = _chosen("--policy", options.policy, hostile.POLICIES)
-    planned = hostile.plan(_extent(options), attackers, policies, list(hostile.VARIANTS))
-    return _runs(options, planned, hostile.report)
+    places = _chosen("--place", options.place, hostile.PLACES)
+    planned = hostile.plan(_extent(options), attackers, policies, places, options.leaves)
+    return _runs(options, planned, partial(hostile.report, leaves=options.leaves))
 
 
 def _counting(options: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rass_mav.core.datum import Fate
+from rass_mav.core.datum import DatumId, Fate
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.experiment.oracle import Ceiling, Contacts
@@ -216,10 +216,35 @@ class Basins:
         return {key: self._counts[key] for key in keys}
 
 
+class Cohorts:
+    """What became of the data created in each step. Measurements that a full node refused are not included."""
+
+    def __init__(self) -> None:
+        self._born: dict[DatumId, int] = {}
+        self._arrived: dict[DatumId, int] = {}
+
+    def after(self, world: World) -> None:
+        """The ledger knows it all at the end."""
+        self._born, self._arrived = world.ledger.born, world.ledger.arrived
+
+    def result(self) -> dict[str, Any]:
+        """For each step in which data were created: how many these are, how many arrived, and the sum of the delays of
+        those, in steps."""
+        found: dict[str, list[int]] = {}
+        for id, step in self._born.items():
+            cohort = found.setdefault(str(step), [0, 0, 0])
+            cohort[0] += 1
+            if id in self._arrived:
+                cohort[1] += 1
+                cohort[2] += self._arrived[id] - step
+        return found
+
+
 #: By the names that a `Run` uses.
 MEASURES: dict[str, Callable[[], Measure]] = {
     "origins": Origins,
     "basins": Basins,
     "ceiling": Ceiling,
     "contacts": Contacts,
+    "cohorts": Cohorts,
 }

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from rass_mav.agent.agent import Agent
 from rass_mav.core.alarms import Alarm
+from rass_mav.core.datum import WOUNDS
 from rass_mav.core.messages import NO_ROUTE
 from rass_mav.swarm.disk.power import Power
 from rass_mav.swarm.failures import Failures
@@ -90,6 +91,13 @@ class Statistics:
         self._malformed += agent.peers.malformed + agent.peers.reader.malformed
         self._sent_data += agent.node.pace.sent
 
+    def _false_losses(self) -> int:
+        """How many losses the bases have recorded of data that no node created, or that are not lost, and of stores
+        that were not damaged: no store is, unless there are disks."""
+        ledger = self._world.ledger
+        told = {loss for agent in self._world.agents if agent.settings.base for loss in agent.store.losses()}
+        return sum(self._world.power is None if fate in WOUNDS else id not in ledger.lost for id, fate in told)
+
     def summary(self) -> dict[str, Any]:
         """What `swarm --json` prints, except the wall times."""
         world = self._world
@@ -145,6 +153,7 @@ class Statistics:
         if world.hostile is not None:
             summary["hostile"] = {
                 "false_delivered": ledger.false_delivered,
+                "false_losses": self._false_losses(),
                 "alarms": {
                     alarm.name.lower(): sum(alarm in agent.node.alarms.counts for agent in world.agents)
                     for alarm in Alarm

@@ -76,6 +76,19 @@ def test_what_was_promised_to_thieves_heals_after_they_have_left(kind: str, poli
 
 
 @pytest.mark.no_cover
+@pytest.mark.parametrize("near", [0, 12], ids=["beside-the-base", "in-the-middle"])
+@pytest.mark.parametrize("kind", ["shadower", "turn-shadower", "fitness-shadower"])
+def test_what_a_shadower_says_is_forgotten_when_it_has_left(kind: str, near: int) -> None:
+    """Without keys. What is created 60 s later arrives as usual."""
+    world = swarm(kind, "data.until_step=180", near=near, begin=20, end=100)
+    world.run(240)
+    born, arrived = world.ledger.born, world.ledger.arrived
+    assert len(arrived) == len(born) == 24 * 18
+    delays = [arrived[id] - step for id, step in born.items() if step >= 160]
+    assert sum(delays) <= 2 * len(delays)
+
+
+@pytest.mark.no_cover
 @pytest.mark.parametrize(
     ("kind", "policy"), [("sinkhole", "survival"), ("black-hole", "survival"), ("sinkhole", "rass")]
 )

@@ -18,6 +18,8 @@ class Disguised(NamedTuple):
 
     stream: Stream
     said: Message | bytes
+    timestamp: int | None = None
+    """Of its signature; None: one more than that of the last such frame."""
 
 
 #: What an attacker sends: a message, or a payload that is none of ours.
@@ -40,6 +42,9 @@ class Attacker:
         """The last beacon of each sender overheard."""
         self.prints = Fingerprints()
         """What its answers confirm."""
+        self.stream: Stream = (0, 0, 0)
+        self.timestamp = 0
+        """Of the frame that it hears now; 0 if that is not signed."""
         self._number = rng.getrandbits(16)
         self.begin()
 

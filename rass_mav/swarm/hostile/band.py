@@ -15,8 +15,8 @@ from rass_mav.agent.word import Word
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
-from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mavlink.signing import SigningKey
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.scenario import HostileSection
 from rass_mav.wire import decode
@@ -83,14 +83,18 @@ class _Member:
             if self.left > 0:
                 self.left -= 1
                 self._timestamp += 1
-                signer = None if self._key is None else self._key.signer(link_id, self._timestamp)
+                timestamp = self._timestamp if disguised.timestamp is None else disguised.timestamp
+                signer = None if self._key is None else self._key.signer(link_id, timestamp)
                 yield FrameWriter(system_id, component_id, signer).tunnel(payload, payload_type=self._payload_type)
 
     def _payloads(self, said: Message | bytes, now: float) -> list[bytes]:
         return [said] if isinstance(said, bytes) else self._peers.tags.encoded(said, self._store, now)
 
     def hear(self, frame: bytes, opened: Opened, now: float) -> None:
-        """If captured: note who asks whether this stream of frames, or this node, is there now."""
+        """Note whose frame it is. If captured: note who asks whether this stream of frames, or this node, is there."""
+        attacker, signed = self.attacker, frame[2] & FLAG_SIGNED
+        attacker.stream = frame[5], frame[6], frame[-SIGNATURE_SIZE] if signed else 0
+        attacker.timestamp = int.from_bytes(frame[-12:-6], "little") if signed else 0
         if self.section.captured:
             self._peers.heard(frame, opened, now)
             if is_challenge(opened[3]):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from rass_mav.core.datum import Datum, DatumId, make_datum
+from rass_mav.agent.timestamps import MOST_SKIPPED
+from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.messages import (
     BEACON_BASE,
     BEACON_WANTED,
@@ -23,8 +24,10 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.checksums import make_digest, make_receipt, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
+from rass_mav.core.news.notes import NOTES_IN_FRAME, REASONS
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream
+from rass_mav.mavlink.signing import MAX_TIMESTAMP
 from rass_mav.wire.challenge import MAX_ANSWERED, Challenge, encode_challenge
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import CERTIFICATE_BYTES, Introduction, encode_introduction
@@ -391,6 +394,101 @@ class WordForger(ReceiptForger):
             yield encode_ask(Ask((source,), tuple((*source, rng.randrange(100)) for _ in range(9))))
 
 
+class TimestampJumper(Attacker):
+    """Sends four frames in each stream that it overhears, with timestamps so far ahead that no owner skips to them."""
+
+    def begin(self) -> None:
+        self._streams: dict[Stream, None] = {}
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        if self.stream in self._streams or len(self._streams) >= MAX_REMEMBERED:
+            return ()
+        self._streams[self.stream] = None
+        return [Disguised(self.stream, b"", MOST_SKIPPED + i) for i in range(4)]
+
+
+class TimestampSquatter(TimestampJumper):
+    """Uses the next timestamps of each stream that it overhears before their owner does."""
+
+    LEADS: tuple[int, ...] = (1, 2, 3, 4)
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        return [Disguised(self.stream, b"", min(self.timestamp + lead, MAX_TIMESTAMP)) for lead in self.LEADS]
+
+
+class TimestampOvertaker(TimestampSquatter):
+    """Sends a timestamp more than the window ahead after each frame that it overhears. After each challenge that it
+    overhears, it sends one as far ahead as an owner follows, and then one farther, in each stream around it."""
+
+    LEADS = (40,)
+    _asked = False
+
+    def overhear_challenge(self, challenge: Challenge) -> None:
+        self._asked = True
+
+    def turn(self, now: float) -> Iterable[Said]:
+        asked, self._asked = self._asked, False
+        for stream in self._streams if asked else ():
+            yield Disguised(stream, b"", MOST_SKIPPED - 1)
+            yield Disguised(stream, b"", MOST_SKIPPED + 1)
+
+
+class Shadower(Attacker):
+    """After each beacon that it overhears, sends a later one in the same node's name, without a route."""
+
+    LEAD = 31
+
+    def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
+        super().overhear(message, payload, now)
+        if not isinstance(message, Beacon):
+            return ()
+        later = message._replace(number=(message.number + self.LEAD) & 0xFFFF, answers=())
+        return (self.shadow(later),)
+
+    def shadow(self, later: Beacon) -> Said:
+        """What it sends after a beacon, if this is the same one with a later number."""
+        return later._replace(base=0, base_life=0, route_number=0, hops=NO_ROUTE)
+
+
+class TurnShadower(Shadower):
+    """The same, with a turn of hours, and as if no node was a base."""
+
+    def shadow(self, later: Beacon) -> Said:
+        return later._replace(turn=0xFFFF, flags=0)
+
+
+class FitnessShadower(Shadower):
+    """The same, with the worst fitness, one number ahead, and in the node's own stream."""
+
+    LEAD = 1
+
+    def shadow(self, later: Beacon) -> Said:
+        unfit = later._replace(potential=0xFFFFFFFF if self.costs else 0, free=0, risk=0xFFFF)
+        return Disguised(self.stream, unfit, min(self.timestamp + 1, MAX_TIMESTAMP))
+
+
+class LossLiar(NumberSquatter):
+    """Reports the numbers that nearby nodes are about to assign as lost, and their stores as damaged."""
+
+    EACH_TURN = 3
+    AHEAD = 200
+
+    def turn(self, now: float) -> Iterable[Said]:
+        rng, seen = self.rng, list(self._last.items())
+        for node in self.beacons.values():
+            for _ in range(self.EACH_TURN if seen else 0):
+                (origin, epoch), last = rng.choice(seen)
+                first = last + rng.randint(1, self.AHEAD)
+                ids = [DatumId(origin, epoch, (first + i) & 0xFFFFFFFF) for i in range(NOTES_IN_FRAME - 1)]
+                lies = [(id, rng.randint(1, 6)) for id in ids]
+                lies.append((DatumId(node.sender, node.life, rng.randrange(1000)), REASONS[Fate.DAMAGED]))
+                yield LossNote(
+                    self.id, node.sender,
+                    tuple(LossNoteEntry(rng.getrandbits(32) | 1, id, why, note_crc(id, why)) for id, why in lies),
+                )  # fmt: skip
+
+
 #: By the names that `hostile: [{kind: ...}]` uses.
 KINDS: dict[str, type[Attacker]] = {
     "sinkhole": Sinkhole,
@@ -413,6 +511,13 @@ KINDS: dict[str, type[Attacker]] = {
     "bit-flipper": BitFlipper,
     "route-forger": RouteForger,
     "word-forger": WordForger,
+    "timestamp-jumper": TimestampJumper,
+    "timestamp-squatter": TimestampSquatter,
+    "timestamp-overtaker": TimestampOvertaker,
+    "shadower": Shadower,
+    "turn-shadower": TurnShadower,
+    "fitness-shadower": FitnessShadower,
+    "loss-liar": LossLiar,
 }
 
 
