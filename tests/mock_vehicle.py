@@ -40,6 +40,8 @@ class MockVehicle:
         self.takes_keys = True
         """Whether it obeys SETUP_SIGNING."""
         self.answers_questions = True
+        self.mavlink_1 = False
+        """Whether its port sends MAVLink 1 (SERIALn_PROTOCOL 1). It still hears MAVLink 2, and takes keys."""
         self.radio = False
         """Whether a telemetry radio is on the way."""
         self.armed = False
@@ -111,7 +113,7 @@ class MockVehicle:
         def say(message: Any) -> None:
             self._mav.srcSystem = self.system_id
             try:
-                send(bytes(message.pack(self._mav)))
+                send(bytes(message.pack(self._mav, force_mavlink1=self.mavlink_1)))
             except (ConnectionRefusedError, BlockingIOError):
                 return  # nobody has opened the port yet, or nobody reads it
 

@@ -7,7 +7,7 @@ autopilot whose timestamps have gone back is ignored until it has heard the node
 
 from __future__ import annotations
 
-from .frames import Stream
+from .frames import MAGIC_V1, Stream
 from .identity import AUTOPILOT_COMPONENT
 from .messages import RADIO_STATUS
 from .signing import SignatureCheck, Signer, SigningKey
@@ -30,7 +30,7 @@ class SignedPort(SignatureCheck):
     Frames must come in the order in which they were sent, as they do on a wire.
     """
 
-    __slots__ = ("_newest", "_signer", "_start", "_streams", "old")
+    __slots__ = ("_newest", "_signer", "_start", "_streams", "mavlink_1", "old")
 
     def __init__(self, key: SigningKey, start: int) -> None:
         """:param start: `next` of the last program that used the port. 0: there was none, or it is not known.
@@ -43,6 +43,8 @@ class SignedPort(SignatureCheck):
         self._streams: dict[Stream, int] = {}
         self.old = 0
         """Frames with the right signature that were refused: heard before, too old, or of too many streams."""
+        self.mavlink_1 = 0
+        """Those of the unsigned frames that are MAVLink 1, which has no signatures."""
 
     @property
     def next(self) -> int:
@@ -64,6 +66,7 @@ class SignedPort(SignatureCheck):
     def passes(self, frame: bytes, message_id: int, *, signed: bool) -> bool:
         """As in `SignatureCheck`."""
         if not super().passes(frame, message_id, signed=signed):
+            self.mavlink_1 += frame[0] == MAGIC_V1
             return False
         if not signed or not self._needed(message_id) or self._is_new(frame):
             return True

@@ -55,6 +55,13 @@ def system_id_names(firmware: Firmware) -> tuple[str, ...]:
     return {True: ("MAV_SYSID",), False: ("SYSID_THISMAV",), None: ("SYSID_THISMAV", "MAV_SYSID")}[firmware.renamed]
 
 
+def second_protocol(firmware: Firmware) -> str:
+    """What makes a port of this firmware send MAVLink 2."""
+    if firmware.autopilot == PX4:
+        return "set MAV_PROTO_VER 2, and reboot the autopilot"
+    return "set SERIALn_PROTOCOL 2 for this port (SERIAL2 is TELEM2), and reboot the autopilot"
+
+
 def made_for(names: frozenset[str]) -> int | None:
     """The MAV_AUTOPILOT that has parameters with such names; None: unknown."""
     px4 = any(map(_OF_PX4.fullmatch, names))

@@ -67,8 +67,12 @@ class Session:
             heard = ", ".join(map(str, sorted(talk.others)))
             return f"no autopilot with system id {system_id} heard, but {heard} (mavlink.autopilot_id)"
         if self._signing is not None and self._signing.unsigned + self._signing.forged > 0:
-            how = "signed with another key" if self._signing.forged else "not signed"
-            return f"the autopilot's frames are {how}, and autopilot.signing is true (rass-mav params signing)"
+            how, remedy = "not signed", "rass-mav params signing"
+            if self._signing.forged:
+                how = "signed with another key"
+            elif self._signing.mavlink_1:
+                how, remedy = "MAVLink 1, which has no signatures", "set SERIALn_PROTOCOL 2 for this port"
+            return f"the autopilot's frames are {how}, and autopilot.signing is true ({remedy})"
         if self._reader.frames:
             return "MAVLink is heard, but no autopilot's heartbeat"
         if self._reader.malformed or self._reader.garbage_bytes:

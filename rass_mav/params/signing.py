@@ -13,6 +13,7 @@ from rass_mav.mavlink.signedport import MOST, PER_SECOND, SignedPort
 from rass_mav.mavlink.signing import SETUP_SIGNING, SigningKey, setup_signing
 
 from .exchange import Asking, Autopilot, Patience, Question, VehicleError
+from .names import second_protocol
 from .session import Session
 
 #: Signing timestamps count from the first day of 2015, seconds since 1970.
@@ -27,6 +28,7 @@ class Signature(Enum):
     NONE = "off"
     OURS = "on, with this drone's key"
     OTHER = "on, with another key"
+    HIDDEN = "not visible: its frames are MAVLink 1"
 
 
 class Watch(SignedPort):
@@ -53,8 +55,14 @@ class Watch(SignedPort):
         if message_id == RADIO_STATUS:
             self.radio = True
         elif component_id == AUTOPILOT_COMPONENT:
-            signature = Signature.OTHER if self.forged > before else Signature.OURS
-            self.found[system_id] = signature if signed else Signature.NONE
+            if frame[0] != MAGIC_V2:
+                # It may have a key, use it on its other ports, and refuse here what is not signed.
+                signature = Signature.HIDDEN
+            elif not signed:
+                signature = Signature.NONE
+            else:
+                signature = Signature.OTHER if self.forged > before else Signature.OURS
+            self.found[system_id] = signature
         return right or self.open
 
 
@@ -86,6 +94,8 @@ def refusal(autopilot: Autopilot, watch: Watch) -> str:
         return f"vehicle {autopilot.system_id} is armed"
     if firmware.autopilot == PX4 and any(firmware.version) and firmware.version[:2] < _PX4_SIGNS:
         return f"{firmware} has no signing, which came with {'.'.join(map(str, _PX4_SIGNS))}"
+    if watch.found.get(autopilot.system_id) is Signature.HIDDEN:
+        return f"this port sends MAVLink 1, which has no signatures: {second_protocol(firmware)}"
     if watch.radio:
         return "a telemetry radio is on this port, and others could read the key: connect the autopilot by wire or USB"
     return ""
@@ -150,5 +160,6 @@ async def _change(
         Signature.OURS: "it still signs; try again, or turn signing off at its USB port (ArduPilot: SERIAL0)",
         Signature.OTHER: "it has another key; connect to its USB port (ArduPilot: SERIAL0), which needs no signature, "
         "or turn signing off first, with the ground station that has the key",
+        Signature.HIDDEN: "it sends MAVLink 1 now, which has no signatures",
     }[found]
     raise VehicleError(f"{session.port.name}: {why}")

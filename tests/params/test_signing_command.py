@@ -14,7 +14,7 @@ from rass_mav.cli import main
 from rass_mav.params.exchange import Patience
 from tests.app.app_nodes import command, free_ports
 from tests.mavlink import pymav
-from tests.mock_vehicle import INT8, PX4, MockVehicle
+from tests.mock_vehicle import ARDUPILOT, INT8, PX4, MockVehicle
 
 Capture = pytest.CaptureFixture[str]
 OTHER = bytes(range(32))
@@ -189,6 +189,32 @@ def test_an_autopilot_that_signs_and_answers_nothing(place: Place, capsys: Captu
     assert "but answers no signed question; if it has heard many signed senders" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", [[], ["--off"]])
+@pytest.mark.parametrize("key", [None, OTHER])
+@pytest.mark.parametrize(
+    ("firmware", "remedy"),
+    [(ARDUPILOT, "set SERIALn_PROTOCOL 2 for this port (SERIAL2 is TELEM2)"), (PX4, "set MAV_PROTO_VER 2")],
+)
+def test_a_port_that_shows_no_signatures(
+    firmware: int, remedy: str, key: bytes | None, option: list[str], place: Place, capsys: Capture
+) -> None:
+    """MAVLink 1 has no signatures, so nobody can see whether the autopilot has a key, or has taken one."""
+    place.write()
+    vehicle = MockVehicle(firmware=firmware, version=(1, 18, 0) if firmware == PX4 else (4, 6, 3))
+    vehicle.mavlink_1 = True
+    vehicle.key = key
+    with vehicle.on_udp(place.port):
+        assert signing(place, "--yes", "--json", *option) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out) == {
+        "system_id": 1, "before": "hidden", "after": "hidden", "ahead_s": None, "refused":
+            f"this port sends MAVLink 1, which has no signatures: {remedy}, and reboot the autopilot",
+    }  # fmt: skip
+    assert "disarmed, signing is not visible" in said.err
+    assert vehicle.key == key
+    assert not any(message.get_type() == "SETUP_SIGNING" for message in vehicle.heard)
+
+
 def test_without_keys_there_is_nothing_to_give(place: Place, capsys: Capture) -> None:
     path = place.write(keys=False)
     assert signing(place, "--yes") == 2
@@ -221,13 +247,21 @@ def test_parameters_are_written_with_signatures(place: Place, capsys: Capture) -
         assert vehicle.parameters["X"] == (2, INT8)
 
 
-@pytest.mark.parametrize(("key", "how"), [(None, "not signed"), (OTHER, "signed with another key")])
-def test_what_is_not_signed_rightly_is_not_heard(key: bytes | None, how: str, place: Place, capsys: Capture) -> None:
+@pytest.mark.parametrize(
+    ("key", "mavlink_1", "how"),
+    [
+        (None, False, "not signed"), (OTHER, False, "signed with another key"),
+        (None, True, "MAVLink 1, which has no signatures"),
+    ],
+)  # fmt: skip
+def test_what_is_not_signed_rightly_is_not_heard(
+    key: bytes | None, mavlink_1: bool, how: str, place: Place, capsys: Capture
+) -> None:
     vehicle = MockVehicle()
-    vehicle.key = key
+    vehicle.key, vehicle.mavlink_1 = key, mavlink_1
     with vehicle.on_udp(place.port):
         assert write_parameter(place, signing=True) == 1
+    remedy = "set SERIALn_PROTOCOL 2 for this port" if mavlink_1 else "rass-mav params signing"
     assert capsys.readouterr().err == (
-        f"udpin:127.0.0.1:{place.port}: the autopilot's frames are {how}, and autopilot.signing is true (rass-mav "
-        "params signing)\n"
+        f"udpin:127.0.0.1:{place.port}: the autopilot's frames are {how}, and autopilot.signing is true ({remedy})\n"
     )
