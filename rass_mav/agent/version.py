@@ -23,7 +23,7 @@ class VersionQuestion:
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
-        self._about: tuple[int, int, bool] | None = None
+        self._about: tuple[int, int, bool | None] | None = None
         self._ask_at = 0.0
         self._retry_s = FIRST_RETRY_S
 

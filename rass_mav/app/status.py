@@ -184,7 +184,7 @@ def _signing(check: SignatureCheck | None) -> dict[str, int] | None:
     """Frames that were ignored, if the autopilot has to sign."""
     if not isinstance(check, SignedPort):
         return None
-    return {"unsigned": check.unsigned, "forged": check.forged, "old": check.old}
+    return {"unsigned": check.unsigned, "mavlink_1": check.mavlink_1, "forged": check.forged, "old": check.old}
 
 
 def _store(driver: Driver) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rass_mav.app.config import RunConfig
-from rass_mav.params.names import fitting_file, system_id_names
-from rass_mav.params.ports import closed_ports
+from rass_mav.params.names import fitting_file, second_protocol, system_id_names
+from rass_mav.params.ports import closed_ports, silent_ports
 
 from . import remedies
 from .finding import Finding, failed, passed, skipped, warned
@@ -27,7 +27,7 @@ def is_heard(evidence: Evidence) -> bool:
 def refuses(evidence: Evidence) -> bool:
     """Whether it signs its frames, and does not answer us, because we do not sign."""
     known = evidence.last["autopilot"]
-    return known is not None and known["signed"] and known["version"] is None
+    return known is not None and bool(known["signed"]) and known["version"] is None
 
 
 def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
@@ -58,6 +58,14 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
             remedies.for_signing(firmware),
         )  # fmt: skip
+    if known["signed"] is None:
+        text = f"{text}; it sends MAVLink 1, which has no signatures"
+        if known["version"] is None:
+            return failed(
+                "autopilot", f"{text}, and answers nothing: it may accept only what is signed",
+                second_protocol(firmware),
+            )  # fmt: skip
+        return warned("autopilot", text, second_protocol(firmware))
     values = evidence.parameters or {}
     for name in system_id_names(firmware):
         if values.get(name, known["system_id"]) != known["system_id"]:
@@ -99,13 +107,15 @@ def _not_heard(url: str, config: RunConfig, evidence: Evidence) -> Finding:
     if received and (evidence.ear.frames == 0 if evidence.ear else evidence.last["vehicle_malformed"]):
         return failed(
             "autopilot", f"the input from {url} is not MAVLink",
-            "set the same speed in autopilot.url and on the autopilot's port; check wires and ground",
+            "set the same speed in autopilot.url and on the autopilot's port, and the protocol there to MAVLink 2 "
+            "(ArduPilot: SERIALn_PROTOCOL 2; 5 (GPS) looks like a wrong speed); check wires and ground",
         )  # fmt: skip
     if received:
         return failed("autopilot", f"MAVLink comes from {url}, but no autopilot's heartbeat", "connect an autopilot")
     return failed(
         "autopilot", f"nothing heard on {url}",
-        "is it on? TX to RX, RX to TX (docs/wiring.md)? MAVLink 2 and the same speed on its port (firmware_params/)?",
+        "is it on? TX to RX, RX to TX (docs/wiring.md)? MAVLink 2 and the same speed on its port (firmware_params/; "
+        "ArduPilot: SERIALn_PROTOCOL 2, and not -1 (none))?",
     )  # fmt: skip
 
 
@@ -117,6 +127,11 @@ def _badly_signed(refused: Mapping[str, int] | None) -> tuple[str, str] | None:
         return (
             "heard, but with a wrong signature: the autopilot has another key than this drone",
             "rass-mav params signing, with the node stopped, at the autopilot's USB port (docs/keys.md)",
+        )
+    if refused["mavlink_1"]:
+        return (
+            "heard, but it sends MAVLink 1, which has no signatures, and autopilot.signing is true",
+            "set SERIALn_PROTOCOL 2 for this port (SERIAL2 is TELEM2), and reboot the autopilot",
         )
     if refused["unsigned"]:
         return (
@@ -212,6 +227,13 @@ def forwarding(config: RunConfig, evidence: Evidence) -> Finding | None:
             "forwarding", "a running node does not ask for it; stop the node" if evidence.running else "no answer"
         )
     closed = closed_ports(firmware, values)
+    silent = silent_ports(firmware, values)
+    if silent and not closed and through_autopilot(config) and not evidence.last["neighbours"]:
+        named = ", ".join(f"{port.port} ({port.parameter} {port.value})" for port in silent)
+        return warned(
+            "forwarding", f"nothing is forwarded to {named}, which is no MAVLink port, and nobody is heard",
+            f"if the radio is there, {remedies.for_closed_ports(silent)}",
+        )  # fmt: skip
     if not closed:
         return passed("forwarding", "not switched off on any MAVLink port of the autopilot")
     text = "off on " + ", ".join(f"{port.port} ({port.parameter} {port.value})" for port in closed)

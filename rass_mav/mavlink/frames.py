@@ -54,6 +54,8 @@ class Frame(NamedTuple):
     """Of the signature, 0..255."""
     timestamp: int = 0
     """Of the signature, 48 bits."""
+    mavlink: int = 2
+    """Version of MAVLink, 1 or 2. Version 1 has no signatures, whether the sender has a key or not."""
 
     @property
     def stream(self) -> Stream:

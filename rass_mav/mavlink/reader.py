@@ -174,7 +174,8 @@ class FrameReader:
         self.frames += 1
         payload = raw[header:end]
         if not signed:
-            return Frame(message_id, sequence, system_id, component_id, payload, False), True
+            mavlink = 2 if header == _HEADER_V2 else 1
+            return Frame(message_id, sequence, system_id, component_id, payload, False, mavlink=mavlink), True
         timestamp = int.from_bytes(raw[end + 3 : end + 9], "little")
         return Frame(message_id, sequence, system_id, component_id, payload, True, raw[end + 2], timestamp), True
 

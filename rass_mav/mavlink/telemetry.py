@@ -139,8 +139,8 @@ class Telemetry:
         """MAV_AUTOPILOT of its heartbeat."""
         self.version: AutopilotVersion | None = None
         """The contents of its AUTOPILOT_VERSION; None: not heard."""
-        self.signed = False
-        """Whether the last heartbeat was signed."""
+        self.signed: bool | None = False
+        """Whether the last heartbeat was signed; None: it was MAVLink 1, which has no signatures."""
         self.no_fix_at: float | None = None
         """When the last position without a fix was received."""
         self.armed = False
@@ -161,7 +161,7 @@ class Telemetry:
         :returns: True if it came from our autopilot and changed the state. False otherwise, also for rejected values
             and for a position without a fix.
         """
-        message_id, _, system_id, component_id, payload, signed = frame[:6]
+        message_id, _, system_id, component_id, payload = frame[:5]
         if system_id != self.system_id or component_id != self.component_id or not system_id:
             if message_id == NAMED_VALUE_FLOAT:
                 if self.system_id and self._is_reading(payload[8:18]):
@@ -169,13 +169,13 @@ class Telemetry:
                 return False
             if self.system_id or not system_id or component_id != self.component_id or message_id != HEARTBEAT:
                 return False
-            return self._on_heartbeat(payload, now, signed, latch=system_id)
+            return self._on_heartbeat(frame, now, latch=system_id)
         if message_id == NAMED_VALUE_FLOAT:
             return self._on_named_value(payload, now)
         if message_id == GLOBAL_POSITION_INT:
             return self._on_global_position(payload, now)
         if message_id == HEARTBEAT:
-            return self._on_heartbeat(payload, now, signed)
+            return self._on_heartbeat(frame, now)
         if message_id == LOCAL_POSITION_NED:
             return self._on_local_position(payload, now)
         if message_id == GPS_RAW_INT:
@@ -268,15 +268,15 @@ class Telemetry:
             return False
         return True
 
-    def _on_heartbeat(self, payload: bytes, now: float, signed: bool, latch: int = 0) -> bool:
-        _, _, autopilot, base_mode, _, _ = _heartbeat.unpack_from(payload.ljust(_heartbeat.size, b"\0"))
+    def _on_heartbeat(self, frame: Frame, now: float, latch: int = 0) -> bool:
+        _, _, autopilot, base_mode, _, _ = _heartbeat.unpack_from(frame.payload.ljust(_heartbeat.size, b"\0"))
         if autopilot == _NO_AUTOPILOT:
             return False
         if latch:
             self.system_id = latch
         self.heartbeat_at = now
         self.autopilot = autopilot
-        self.signed = signed
+        self.signed = frame.signed if frame.mavlink == 2 else None
         self.armed = bool(base_mode & _ARMED)
         return True
 

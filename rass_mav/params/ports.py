@@ -11,6 +11,7 @@ from .names import system_id_names
 
 #: Ports of ArduPilot that are checked: SERIAL0 is USB, SERIAL1 is TELEM1, SERIAL2 is TELEM2.
 _SERIALS = range(6)
+_TELEMETRY = (1, 2)
 #: MAVLink instances of PX4.
 _INSTANCES = range(3)
 #: SERIALn_PROTOCOL: MAVLink 1, MAVLink 2, MAVLink for high latency.
@@ -67,6 +68,16 @@ def closed_ports(firmware: Firmware, values: Mapping[str, float]) -> list[Closed
         if value & bit:
             found.append(ClosedPort(f"SERIAL{n}", parameter, value, value & ~bit))
     return found
+
+
+def silent_ports(firmware: Firmware, values: Mapping[str, float]) -> list[ClosedPort]:
+    """Of TELEM1 and TELEM2, where computer and radio usually are, those of an ArduPilot that do not use MAVLink."""
+    if firmware.autopilot != ARDUPILOT:
+        return []
+    names = ((n, f"SERIAL{n}_PROTOCOL") for n in _TELEMETRY)
+    return [
+        ClosedPort(f"SERIAL{n}", name, int(values[name]), 2) for n, name in names if values.get(name, 2) not in _MAVLINK
+    ]
 
 
 def _closed_instances(values: Mapping[str, float]) -> Iterator[ClosedPort]:

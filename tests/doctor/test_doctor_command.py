@@ -196,6 +196,56 @@ def test_an_autopilot_behind_which_nobody_is_heard(tmp_path: Path, capsys: Captu
     assert {message.get_type() for message in vehicle.heard} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}
 
 
+@pytest.mark.parametrize("protocol", [-1, 5, 28])
+def test_an_autopilot_whose_radio_has_no_mavlink_port(
+    protocol: int, tmp_path: Path, capsys: Capture, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (vehicle_port,) = free_ports(1)
+    node = RunningNode(
+        tmp_path, 7, node={"role": "drone"},
+        autopilot={"url": f"udpin:127.0.0.1:{vehicle_port}"}, links=[{"type": "autopilot"}],
+        mavlink={"autopilot_id": 1},
+    )  # fmt: skip
+    vehicle = MockVehicle()
+    vehicle.reading = 1.0
+    vehicle.parameters = {
+        "SERIAL1_PROTOCOL": (protocol, INT8), "SERIAL2_PROTOCOL": (2, INT8), "SERIAL3_PROTOCOL": (5, INT8),
+        "SERIAL5_PROTOCOL": (-1, INT8),
+    }  # fmt: skip
+    with vehicle.on_udp(vehicle_port):
+        found = examined(Path(node.config), capsys, 0)
+    assert levels(found, "autopilot", "forwarding", "neighbours") == ["pass", "warn", "warn"]
+    assert f"nothing is forwarded to SERIAL1 (SERIAL1_PROTOCOL {protocol})" in found["forwarding"]["text"]
+    assert "set SERIAL1_PROTOCOL 2, and reboot" in found["forwarding"]["remedy"]
+
+
+@pytest.mark.parametrize("key", [None, bytes(range(32))], ids=["open", "key"])
+@pytest.mark.parametrize("running", [False, True], ids=["trial", "running"])
+def test_an_autopilot_that_sends_mavlink_1(
+    running: bool, key: bytes | None, tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any
+) -> None:
+    """Its frames show no signature, even if it answers only what is signed."""
+    monkeypatch.chdir(tmp_path)
+    vehicle_port, listen, peer = free_ports(3)
+    node = drone(tmp_path, vehicle_port, listen, peer)
+    vehicle = MockVehicle()
+    vehicle.mavlink_1, vehicle.key = True, key
+    vehicle.reading = 1.0
+    with vehicle.on_udp(vehicle_port):
+        if running:
+            tidy(node).start(measured=False)
+            node.until(lambda: (node.status()["autopilot"] or {}).get("version") is not None or key is not None)
+            node.until(lambda: node.status()["autopilot"] is not None)
+        found = examined(Path(node.config), capsys, 0 if key is None else 1)
+    assert found["autopilot"]["level"] == ("warn" if key is None else "fail")
+    assert "MAVLink 1" in found["autopilot"]["text"]
+    assert ("answers nothing" in found["autopilot"]["text"]) is (key is not None)
+    assert "set SERIALn_PROTOCOL 2 for this port" in found["autopilot"]["remedy"]
+    # Both arrive.
+    assert levels(found, "position", "sensor") == ["pass", "pass"]
+
+
 @pytest.mark.parametrize("running", [False, True], ids=["trial", "running"])
 def test_an_autopilot_that_wants_signatures(
     running: bool, tmp_path: Path, tidy: Tidy, capsys: Capture, monkeypatch: Any

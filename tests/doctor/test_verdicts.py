@@ -129,6 +129,7 @@ def signed(config: RunConfig) -> RunConfig:
     ("refused", "text", "remedy"),
     [
         ({"unsigned": 9, "forged": 0, "old": 0}, "heard, but without signatures", "rass-mav params signing"),
+        ({"unsigned": 9, "mavlink_1": 9}, "it sends MAVLink 1, which has no signatures", "set SERIALn_PROTOCOL 2"),
         ({"unsigned": 0, "forged": 9, "old": 0}, "heard, but with a wrong signature", "USB port"),
         ({"unsigned": 0, "forged": 0, "old": 9}, "older than those that were heard before", "restart the autopilot"),
         ({"unsigned": 0, "forged": 0, "old": 0}, "nothing heard", "TX to RX"),
@@ -139,7 +140,7 @@ def test_an_autopilot_whose_frames_are_all_refused(
 ) -> None:
     def change(status: dict[str, Any]) -> None:
         status["autopilot"] = None
-        status["vehicle"]["signing"] = refused
+        status["vehicle"]["signing"] = {"unsigned": 0, "mavlink_1": 0, "forged": 0, "old": 0, **refused}
 
     found = vehicle.autopilot(signed(scene[0]), evidence(scene, change))
     assert (found.level, text in found.text, remedy in found.remedy) == ("fail", True, True), found
@@ -153,17 +154,23 @@ def test_an_autopilot_that_signs_and_answers_nothing(scene: tuple[RunConfig, Evi
 
 
 @pytest.mark.parametrize(
-    ("heard", "malformed", "said"), [(9, 0, "no autopilot's heartbeat"), (9, 4, "not MAVLink"), (0, 0, "nothing heard")]
+    ("heard", "malformed", "said", "remedy"),
+    [
+        (9, 0, "no autopilot's heartbeat", "connect an autopilot"),
+        (9, 4, "not MAVLink", "5 (GPS)"),
+        (0, 0, "nothing heard", "-1 (none)"),
+    ],
 )
 def test_what_comes_from_a_silent_autopilots_port(
-    scene: tuple[RunConfig, Evidence], heard: int, malformed: int, said: str
+    scene: tuple[RunConfig, Evidence], heard: int, malformed: int, said: str, remedy: str
 ) -> None:
     def change(status: dict[str, Any]) -> None:
         status["autopilot"] = None
         status["vehicle"]["received"] = heard
         status["vehicle_malformed"] = malformed
 
-    assert said in vehicle.autopilot(scene[0], evidence(scene, change)).text
+    found = vehicle.autopilot(scene[0], evidence(scene, change))
+    assert (said in found.text, remedy in found.remedy) == (True, True), found
     if heard:
         # In a trial each frame was counted.
         seen = evidence(scene, change, running=False)

@@ -175,7 +175,7 @@ def test_mavlink_1(bytewise: bool) -> None:
     stream = b"ab" + frame + pymav.heartbeat() + frame
     read = feed_bytewise(reader, stream) if bytewise else reader.feed(stream)
     assert [one.message_id for one in read] == [251, 0, 251]
-    assert read[0] == Frame(251, 200, 4, 1, frame[6:-2], False)
+    assert read[0] == Frame(251, 200, 4, 1, frame[6:-2], False, mavlink=1)
     assert reader.garbage_bytes == 2
 
 
