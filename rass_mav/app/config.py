@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -16,7 +17,9 @@ from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
 from rass_mav.errors import ConfigError, KeysError
 from rass_mav.keys.settings import KeysSection, check_package
-from rass_mav.link.address import parse_vehicle_url
+from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
+from rass_mav.link.base import Address
+from rass_mav.link.interface import ANY_ADDRESS
 from rass_mav.link.settings import LinkSection
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
@@ -203,6 +206,7 @@ class RunConfig(Section):
             if url is not None:
                 with mistakes.gathering(key):
                     parse_vehicle_url(url)
+        self._look_over_ports(mistakes)
         if self.autopilot.signing:
             self._look_over_signing(mistakes)
         if not self.autopilot.messages.keys() <= DEFAULT_MESSAGES.keys():
@@ -230,6 +234,32 @@ class RunConfig(Section):
             socket = str(self.socket_path)
             if len(socket.encode()) > MAX_SOCKET_PATH:
                 mistakes.add("control.socket", f"expected a path of at most {MAX_SOCKET_PATH} bytes, got {socket!r}")
+
+    def _look_over_ports(self, mistakes: Mistakes) -> None:
+        """No two keys may ask for one UDP port. Only groups are shared."""
+        types = [f"links[{index}].type" for index in range(len(self.links))]
+        ports = list(self._udp_ports()) if all(map(mistakes.sound, types)) else []
+        for place, (key, text, (host, port)) in enumerate(ports):
+            for other, _, (taken, same) in ports[:place]:
+                shared = key.endswith("multicast") and other.endswith("multicast")
+                if port and port == same and not shared and (host == taken or ANY_ADDRESS in (host, taken)):
+                    mistakes.add(key, f"expected another port than {other} has, got {text!r}")
+                    break
+
+    def _udp_ports(self) -> Iterator[tuple[str, str, Address]]:
+        """The keys of UDP ports on which the node listens, with their texts. Without those that are mistakes."""
+        for key, url in (("autopilot.url", self.autopilot.url), ("ground.url", self.ground.url)):
+            with suppress(ConfigError):
+                if url is not None and (parsed := parse_vehicle_url(url)).mode == "udpin":
+                    yield key, url, parsed.address
+        for index, link in enumerate(self.links):
+            if link.type != "udp":
+                continue
+            with suppress(ConfigError):
+                yield f"links[{index}].listen", link.listen, parse_address(link.listen, any_port=True)
+            if link.multicast is not None:
+                with suppress(ConfigError):
+                    yield f"links[{index}].multicast", link.multicast, parse_multicast(link.multicast)
 
     def _look_over_signing(self, mistakes: Mistakes) -> None:
         key = "autopilot.signing"

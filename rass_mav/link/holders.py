@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 from .sockets import udp_table
 
@@ -11,8 +12,19 @@ from .sockets import udp_table
 _MAX_COMMAND = 80
 
 
-def holder(port: int) -> str | None:
-    """The process that uses this port, as `process 1234 (rass-mav run drone.yaml)`; None: this user may not see it."""
+class Holder(NamedTuple):
+    """A process that uses a port. As text: `process 1234 (rass-mav run drone.yaml)`."""
+
+    pid: int
+    command: str
+    """Its command line, or the beginning of it."""
+
+    def __str__(self) -> str:
+        return f"process {self.pid} ({self.command})"
+
+
+def holder(port: int) -> Holder | None:
+    """The process that uses this port; None: this user may not see it."""
     try:
         sockets = {f"socket:[{entry.inode}]" for entry in udp_table() if entry.port == port}
     except OSError:
@@ -20,7 +32,7 @@ def holder(port: int) -> str | None:
     for process in Path("/proc").glob("[0-9]*"):
         try:
             if any(os.readlink(descriptor) in sockets for descriptor in (process / "fd").iterdir()):
-                return f"process {process.name} ({_command(process)})"
+                return Holder(int(process.name), _command(process))
         except OSError:
             continue  # it belongs to another user, or has ended
     return None

@@ -45,9 +45,13 @@ def in_use(name: str, port: int) -> LinkError:
     from .holders import holder
 
     who = holder(port)
+    if who is not None and who.pid == os.getpid():
+        asks = "this process has it itself: each link, autopilot.url and ground.url needs a port of its own;"
+    else:
+        asks = "is another node running? rass-mav status CONFIG; or another program?"
     return LinkError(
-        f"{name}: address already in use" + (f" by {who}" if who else ""),
-        f"is another node running? rass-mav status CONFIG; or another program? ss -lunp 'sport = :{port}'",
+        f"{name}: address already in use" + (f" by {who}" if who is not None else ""),
+        f"{asks} ss -lunp 'sport = :{port}'",
     )
 
 

@@ -110,6 +110,15 @@ def complaint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | bytes
         ("node: {id: 1}\nlinks: [{multicast: '10.0.0.1:1'}]",
          "node.yaml: links[0].multicast: expected a multicast group 224.0.0.0 .. 239.255.255.255 and a port, "
          "got '10.0.0.1:1'"),
+        ("node: {id: 1}\nlinks: [{listen: '0.0.0.0:14600', multicast: '239.255.82.83:14600'}]",
+         "node.yaml: links[0].multicast: expected another port than links[0].listen has, got '239.255.82.83:14600'"),
+        (DRONE + "autopilot: {url: 'udpin:0.0.0.0:14600'}",
+         "node.yaml: links[0].listen: expected another port than autopilot.url has, got '0.0.0.0:14600'"),
+        ("node: {id: 7, role: base}\nautopilot: {url: 'udpin:127.0.0.1:14550'}\nground: {url: 'udp://:14550'}",
+         "node.yaml: ground.url: expected another port than autopilot.url has, got 'udp://:14550'"),
+        ("node: {id: 1}\nlinks: [{listen: '0.0.0.0:5', broadcast: '10.0.0.255:5'}, "
+         "{listen: '0.0.0.0:5', broadcast: '10.0.1.255:5'}]",
+         "node.yaml: links[1].listen: expected another port than links[0].listen has, got '0.0.0.0:5'"),
         ("node: {id: 1}\nlinks: [{multicast: '239.0.0.1:1', interface: 'wlan 0'}]",
          "node.yaml: links[0].interface: expected the name of a network interface or its own IPv4 address, "
          "got 'wlan 0'"),
@@ -181,6 +190,21 @@ risk: {low: 5, high: 1}
 sensor: {path: a.LOG, baud: 9600}
 store: {overflow: drop-oldest}
 """
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "links: [{listen: '127.0.0.1:14600', multicast: '239.255.82.83:14600'}]",
+        "links: [{listen: '10.0.0.1:5', broadcast: '10.0.0.255:5'}, {listen: '10.0.1.1:5', broadcast: '10.0.1.255:5'}]",
+        "links: [{listen: '0.0.0.0:0', multicast: '239.0.0.1:5'}, {listen: '0.0.0.0:0', multicast: '239.0.0.1:5'}]",
+        "links: [{listen: '0.0.0.0:14600', broadcast: '10.0.0.255:14600'}]\nautopilot: {url: 'udpout:10.0.0.9:14600'}",
+    ],
+)
+def test_ports_that_do_not_meet(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text("node: {id: 7}\n" + text)
+    load_config(path)
 
 
 def test_all_mistakes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
