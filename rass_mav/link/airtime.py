@@ -136,6 +136,7 @@ class Pacer:
         self._beacon_at = now
         self._clear_at = now
         self._status_at = now
+        self._measured = False  # whether the radio has ever reported anything but 0
         self._settled_at = -math.inf
 
     # -- what the link can carry ---------------------------------------------------------------------------------------
@@ -299,7 +300,13 @@ class Pacer:
             self._spared = patience * FRAME_BYTES
 
     def radio_status(self, txbuf: int, now: float) -> None:
-        """The radio reports how much of its buffer is free, percent (RADIO_STATUS.txbuf)."""
+        """The radio reports how much of its buffer is free, percent (RADIO_STATUS.txbuf).
+
+        As long as it has reported nothing but 0, it is ignored: some radios do not measure, and always report 0.
+        """
+        self._measured = self._measured or txbuf > 0
+        if not self._measured:
+            return
         self._settle(now)
         self._status_at = now
         if txbuf < TXBUF_LOW:

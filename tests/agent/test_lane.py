@@ -61,6 +61,20 @@ class Radio:
         return [text.decode(errors="replace") for text in heard]
 
 
+def test_a_radio_that_says_0_whatever_happens_does_not_slow_the_node_down() -> None:
+    """DroneBridge for ESP32 always reports a txbuf of 0."""
+    radio = Radio({"radio_system_id": 7})
+    for now in range(60):
+        radio.says(0, float(now), (7, 68))
+    radio.now = 60.0
+    assert radio.throttle == 1.0
+    # This one measures: it is full now.
+    radio.says(70, 61.0, (7, 68))
+    radio.says(0, 62.0, (7, 68))
+    radio.now = 62.0
+    assert radio.throttle == 0.5
+
+
 @pytest.mark.parametrize(
     ("sender", "settings", "believed"),
     [
@@ -74,7 +88,7 @@ class Radio:
 )
 def test_only_the_radio_is_believed(sender: tuple[int, int], settings: dict[str, int], believed: bool) -> None:
     radio = Radio(settings)
-    radio.says(0, 0.0, sender)
+    radio.says(1, 0.0, sender)
     assert (radio.throttle == 0.5) is believed
     assert radio.lane.not_the_radio == (not believed)
 
@@ -82,7 +96,7 @@ def test_only_the_radio_is_believed(sender: tuple[int, int], settings: dict[str,
 def test_no_datagram_of_a_neighbour_is_the_radio() -> None:
     radio = Radio(stream=False)
     for n in range(5):
-        radio.says(0, float(n))
+        radio.says(1, float(n))
     assert radio.throttle == 1.0
     assert radio.lane.report()["not_the_radio"] == 5
 
@@ -101,7 +115,7 @@ def test_forged_ones_slow_the_node_down_for_a_moment_only_and_the_ground_is_told
     slow = 0
     for n in range(60 * 20):
         radio.now = n / 20
-        radio.says(0, radio.now)
+        radio.says(1, radio.now)
         slow += radio.throttle < 1.0
     assert radio.throttle == 1.0, "while they still come"
     assert slow / 20 < 25.0

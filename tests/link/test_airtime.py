@@ -148,12 +148,12 @@ def test_a_full_radio_slows_us_down_before_it_overflows() -> None:
 def test_the_radios_word_is_bounded_and_forgotten() -> None:
     made = pacer(Budget(bytes_s=1000.0))
     for n in range(50):
-        made.radio_status(0, n * 0.1)
+        made.radio_status(1, n * 0.1)
     assert made.throttle == LEAST_THROTTLE
     for n in range(50):
         made.radio_status(100, 5.0 + n * 0.1)
     assert made.throttle == 1.0
-    made.radio_status(0, 10.0)
+    made.radio_status(1, 10.0)
     assert made.throttle == 0.5
     made.pop(10.0 + RADIO_STATUS_S + 1.0)
     assert made.throttle == 0.5 * 1.25
@@ -162,11 +162,11 @@ def test_the_radios_word_is_bounded_and_forgotten() -> None:
 def test_from_the_floor_it_recovers_as_soon_as_no_more_come() -> None:
     made = pacer(Budget(bytes_s=1000.0))
     for n in range(50):
-        made.radio_status(0, n * 0.1)
+        made.radio_status(1, n * 0.1)
     assert made.throttle == LEAST_THROTTLE
     made.next_at(5.0 + RADIO_STATUS_S + 15.0)
     assert made.throttle == 1.0
-    made.radio_status(0, 1e6)
+    made.radio_status(1, 1e6)
     assert made.throttle == 0.5, "a long silence is no credit"
 
 
