@@ -25,9 +25,9 @@ def is_heard(evidence: Evidence) -> bool:
 
 
 def refuses(evidence: Evidence) -> bool:
-    """Whether it signs its frames, and does not answer us, because we do not sign."""
+    """Whether it signs its frames, or sends MAVLink 1, and does not answer us, because we do not sign."""
     known = evidence.last["autopilot"]
-    return known is not None and bool(known["signed"]) and known["version"] is None
+    return known is not None and known["signed"] is not False and known["version"] is None
 
 
 def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
@@ -48,6 +48,14 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
     if per_second is not None:
         words.append(f"{per_second:.1f} heartbeats/s")
     text = ", ".join(words)
+    if known["signed"] is None:
+        text = f"{text}; it sends MAVLink 1, which has no signatures"
+        if refuses(evidence):
+            return failed(
+                "autopilot", f"{text}, and answers nothing: it may accept only what is signed",
+                second_protocol(firmware),
+            )  # fmt: skip
+        return warned("autopilot", text, second_protocol(firmware))
     if refuses(evidence):
         if config.autopilot.signing:
             return failed(
@@ -58,14 +66,6 @@ def autopilot(config: RunConfig, evidence: Evidence) -> Finding:
             "autopilot", f"{text}; MAVLink signing is on: its frames are signed, and it ignores ours",
             remedies.for_signing(firmware),
         )  # fmt: skip
-    if known["signed"] is None:
-        text = f"{text}; it sends MAVLink 1, which has no signatures"
-        if known["version"] is None:
-            return failed(
-                "autopilot", f"{text}, and answers nothing: it may accept only what is signed",
-                second_protocol(firmware),
-            )  # fmt: skip
-        return warned("autopilot", text, second_protocol(firmware))
     values = evidence.parameters or {}
     for name in system_id_names(firmware):
         if values.get(name, known["system_id"]) != known["system_id"]:
