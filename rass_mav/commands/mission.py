@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import RassError, os_errors_as
+from rass_mav.mission.spans import span
 
 from .common import Subparsers, add_command, answer, clean, start_logging
 from .data import add_store, read_archive
@@ -54,10 +55,13 @@ HEADER = (
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
     """The report in lines. Created: at least so many. Missing: on their way, or lost without anybody knowing."""
+    from rass_mav.mission.report import silence
+
+    yield silence(report)
     delay = report["delay_s"]
     line = ", ".join(f"{report[name]} {name}" for name in ("created", "arrived", "missing", "lost"))
     if delay["p50"] is not None:
-        line += f"; half arrived within {_span(delay['p50'])}, 95 % within {_span(delay['p95'])}"
+        line += f"; half arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}"
     yield line
     if report["apart"]:
         yield f"WARNING: {report['apart']} data have an id of another: two drones with one id, or forged data"
@@ -68,7 +72,7 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def _drone_line(drone: dict[str, Any]) -> str:
-    heard = "never" if drone["heard"] is None else _span(drone["heard"]["age_s"])
+    heard = "never" if drone["heard"] is None else span(drone["heard"]["age_s"])
     risk = "unknown" if drone["at_risk"] is None else str(drone["at_risk"])
     most = "" if (bound := drone["at_most"]) is None else f"{bound['data']}{'+' if bound['drones_unknown'] else ''}"
     line = (
@@ -85,7 +89,7 @@ def _drone_line(drone: dict[str, Any]) -> str:
 def _remarks(drone: dict[str, Any]) -> Iterator[str]:
     if (named := drone["heard_by"]) is not None:
         base = "a base, " if named["base"] else ""
-        yield f"{base}heard by drone {named['drone']} {_span(named['age_s'])} ago; nothing has arrived"
+        yield f"{base}heard by drone {named['drone']} {span(named['age_s'])} ago; nothing has arrived"
     for fate, count in drone["lost"].items():
         yield f"lost: {count} {fate}"
     for wound in drone["wounds"]:
@@ -105,21 +109,13 @@ def _remarks(drone: dict[str, Any]) -> Iterator[str]:
         key = "" if status["link_key"] is None else f", link key {status['link_key']}"
         route = "no route" if status["hops"] is None else f"{status['hops']} hops"
         yield (
-            f"{_span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them nowhere else, "
+            f"{span(status['age_s'])} ago: {status['held']} in custody, {status['alone']} of them nowhere else, "
             f"{route}, risk {status['risk']:.2f}{battery}{key}; newer: unknown"
         )
 
 
 #: Ranges of missing numbers in one line.
 _MOST_SHOWN = 5
-_SPANS = ((86_400.0, "d"), (3600.0, "h"), (60.0, "min"))
-
-
-def _span(seconds: float) -> str:
-    for size, unit in _SPANS:
-        if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
 
 
 def _unit(unit: str | None) -> str:

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 from .entry import UNIT_NAMES, Data, Entry, Place, iso
 from .field import DEGREE_M, Field
 from .formats.kml import COLOURS
-from .report import Report
+from .report import Report, silence
 from .slots import Slots
+from .spans import span
 
 #: Places of a drone that are drawn.
 MOST_PLACES = 300
@@ -36,6 +37,7 @@ th, td { text-align: right; padding: .25rem .45rem; border-bottom: 1px solid #c6
 th { color: #505a66; } td.text, th.text { text-align: left; overflow-wrap: anywhere; }
 svg { width: 100%; height: auto; border: 1px solid #c6ccd4; background: #f3f4f6; }
 svg text { font: 12px system-ui, sans-serif; fill: #14181d; } .warning { background: #fff6d9; padding: .4rem .6rem; }
+.silent { background: #fbe3e0; padding: .5rem .6rem; font-size: 1.15rem; font-weight: 600; }
 @media print { body { margin: 0; max-width: none; } tr, svg { break-inside: avoid; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
@@ -118,6 +120,7 @@ def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable
     warnings = list(remarks)
     if report["apart"]:
         warnings.append(f"{report['apart']} data have an id of another: two drones with one id, or forged data")
+    told = silence(report)
     delay = report["delay_s"]
     period = ""
     if drawing.first is not None and drawing.last is not None:
@@ -126,11 +129,12 @@ def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable
     body = [
         "<h1>Report of a mission</h1>",
         f'<p class="quiet">Store {_text(store)}, read at {_date(now)}{period}. Times are in UTC.</p>',
+        f'<p class="{"silent" if told.startswith("SILENT") else ""}">{_text(told)}</p>',
         *(f'<p class="warning">{_text(warning)}</p>' for warning in warnings),
         f'<div class="totals">{totals}</div>',
     ]
     if delay["p50"] is not None:
-        body.append(f"<p>Half of the data arrived within {_span(delay['p50'])}, 95 % within {_span(delay['p95'])}.</p>")
+        body.append(f"<p>Half of the data arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}.</p>")
     body += ["<h2>Map</h2>", *_map(drawing), "<h2>Drones</h2>", _drones(report["drones"])]
     body += [
         "<h2>Lost, by reason</h2>",
@@ -171,11 +175,11 @@ def _drone(drone: dict[str, Any]) -> Iterator[str]:
     if status is None or drone["at_risk"] is None:
         yield "<td>unknown</td>"
     else:
-        yield f"<td>{_risk(drone['at_risk'], drone['at_most'])}, {_span(status['age_s'])} ago</td>"
+        yield f"<td>{_risk(drone['at_risk'], drone['at_most'])}, {span(status['age_s'])} ago</td>"
     if named is not None:
         yield f"<td>by drone {named['drone']}; nothing has arrived</td>"
     else:
-        yield f"<td>{'never' if heard is None else _span(heard['age_s']) + ' ago'}</td>"
+        yield f"<td>{'never' if heard is None else span(heard['age_s']) + ' ago'}</td>"
     words = ["nowhere yet" if drone["place"] is None else _place(drone["place"])]
     if highest is not None:
         where = "" if highest["place"] is None else f" at {_place(highest['place'])}"
@@ -346,10 +350,3 @@ def _place(place: Place) -> str:
 
 def _date(utc: float) -> str:
     return iso(utc)[:19].replace("T", " ")
-
-
-def _span(seconds: float) -> str:
-    for size, unit in ((86_400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"

@@ -15,11 +15,16 @@ from rass_mav.core.news.ranges import Ranges
 from rass_mav.wire.nodestatus import NodeStatus
 
 from .entry import Data, Entry, iso
+from .spans import span
 
 #: Ranges of missing numbers that are listed for a drone; of more, the latest.
 MOST_RANGES = 100
 #: Nodes that are known only because drones hear them; of more, those that were heard last. Real ones soon send data.
 MOST_NAMED = 100
+#: A drone of which nothing newer than this has arrived counts as silent, seconds; the page marks it then too.
+SILENT_S = 180.0
+#: Silent drones that are named in the sentence about them, at most.
+MOST_SILENT = 8
 #: How finely it is known when numbers were created, seconds.
 _SPAN_S = 10.0
 #: Delays that are kept to find the median and the 95th percentile of all.
@@ -354,9 +359,24 @@ class Report:
             **{name: sum(drone[name] for drone in drones) for name in figures},
             "lost": sum(sum(drone["lost"].values()) for drone in drones),
             "apart": self.apart,
+            "silent_after_s": SILENT_S,
+            "silent": self.silent(now),
             "delay_s": {"p50": _rounded(self.delay(0.5)), "p95": _rounded(self.delay(0.95))},
             "drones": drones,
         }
+
+    def silent(self, now: float) -> list[dict[str, Any]]:
+        """The drones of which nothing has arrived that was created in the last `SILENT_S`, as plain values for JSON:
+        first those of which nothing has arrived at all, then the longest silent. Bases are not among them."""
+        found = [drone for drone in self.listed if not self.is_base(drone.id)]
+        found = [drone for drone in found if drone.heard is None or _age(drone.heard, now) > SILENT_S]
+        found.sort(key=lambda drone: (-inf if drone.heard is None else drone.heard.utc, drone.id))
+        return [
+            {"drone": drone.id, "age_s": None, "utc": None}
+            if (heard := drone.heard) is None
+            else {"drone": drone.id, "age_s": _age(heard, now), "utc": iso(heard.utc)}
+            for drone in found
+        ]
 
     def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:
         status, highest, named = drone.status, drone.highest, self.named.get(drone.id)
@@ -393,6 +413,44 @@ class Report:
             "at_risk": self.at_risk(drone.id),
             "at_most": None if bound is None else bound._asdict(),
         }  # fmt: skip
+
+
+def silence(report: dict[str, Any]) -> str:
+    """What stands above the figures: who is silent, and for how long. `report`: as of `Report.plain`."""
+    drones, bases = 0, []
+    longest = 0.0
+    for drone in report["drones"]:
+        age = None if drone["heard"] is None else drone["heard"]["age_s"]
+        if (drone["status"] or drone["heard_by"] or {"base": False})["base"]:
+            bases += [] if age is None else [age]
+        else:
+            drones += 1
+            longest = max(longest, age or 0.0)
+    silent = report["silent"]
+    if not drones:
+        return "SILENT: no drone has been heard"
+    if not silent:
+        return f"{f'all {drones} drones' if drones > 1 else 'the only drone'} heard in the last {span(longest)}"
+    last, since = silent[-1], 0.0
+    start = ""
+    if 1 < len(silent) == drones and last["age_s"] is not None:
+        # After a mission all are silent. What matters are those that were when the others were heard.
+        since = last["age_s"]
+        start = f"all {drones} drones, the last of them (drone {last['drone']}) for {span(since)}"
+        silent = [one for one in silent if one["age_s"] is None or one["age_s"] - since > report["silent_after_s"]]
+        start += "; already silent then: " if silent else ""
+    names = [
+        f"drone {one['drone']}, of which nothing has arrived"
+        if one["age_s"] is None
+        else f"drone {one['drone']}, "
+        + (f"for {span(one['age_s'] - since)}" if since else f"last heard {span(one['age_s'])} ago")
+        for one in silent[:MOST_SILENT]
+    ]
+    more = f"; and {len(silent) - MOST_SILENT} more" if len(silent) > MOST_SILENT else ""
+    said = f"SILENT: {start}{'; '.join(names)}{more}. What they created since then is not in these figures."
+    if bases and min(bases) > report["silent_after_s"]:
+        said += f" The base itself wrote last {span(min(bases))} ago."
+    return said
 
 
 def _age(entry: Entry, now: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -251,13 +252,87 @@ def told(base: Base, capsys: pytest.CaptureFixture[str], *words: str) -> Any:
     return capsys.readouterr().out
 
 
+class TestSilence:
+    """Who is not heard stands first: all that arrived says nothing about what a silent drone created since."""
+
+    @pytest.fixture
+    def first(self, base: Base, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Any:
+        monkeypatch.setattr(time, "time", lambda: base.wall)
+
+        def first(*words: str) -> str:
+            line: str = told(base, capsys, *words).splitlines()[0]
+            return line
+
+        return first
+
+    def test_drones_that_are_silent_are_named_with_how_long(self, base: Base, first: Any) -> None:
+        base.arrive(
+            base.measurement(2, 0, HERE, age_s=20.0),
+            base.measurement(3, 0, HERE, age_s=1920.0),
+            base.measurement(5, 0, HERE, age_s=7300.0),
+            status(base, 1, 0, QUIET._replace(base=True), age_s=5.0),
+        )
+        assert first() == (
+            "SILENT: drone 5, last heard 2 h ago; drone 3, last heard 32 min ago. "
+            "What they created since then is not in these figures."
+        )
+        plain = json.loads(first("--json"))
+        assert plain["silent"] == [
+            {"drone": 5, "age_s": 7300.0, "utc": "2026-11-22T07:58:20.000Z"},
+            {"drone": 3, "age_s": 1920.0, "utc": "2026-11-22T09:28:00.000Z"},
+        ]
+        assert plain["silent_after_s"] == 180.0
+
+    def test_when_all_are_heard_it_says_so(self, base: Base, first: Any) -> None:
+        base.arrive(base.measurement(2, 0, HERE, age_s=20.0), base.measurement(3, 0, HERE, age_s=90.0))
+        assert first() == "all 2 drones heard in the last 90 s"
+        assert json.loads(first("--json"))["silent"] == []
+
+    def test_a_drone_of_which_nothing_has_arrived(self, base: Base, first: Any) -> None:
+        base.arrive(status(base, 2, 0, QUIET._replace(neighbours={9: 0.5}), age_s=10.0))
+        base.store.lose(DatumId(4, EPOCH, 3), Fate.CORRUPTED)
+        base.arrive()
+        line = first()
+        assert line.startswith("SILENT: drone 4, of which nothing has arrived; drone 9, of which nothing has arrived. ")
+        assert json.loads(first("--json"))["silent"] == [
+            {"drone": 4, "age_s": None, "utc": None}, {"drone": 9, "age_s": None, "utc": None},
+        ]  # fmt: skip
+
+    def test_after_a_mission_those_that_fell_silent_before_the_others_stand_out(self, base: Base, first: Any) -> None:
+        base.arrive(
+            base.measurement(2, 0, HERE, age_s=50_000.0),
+            base.measurement(3, 0, HERE, age_s=51_920.0),
+            status(base, 1, 0, QUIET._replace(base=True), age_s=49_990.0),
+        )
+        assert first() == (
+            "SILENT: all 2 drones, the last of them (drone 2) for 14 h; already silent then: drone 3, for 32 min. "
+            "What they created since then is not in these figures. The base itself wrote last 14 h ago."
+        )
+
+    def test_no_drone_at_all(self, base: Base, first: Any) -> None:
+        base.arrive(status(base, 1, 0, QUIET._replace(base=True), age_s=5.0))
+        assert first() == "SILENT: no drone has been heard"
+
+    def test_many_are_not_all_named(self, base: Base, first: Any) -> None:
+        base.arrive(*(base.measurement(id, 0, HERE, age_s=600.0) for id in range(2, 40)), base.measurement(1, 0, HERE))
+        line = first()
+        assert line.count("drone ") == 8
+        assert "and 30 more. " in line
+
+    def test_it_stands_before_the_totals_in_the_file_too(self, base: Base, tmp_path: Path, first: Any) -> None:
+        base.arrive(base.measurement(2, 0, HERE, age_s=20.0), base.measurement(3, 0, HERE, age_s=1920.0))
+        first("--html", str(tmp_path / "report.html"))
+        text = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert 0 < text.find("SILENT: drone 3, last heard 32 min ago.") < text.find('class="totals"')
+
+
 def test_the_command_tells_people_and_scripts(base: Base, capsys: pytest.CaptureFixture[str]) -> None:
     base.arrive(
         base.measurement(7, 0, HERE, age_s=5.0),
         status(base, 7, 4, QUIET._replace(held=3, alone=2, battery=61, place=(47.0, 8.0), link_key=2), age_s=1.0),
     )
     out = told(base, capsys)
-    assert out.startswith("5 created, 2 arrived, 3 missing, 0 lost; half arrived within ")
+    assert "\n5 created, 2 arrived, 3 missing, 0 lost; half arrived within " in out
     assert "47.0000000 8.0000000, 0.142 uSv/h at 47.3769000 8.5417000" in out
     assert f"missing: {EPOCH:08x}-1..3" in out
     assert "3 in custody, 2 of them nowhere else, 1 hops, risk 0.00, battery 61 %, link key 2; newer: unknown" in out
