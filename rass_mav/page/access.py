@@ -6,6 +6,7 @@ import hashlib
 import hmac
 import ipaddress
 import math
+import re
 import secrets
 import time
 from collections import deque
@@ -19,6 +20,8 @@ MOST_SESSIONS = 64
 #: Wrong tokens in a time, seconds. After so many no token is looked at, except from where the right one came before.
 MOST_WRONG, WRONG_S = 10, 60.0
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
+# RFC 3986: an IPv6 address in brackets, or a name or an IPv4 address; then a port or none.
+_HOST = re.compile(r"(?:\[([0-9a-f:.]*:[0-9a-f:.]*)\]|([a-z0-9._~-]+))(?::[0-9]{1,5})?", re.ASCII | re.IGNORECASE)
 
 T = TypeVar("T")
 
@@ -59,15 +62,13 @@ class Access:
 
         `header`: Host; `local`: the address of our end of the connection.
         """
-        if not header:
+        # `re.IGNORECASE` and `lower` are for ASCII letters only: others do not come this far.
+        found = _HOST.fullmatch(header or "")
+        if found is None:
             return False
-        name = header.lower()
-        if name.startswith("["):
-            name = name[1:].partition("]")[0]
-        elif name.count(":") <= 1:
-            name = name.partition(":")[0]
-        name = _plain(name)
-        return name in self._names or name == _plain(local)
+        name = _plain(found[1] or found[2])
+        # A browser does not say to which of this computer's networks a link-local address belongs.
+        return name in self._names or name == _plain(local.partition("%")[0])
 
     def admits(self, authorization: str | None, session: str | None, remote: str | None) -> bool:
         """Whether a request has the token, or the cookie of a browser that had it. `remote`: the address from which it

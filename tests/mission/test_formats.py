@@ -117,8 +117,39 @@ def test_csv_gives_back_every_name_and_no_formula(tmp_path_factory: pytest.TempP
     folder = tmp_path_factory.mktemp("csv")
     out, _ = exported(folder, "csv", [put(0, Kind.FILE, pack_file(name, b""))])
     (row,) = rows(out)
-    assert row["file"].removeprefix("'") == name.encode(errors="replace").decode().removeprefix("'")
+    assert row["file"].replace("'", "") == name.encode(errors="replace").decode().replace("'", "")
     assert not row["file"].startswith(("=", "+", "-", "@"))
+
+
+@pytest.mark.parametrize(
+    "before",
+    ["", " ", "  ", "\t", "\r", "\n", "\r\n", "\0", "\x0b", "\x1f", "\x7f", "\x85", "\xa0", "\xad", "\u200b", "\u200f",
+     "\u2028", "\u3000", "\ufeff", "a;", "a; ", 'a";', "a\t", "a\n", "a\r ", "'", '"'],
+)  # fmt: skip
+def test_csv_marks_what_a_spreadsheet_takes_for_a_formula(before: str, tmp_path: Path) -> None:
+    """A spreadsheet ignores what is before it, and may cut at semicolons, tabs and line ends, whatever is quoted."""
+    signs = "=+-@\uff1d\uff0b\uff0d\uff20\ufe66\ufe62\ufe63\ufe6b\u207c\u208a\u2212\ufb29"
+    names = [f"{before}{sign}1+1" for sign in signs]
+    out, _ = exported(tmp_path, "csv", [put(n, Kind.FILE, pack_file(name, b"")) for n, name in enumerate(names)])
+    found = [re.split(r"[;\t\r\n]", row["file"])[-1] for row in rows(out)]
+    assert len(found) == len(names)
+    for cell in found:
+        plain = unicodedata.normalize("NFKC", cell.replace("\u2212", "-"))
+        assert re.sub(r"[\W_]*?(?=['=+@-])", "", plain, count=1).startswith("'"), cell
+
+
+def test_csv_leaves_other_names_alone(tmp_path: Path) -> None:
+    names = ["2026-11-22 a=b+c.jpg", "a;b.txt", "a @ b", "IMG_0001-2.JPG", "\xfcber \uff1d.txt", "it's"]
+    out, _ = exported(tmp_path, "csv", [put(n, Kind.FILE, pack_file(name, b"")) for n, name in enumerate(names)])
+    assert [row["file"] for row in rows(out)] == names
+
+
+def test_the_index_of_files_has_no_formula_and_names_what_is_there(tmp_path: Path) -> None:
+    names = ["a;=1+1", "=1+1", "\uff1d1+1", "a\t=1"]
+    out, _ = exported(tmp_path, "files", [put(n, Kind.FILE, pack_file(name, b"x")) for n, name in enumerate(names)])
+    found = [row["file"] for row in rows(out / "index.csv")]
+    assert all((out / name).is_file() for name in found)
+    assert not any(re.search(r"[;\t]\W*=", name) for name in found)
 
 
 # -- GeoJSON -----------------------------------------------------------------------------------------------------------

@@ -65,6 +65,21 @@ def test_addresses_have_one_spelling() -> None:
     for header in ("[fd00::7]:8080", "[FD00:0:0::7]", "[fe80::1]:80", "[::1]:8080", "[0::1]"):
         assert access.knows_host(header, "fe80:0::1")
     assert not access.knows_host("[fd00::8]:8080", "fe80::1")
+    assert access.knows_host("[fe80::1]", "fe80::1%eth0")
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["[::1]x.evil", "[::1]x.evil:80", "[::1].evil", "[::1", "[::1]:", "[::1]:80x", "[::1]:80:80", "[::1]]", "[[::1]]",
+     "x[::1]", "[127.0.0.1]", "[localhost]", "[]", "::1", "::1:8080", "[::1%lo]", "[::1%25lo]", "[fe80::1%eth0]",
+     "localhost:80@evil.example", "localhost:evil.example", "localhost:", "localhost:80:evil", "user@localhost",
+     "localhost@evil.example", "localhost/evil", "localhost:80/", "localhost?", "localhost#x", "localhost,evil.example",
+     "localhost.", "127.0.0.1.", "127.1", "127.0.1", "2130706433", "0x7f.0.0.1", "0177.0.0.1", "127.0.0.01",
+     " localhost", "localhost ", "localhost\t", "localhost\n", "localhost\0", "loc\u0430lhost", "localho\u017ft",
+     "\uff4c\uff4f\uff43alhost", "\u212aiosk", "localhost:\u0661", "localhost:123456", "127.0.0.\uff11"],
+)  # fmt: skip
+def test_what_is_no_host_and_port_is_no_name_of_this_page(header: str) -> None:
+    assert not Access("0.0.0.0", TOKEN, ["kiosk"]).knows_host(header, "fe80::1%eth0")
 
 
 def test_sessions_are_random_end_and_are_not_too_many() -> None:

@@ -18,7 +18,8 @@ from . import Exported, Format, csv
 MOST_BYTES = 200
 #: The longest ending that is kept when a name is shortened, bytes in UTF-8.
 _MOST_ENDING = 16
-_RESERVED = frozenset('<>:"/\\|?*')
+# What some systems do not take, and a semicolon: a spreadsheet may cut the index there.
+_RESERVED = frozenset('<>:"/\\|?*;')
 #: The latest date that all file systems take, seconds since 1970.
 _LATEST_S = 4_294_967_295.0
 

@@ -41,7 +41,6 @@ _TYPES = {
 _COLUMNS = ", ".join(
     f"{name} {_TYPES.get(name, 'DATETIME' if name.endswith('_utc') else 'DOUBLE')}" for name in COLUMNS
 )
-_FILE = COLUMNS.index("file")
 _TABLES = (
     "CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER PRIMARY KEY, organization TEXT NOT NULL,"
     " organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL, description TEXT)",
@@ -113,8 +112,6 @@ def _write_batch(db: sqlite3.Connection, batch: list[Entry]) -> int:
     others: list[list[object]] = []
     for entry in batch:
         row = columns_of(entry)
-        # CSV marks names that look like formulas; here they are what they are.
-        row[_FILE] = entry.file
         point = point_of(entry)
         if point is None:
             others.append(row)
