@@ -60,7 +60,10 @@ PORT = 14600
 LINKTYPE_RAW = 101
 
 #: A field of our messages -> its name in Wireshark, where that is another one.
-NAMES = {"Beacon.number": "beacon", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops"}
+NAMES = {
+    "Beacon.number": "beacon", "Datum.hops": "datum_hops", "Offer.hops": "datum_hops",
+    "LossNoteEntry.proof": "note_proof",
+}  # fmt: skip
 
 Shown = dict[str, list[str]]
 
@@ -121,7 +124,7 @@ def said(record: Any, now: float = 0.0) -> Iterator[tuple[str, int | bytes]]:
             yield "count", len(value)
             for each in value:
                 yield from said(each, now)
-        elif name in ("answers", "distance", "moves", "proof"):
+        elif name in ("answers", "distance", "moves", "proof") and kind != "LossNoteEntry":
             yield from said_in_a_block(name, value)
         elif name == "marks":
             yield from [("count", len(value)), ("mark_bytes", len(pack_marks(value, record.bits)))]
@@ -226,8 +229,8 @@ def said_beside(record: Any) -> Iterator[tuple[str, int | bytes]]:
 _BYTES = {
     f"rass.{name}"
     for name in (
-        "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "sealed", "seal", "tag", "public_key",
-        "signature", "hash", "anchor", "sealed_key",
+        "payload", "data", "bitmap", "entry_bitmap", "block_content", "proof", "note_proof", "sealed", "seal", "tag",
+        "public_key", "signature", "hash", "anchor", "sealed_key",
     )
 }  # fmt: skip
 

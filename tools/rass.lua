@@ -134,6 +134,8 @@ field("mark_bytes", ProtoField.uint8, "rass.mark_bytes", "Bytes of packed marks"
 field("mark", ProtoField.uint32, "rass.mark", "Mark")
 field("word", ProtoField.uint8, "rass.word", "Word", base.DEC, WORDS)
 field("reason", ProtoField.uint8, "rass.reason", "Reason", base.DEC, REASONS)
+field("note_count", ProtoField.uint8, "rass.count", "Losses", base.DEC, nil, 0x7f)
+field("note_proof", ProtoField.bytes, "rass.note_proof", "Who has created it, and the tag for the ground")
 field("lamport", ProtoField.uint16, "rass.lamport", "Lamport timestamp")
 field("writer", ProtoField.uint16, "rass.writer", "Writer")
 field("m_version", ProtoField.uint8, "rass.measurement.version", "Version")
@@ -667,11 +669,15 @@ end
 
 READ[9] = function(r)
     local info = to_one(r)
-    times(r, r:number("count", 1), "Lost", function()
+    local count = r:need(1)
+    r.tree:add(f.note_count, count)
+    local proven = count:uint() >= 128
+    times(r, count:uint() % 128, "Lost", function()
         r:number("number", 4)
         info = info .. " " .. datum_id(r)
         r:number("reason", 1)
         r:number("crc", 4)
+        if proven then r:bytes("note_proof", 10) end
     end)
     return info
 end

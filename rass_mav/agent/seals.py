@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from struct import Struct
+
 from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.messages import NOTE_PROOF_BYTES
 from rass_mav.core.seals import SEALED, NoSeals
 from rass_mav.core.store import Store
 from rass_mav.core.terms import parted
 from rass_mav.errors import ForgedError, MalformedError
 from rass_mav.keys.keyring import Keyring
 from rass_mav.keys.sealing import SEAL_SIZE, Opener, Sealer
+
+_NODE = Struct("<H")
+_LOSS = Struct("<HIIB")
 
 
 class DataKeys:
@@ -24,7 +30,8 @@ class DataKeys:
 
     def __call__(self, store: Store) -> Seals:
         """For a life that begins with what the store holds now."""
-        return Seals(Sealer(self._keys, store.epoch, store.given), self._opener, accept_open=self._accept_open)
+        sealer = Sealer(self._keys, store.epoch, store.given)
+        return Seals(self._keys.certificate.node_id, sealer, self._opener, accept_open=self._accept_open)
 
 
 class Seals(NoSeals):
@@ -34,18 +41,28 @@ class Seals(NoSeals):
     because no frame leaves before the datum in it is on disk (`agent.commits`).
     """
 
-    __slots__ = ("_accept_open", "_opener", "_sealer")
+    __slots__ = ("_accept_open", "_node_id", "_opener", "_sealer")
 
     added = SEAL_SIZE
 
-    def __init__(self, sealer: Sealer, opener: Opener | None, *, accept_open: bool) -> None:
+    def __init__(self, node_id: int, sealer: Sealer, opener: Opener | None, *, accept_open: bool) -> None:
         """`opener`: None: a drone, which opens nothing."""
         self._sealer = sealer
         self._opener = opener
         self._accept_open = accept_open
+        self._node_id = node_id
 
     def seal(self, id: DatumId, kind: int, payload: bytes, terms: bytes = b"") -> tuple[int, bytes]:
         return kind | SEALED, terms + self._sealer.seal(id.sequence, kind, payload, terms)
+
+    def of_note(self, id: DatumId, reason: int) -> bytes:
+        return _NODE.pack(self._node_id) + self._sealer.loss_tag(_LOSS.pack(*id, reason))
+
+    def reporter(self, id: DatumId, reason: int, proof: bytes) -> int | None:
+        if self._opener is None or len(proof) != NOTE_PROOF_BYTES:
+            return None
+        (node_id,) = _NODE.unpack_from(proof)
+        return node_id if self._opener.made(node_id, _LOSS.pack(*id, reason), proof[_NODE.size :]) else None
 
     def is_made(self, datum: Datum) -> bool:
         if self._opener is None:

@@ -45,5 +45,5 @@ def of_offers(
         if stored is not None:
             yield message.number, prints.of(stored)
     elif type(message) is LossNote:
-        for number, id, reason, _ in message.entries:
-            yield number, prints.of_note(id, reason)
+        for entry in message.entries:
+            yield entry.number, prints.of_note(entry.id, entry.reason)

@@ -343,6 +343,10 @@ class Digest(NamedTuple):
     """One for each datum, ascending (`rass_mav.core.news.marks`); 1 to 255."""
 
 
+#: Bytes of the proof of a loss note.
+NOTE_PROOF_BYTES = 10
+
+
 class LossNoteEntry(NamedTuple):
     """A datum that is beyond repair."""
 
@@ -355,6 +359,8 @@ class LossNoteEntry(NamedTuple):
     id's epoch, was damaged; up to as many data as the id's sequence says may be lost."""
     crc: int
     """CRC-32 over id and reason (`note_crc`), computed by the node that created the note."""
+    proof: bytes = b""
+    """Where there are keys: the node that created it (16 bits), and its tag for the ground. Empty: none."""
 
 
 @_kind(Target.NAMED, Urgency.DATA, _on_all_changes)

@@ -82,7 +82,7 @@ class Node(Participant):
             news = self.receipts, self.digests, self.archive
             return Sink(settings, store, numbers, *news, self.observer, self.alarms, self.seals)
         told = settings.receipts and settings.acknowledged
-        notes = LossNotes(store) if told else NoLossNotes(store)
+        notes = LossNotes(store, self.seals) if told else NoLossNotes(store)
         return Keeper(settings, store, numbers, self.receipts, notes, self.observer, self.alarms)
 
     # -- Alg. 1 --------------------------------------------------------------------------------------------------------
@@ -363,9 +363,9 @@ class Node(Participant):
         if not self.keeper.takes_notes:
             return []
         taken: dict[int, int | None] = {}
-        for number, id, reason, crc in note.entries:
+        for number, id, reason, crc, proof in note.entries:
             if is_sound_note(id, reason, crc):
-                good = self.keeper.take_note(id, Note(reason, crc, note.sender))
+                good = self.keeper.take_note(id, Note(reason, crc, note.sender, proof))
                 taken[number] = self.numbers.prints.of_note(id, reason) if good else None
         committed = [(number, fingerprint) for number, fingerprint in taken.items() if fingerprint is not None]
         return self._answer(note.sender, committed, [number for number, good in taken.items() if good is None])

@@ -22,7 +22,7 @@ from rass_mav.core.routes.costs import Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
-from rass_mav.core.seals import NoSeals
+from rass_mav.core.seals import NO_SEALS, NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.core.terms import TERMS, USUAL, Terms
@@ -73,7 +73,7 @@ class Participant(ABC):
         self.risk = risk
         self.rng = rng
         self.observer = observer or Observer()
-        self.seals = seals or NoSeals()
+        self.seals = seals or NO_SEALS
         slow = store.get_meta("turn") or 0
         self.routing = RoutingTable(
             settings,

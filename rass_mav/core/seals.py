@@ -24,6 +24,18 @@ class NoSeals:
         """
         return kind, terms + payload
 
+    def of_note(self, id: DatumId, reason: int) -> bytes:
+        """Who says that a datum is lost, with its tag, as loss notes carry it; empty where there are no keys."""
+        return b""
+
+    def reporter(self, id: DatumId, reason: int, proof: bytes) -> int | None:
+        """At a base: the node that says so; None: that is not known."""
+        return None
+
     def is_made(self, datum: Datum) -> bool:
         """At a base: whether a datum was made by the node that it names, as far as that can be known."""
         return True
+
+
+#: For all nodes without keys.
+NO_SEALS = NoSeals()

@@ -15,6 +15,14 @@ MAX_APART_OF_ONE = 256
 MAX_PARTIALS = 8
 
 
+class Loss(NamedTuple):
+    """A row of the table of losses, without the id."""
+
+    fate: Fate
+    proof: bytes = b""
+    """Of the loss note that came here; empty: none."""
+
+
 class StoredInfo(NamedTuple):
     """What the node keeps in memory about a datum whose bytes are in the store."""
 
@@ -117,8 +125,8 @@ class Store(Protocol):
     def remove(self, id: DatumId, fate: Fate) -> None:
         """Forget a datum. `CORRUPTED` and `EXPIRED` are written to the table of losses. Unknown ids are ignored."""
 
-    def lose(self, id: DatumId, fate: Fate) -> None:
-        """Record in the table of losses a loss elsewhere (a loss note that came here)."""
+    def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:
+        """Record in the table of losses a loss elsewhere (a loss note that came here). `proof`: of that note."""
 
     def found(self, id: DatumId) -> None:
         """Remove an entry from the table of losses: the datum turned up, or the loss has been handed over. Need not be
@@ -149,6 +157,9 @@ class Store(Protocol):
 
     def losses(self) -> Iterable[tuple[DatumId, Fate]]:
         """The table of losses."""
+
+    def proofs(self) -> dict[DatumId, bytes]:
+        """The proofs in the table of losses, where there are any."""
 
     def get_meta(self, key: str) -> int | None:
         """A small number that survives restarts (for example a base's announcement number)."""

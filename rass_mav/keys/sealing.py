@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from hashlib import blake2b
+from hmac import compare_digest
 from struct import Struct
 
 from nacl.bindings import (
@@ -25,6 +27,8 @@ from .certificate import BASE_SERIAL, GroundPublic, agreed, certificate_body
 from .identity import Ground, NodeKeys
 from .secret import Purpose, Secret
 
+#: Bytes of the tag of a loss note.
+LOSS_TAG_SIZE = 8
 #: Bytes that sealing adds to a payload.
 SEAL_SIZE: int = crypto_aead_chacha20poly1305_ietf_ABYTES
 #: A base also tries this many serials above the last one it knows: drones that were replaced since its file was copied.
@@ -43,11 +47,12 @@ class Sealer:
     Each life of a node has one of its own: after a roll-back the store assigns numbers again of which nothing has left.
     """
 
-    __slots__ = ("_epoch", "_key", "_next", "_origin")
+    __slots__ = ("_epoch", "_key", "_loss_key", "_next", "_origin")
 
     def __init__(self, keys: NodeKeys, epoch: int, first: int) -> None:
         """:param epoch: 32 bits. :param first: the lowest sequence that the store has not assigned."""
-        self._key = _sealing_key(agreed(keys.secret, keys.ground.sealing), keys.certificate.body, keys.ground)
+        common = agreed(keys.secret, keys.ground.sealing)
+        self._key, self._loss_key = _derived(common, keys.certificate.body, keys.ground)
         self._origin, self._epoch, self._next = keys.certificate.node_id, epoch, first
 
     def seal(self, sequence: int, kind: int, payload: bytes, beside: bytes = b"") -> bytes:
@@ -62,6 +67,10 @@ class Sealer:
         self._next = sequence + 1
         nonce = _NONCE.pack(self._origin, self._epoch, sequence)
         return crypto_aead_chacha20poly1305_ietf_encrypt(payload, _about(kind, beside), nonce, self._key.reveal())
+
+    def loss_tag(self, loss: bytes) -> bytes:
+        """The tag of what the node reports lost: only the node and the ground can make it."""
+        return _loss_tag(self._loss_key, loss)
 
 
 class Opener:
@@ -82,12 +91,18 @@ class Opener:
             raise MalformedError(f"a sealed datum has at least {SEAL_SIZE} bytes, got {len(sealed)}")
         nonce, about = _NONCE.pack(*id), _about(kind, beside)
         for serial in self._serials(id[0]):
-            key = self._key(id[0], serial).reveal()
+            key = self._key(id[0], serial)[0].reveal()
             try:
                 return crypto_aead_chacha20poly1305_ietf_decrypt(sealed, about, nonce, key)
             except CryptoError:
                 continue
         raise ForgedError("not sealed by the origin that it names, or altered")
+
+    def made(self, node_id: int, loss: bytes, tag: bytes) -> bool:
+        """Whether a node (0..65534) has reported a loss."""
+        return any(
+            compare_digest(_loss_tag(self._key(node_id, serial)[1], loss), tag) for serial in self._serials(node_id)
+        )
 
     def _serials(self, origin: int) -> Iterator[int]:
         """Those that the origin may have, the likely ones first."""
@@ -95,10 +110,10 @@ class Opener:
         yield from range(last, BASE_SERIAL - 1, -1)
         yield from range(last + 1, last + 1 + LATER_SERIALS)
 
-    def _agree(self, origin: int, serial: int) -> Secret:
+    def _agree(self, origin: int, serial: int) -> tuple[Secret, Secret]:
         public = crypto_scalarmult_base(self._ground.node_secret(origin, serial).reveal())
         common = agreed(self._ground.opening, public)
-        return _sealing_key(common, certificate_body(origin, serial, public), self._ground.public)
+        return _derived(common, certificate_body(origin, serial, public), self._ground.public)
 
 
 def _about(kind: int, beside: bytes) -> bytes:
@@ -106,6 +121,10 @@ def _about(kind: int, beside: bytes) -> bytes:
     return _KIND.pack(kind) + beside
 
 
-def _sealing_key(common: Secret, origin: bytes, ground: GroundPublic) -> Secret:
-    """`origin`: the body of its certificate."""
-    return common.derive(Purpose.SEAL, origin + ground.sealing)
+def _loss_tag(key: Secret, loss: bytes) -> bytes:
+    return blake2b(loss, digest_size=LOSS_TAG_SIZE, key=key.reveal()).digest()
+
+
+def _derived(common: Secret, origin: bytes, ground: GroundPublic) -> tuple[Secret, Secret]:
+    """The keys of data and of loss notes. `origin`: the body of its certificate."""
+    return common.derive(Purpose.SEAL, origin + ground.sealing), common.derive(Purpose.LOSS, origin + ground.sealing)

@@ -24,6 +24,7 @@ class Purpose(bytes, Enum):
     LINK = b"rass link key"
     PAIR = b"rass pair key"
     SEAL = b"rass seal key"
+    LOSS = b"rass loss key"
     MISSION = b"rass mission"
     CERTIFICATE = b"rass certificate"
     VOUCHER = b"rass voucher"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass, field
 
-from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import PartialKey, key_of
+from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.store import Loss, PartialKey, key_of
 
 from .quota import cost
 
@@ -26,7 +26,7 @@ class Changes:
     """Second contents of an id, by their CRC; one that is kept already stays unchanged."""
     removes: dict[DatumId, None] = field(default_factory=dict)
     """Older rows to delete (a set that keeps its order)."""
-    losses: dict[DatumId, Fate] = field(default_factory=dict)
+    losses: dict[DatumId, Loss] = field(default_factory=dict)
     """New entries of the table of losses; a loss that is recorded already stays unchanged."""
     founds: dict[DatumId, None] = field(default_factory=dict)
     """Entries to remove from the table of losses, before the new ones are inserted."""
@@ -98,9 +98,9 @@ class Changes:
         if self.puts.pop(id, None) is None:
             self.removes[id] = None
 
-    def lose(self, id: DatumId, fate: Fate) -> None:
+    def lose(self, id: DatumId, loss: Loss) -> None:
         """Record a loss."""
-        self.losses.setdefault(id, fate)
+        self.losses.setdefault(id, loss)
 
     def found(self, id: DatumId) -> None:
         """Remove a loss from the table."""
@@ -129,7 +129,7 @@ class Changes:
             puts={**puts, **later.puts},
             apart={**self.apart, **later.apart},
             removes={**self.removes, **later.removes},
-            losses={**later.losses, **{id: fate for id, fate in self.losses.items() if id not in later.founds}},
+            losses={**later.losses, **{id: loss for id, loss in self.losses.items() if id not in later.founds}},
             founds={**self.founds, **later.founds},
             counters={**self.counters, **later.counters},
             meta={**self.meta, **later.meta},

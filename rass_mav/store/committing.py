@@ -155,7 +155,7 @@ class Committer:
                 if inserted and sector is not None:
                     kept.add(sector)
             rows -= writer.executemany(schema.DELETE_LOSS, changes.founds).rowcount
-            losses = [schema.loss_row(id, fate) for id, fate in changes.losses.items()]
+            losses = [schema.loss_row(id, *loss) for id, loss in changes.losses.items()]
             rows += writer.executemany(schema.INSERT_LOSS, losses).rowcount
             schema.write_numbers(writer, "counter", changes.counters)
             schema.write_numbers(writer, "meta", {**changes.meta, **own})

@@ -15,6 +15,7 @@ class FoundLoss(NamedTuple):
 
     id: DatumId
     fate: Fate
+    proof: bytes
 
 
 class FoundNumber(NamedTuple):
@@ -28,8 +29,8 @@ def found_in(columns: tuple[Any, ...], payloads: Payloads) -> Datum | FoundLoss 
     """What a row says; None: it is not ours, or not sound. `OSError`."""
     if len(columns) in (10, 11):
         return _datum(columns, payloads)
-    if len(columns) == 5 and (fate := sound_loss(columns[:3], columns[3], columns[4])) is not None:
-        return FoundLoss(DatumId(*columns[:3]), fate)
+    if len(columns) == 5 and (loss := sound_loss(columns[:3], columns[3], columns[4])) is not None:
+        return FoundLoss(DatumId(*columns[:3]), *loss)
     if len(columns) == 3:
         name, value, inverse = columns
         if type(name) is bytes and type(value) is int and inverse == ~value:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, MAX_PARTIALS, PartialKey, StoredInfo, info_of, key_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, MAX_PARTIALS, Loss, PartialKey, StoredInfo, info_of, key_of
 from rass_mav.errors import StoreFullError
 
 from .quota import MOST_PARTIAL_BYTES, charge, cost, lies_beside
@@ -53,7 +53,7 @@ class MemoryStore:
         self._apart: dict[tuple[DatumId, int], Datum] = {}
         self._struck: set[DatumId] = set()
         """Data that may not match their checksum: only `flip_bit` changes bytes in memory."""
-        self._losses: dict[DatumId, Fate] = {}
+        self._losses: dict[DatumId, Loss] = {}
         self._counters: dict[str, int] = {}
         self._meta: dict[str, int] = {}
         self._partials: dict[PartialKey, dict[int, bytes]] = {}
@@ -143,11 +143,11 @@ class MemoryStore:
         if self._quota is not None:
             self._used -= cost(len(datum.payload))
         if fate in RECORDED:
-            self._losses.setdefault(id, fate)
+            self._losses.setdefault(id, Loss(fate))
 
-    def lose(self, id: DatumId, fate: Fate) -> None:
+    def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:
         """Record a loss elsewhere. The first fate recorded for an id stays."""
-        self._losses.setdefault(id, fate)
+        self._losses.setdefault(id, Loss(fate, proof))
 
     def found(self, id: DatumId) -> None:
         """Remove an entry from the table of losses. Unknown ids are ignored."""
@@ -217,7 +217,11 @@ class MemoryStore:
 
     def losses(self) -> Iterable[tuple[DatumId, Fate]]:
         """The table of losses: a list, safe to keep while the store changes."""
-        return list(self._losses.items())
+        return [(id, loss.fate) for id, loss in self._losses.items()]
+
+    def proofs(self) -> dict[DatumId, bytes]:
+        """The proofs in the table of losses, where there are any."""
+        return {id: loss.proof for id, loss in self._losses.items() if loss.proof}
 
     def get_meta(self, key: str) -> int | None:
         """A small number that survives a restart."""

@@ -138,7 +138,7 @@ class SqliteReader:
     def losses(self) -> list[tuple[DatumId, Fate]]:
         """The table of losses."""
         with explained(self._path, "reading the losses"):
-            return list(schema.read_losses(self._connection).items())
+            return [(id, loss.fate) for id, loss in schema.read_losses(self._connection).items()]
 
     def counters(self) -> dict[str, int]:
         """All named counters."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 from rass_mav.core.datum import PARTS, Datum, DatumId, Fate
-from rass_mav.core.store import StoredInfo
+from rass_mav.core.store import Loss, StoredInfo
 from rass_mav.core.terms import TERMS, TERMS_SIZE, terms_of
 
 from .errors import Unsound
@@ -216,14 +216,15 @@ def datum_row(datum: Datum, sector: int | None = None) -> tuple[Any, ...]:
     return (*id, kind, created, hops, crc, len(payload), int(at_least), payload if sector is None else sector)
 
 
-def loss_row(id: DatumId, fate: Fate) -> tuple[Any, ...]:
-    """The columns of `INSERT_LOSS`."""
-    return (*id, fate.value, loss_crc(id, fate.value))
+def loss_row(id: DatumId, fate: Fate, proof: bytes = b"") -> tuple[Any, ...]:
+    """The columns of `INSERT_LOSS`. A proof follows the fate, in hexadecimal digits."""
+    text = f"{fate.value} {proof.hex()}" if proof else fate.value
+    return (*id, text, loss_crc(id, text.encode()))
 
 
-def loss_crc(id: Iterable[int], fate: str) -> int:
+def loss_crc(id: Iterable[int], fate: bytes) -> int:
     """The checksum of a row of the table of losses."""
-    return crc32(fate.encode(), crc32(struct.pack("<3q", *id)))
+    return crc32(fate, crc32(struct.pack("<3q", *id)))
 
 
 def unsound_rows(connection: sqlite3.Connection, table: str = "datum") -> list[tuple[Any, ...]]:
@@ -326,7 +327,7 @@ def read_rows(
         after = rows[-1][0]
 
 
-def read_losses(connection: sqlite3.Connection) -> dict[DatumId, Fate]:
+def read_losses(connection: sqlite3.Connection) -> dict[DatumId, Loss]:
     """The table of losses."""
     losses, unsound = sound_losses(connection)
     if unsound:
@@ -334,9 +335,9 @@ def read_losses(connection: sqlite3.Connection) -> dict[DatumId, Fate]:
     return losses
 
 
-def sound_losses(connection: sqlite3.Connection) -> tuple[dict[DatumId, Fate], list[tuple[Any, ...]]]:
+def sound_losses(connection: sqlite3.Connection) -> tuple[dict[DatumId, Loss], list[tuple[Any, ...]]]:
     """The losses that match their checksum, and the ids of the other rows, whatever they contain."""
-    losses: dict[DatumId, Fate] = {}
+    losses: dict[DatumId, Loss] = {}
     unsound = []
     # As a blob, because it may no longer be UTF-8.
     rows = connection.execute("SELECT origin, epoch, sequence, CAST(fate AS BLOB), crc FROM loss").fetchall()
@@ -349,14 +350,20 @@ def sound_losses(connection: sqlite3.Connection) -> tuple[dict[DatumId, Fate], l
     return losses, unsound
 
 
-def sound_loss(id: tuple[Any, ...], fate: Any, crc: Any) -> Fate | None:
-    """The fate in a row of the table of losses, with the text as bytes; None: the row is not sound."""
+def sound_loss(id: tuple[Any, ...], fate: Any, crc: Any) -> Loss | None:
+    """A row of the table of losses, with the text as bytes; None: the row is not sound."""
     if type(fate) is not bytes or any(type(part) is not int for part in id):
         return None
     if any(not -(1 << 63) <= part < 1 << 63 for part in id):
         return None
-    found = _FATES.get(fate)
-    return found if found is not None and loss_crc(id, found.value) == crc else None
+    name, _, proof = fate.partition(b" ")
+    found = _FATES.get(name)
+    if found is None or loss_crc(id, fate) != crc:
+        return None
+    try:
+        return Loss(found, bytes.fromhex(proof.decode("ascii")))
+    except ValueError:
+        return None
 
 
 def count_rows(connection: sqlite3.Connection) -> int:

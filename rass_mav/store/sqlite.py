@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, PartialKey, StoredInfo, info_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, Loss, PartialKey, StoredInfo, info_of
 from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 
 from . import schema
@@ -293,10 +293,10 @@ class SqliteStore:
         if fate in _RECORDED:
             self.lose(id, fate)
 
-    def lose(self, id: DatumId, fate: Fate) -> None:
+    def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:
         """Record a loss elsewhere. The first fate recorded for an id stays."""
         if self._committer is not None or len(self._changes.losses) < MAX_UNWRITTEN_LOSSES:
-            self._changes.lose(id, fate)
+            self._changes.lose(id, Loss(fate, proof))
 
     def found(self, id: DatumId) -> None:
         """Remove an entry from the table of losses; need not be durable soon. Unknown ids are ignored."""
@@ -436,12 +436,19 @@ class SqliteStore:
 
     def losses(self) -> Iterable[tuple[DatumId, Fate]]:
         """The table of losses: a list, safe to keep while the store changes."""
+        return [(id, loss.fate) for id, loss in self._losses().items()]
+
+    def proofs(self) -> dict[DatumId, bytes]:
+        """The proofs in the table of losses, where there are any."""
+        return {id: loss.proof for id, loss in self._losses().items() if loss.proof}
+
+    def _losses(self) -> dict[DatumId, Loss]:
         waiting = self._in_flight().followed_by(self._changes)
         with explained(self._path, "reading the losses"):
             durable = schema.read_losses(self._source.rows)
         for id in waiting.founds:
             durable.pop(id, None)
-        return list({**waiting.losses, **durable}.items())
+        return {**waiting.losses, **durable}
 
     def get_meta(self, key: str) -> int | None:
         """A small number that survives restarts."""

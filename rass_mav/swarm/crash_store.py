@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.core.store import Loss
 from rass_mav.store.memory import RECORDED, MemoryStore
 from rass_mav.store.sqlite import MAX_WAITING_REMOVALS
 
@@ -23,7 +24,7 @@ class CrashStore(MemoryStore):
         super().__init__(epoch, quota_bytes=quota_bytes)
         # Removed, but still on the disk: fewer than MAX_WAITING_REMOVALS of both together.
         self._removed: dict[DatumId, Datum] = {}
-        self._found: dict[DatumId, Fate | None] = {}
+        self._found: dict[DatumId, Loss | None] = {}
 
     def restart(self) -> None:
         """The node starts again after a crash: what was not written is as before."""
@@ -31,9 +32,9 @@ class CrashStore(MemoryStore):
         for datum in list(self._removed.values()):
             super().put(datum)
             self._struck.add(datum.id)
-        for id, fate in self._found.items():
-            if fate is not None:
-                super().lose(id, fate)
+        for id, loss in self._found.items():
+            if loss is not None:
+                super().lose(id, *loss)
         self._commit()
 
     def put(self, datum: Datum) -> None:
@@ -53,9 +54,9 @@ class CrashStore(MemoryStore):
         else:
             self._wait()
 
-    def lose(self, id: DatumId, fate: Fate) -> None:
+    def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:
         """Record a loss elsewhere. The first fate recorded for an id stays."""
-        super().lose(id, fate)
+        super().lose(id, fate, proof)
         self._commit()
 
     def found(self, id: DatumId) -> None:

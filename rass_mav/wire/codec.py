@@ -19,6 +19,7 @@ from rass_mav.core.messages import (
     BROADCAST,
     KINDS,
     MAX_OTHERS,
+    NOTE_PROOF_BYTES,
     OTHER_BITS,
     REPORT_BITS,
     Accept,
@@ -100,6 +101,9 @@ _NUMBER = struct.Struct("<I")
 _RECEIPT = struct.Struct("<BHIIIB")
 _PAIR = struct.Struct("<HI")
 _NOTE = struct.Struct("<IHIIBI")
+#: Bit of the number of notes: each has its proof.
+_PROVEN = 0x80
+_PROVEN_NOTE = struct.Struct(f"{_NOTE.format}{NOTE_PROOF_BYTES}s")
 _GIVEN = struct.Struct("<BHIII")
 _DIGEST = struct.Struct("<BBHIIIBBB")
 _PUT = struct.Struct("<BHHHHIIIBBIB")
@@ -334,15 +338,15 @@ def _encode_digest(m: Digest, now: float) -> list[bytes]:
 
 def _encode_rows(
     type_: int, m: LossNote | Query | PassedOn | Words, row: struct.Struct, rows: Any, free: int = 0,
-    tags: Tags | None = None, to: Sequence[int] = (),
+    tags: Tags | None = None, to: Sequence[int] = (), flag: int = 0,
 ) -> list[bytes]:  # fmt: skip
     """As many frames as necessary, at least one; `free`: bytes that stay free at the end of each, or hold the tags for
-    these nodes."""
+    these nodes. `flag`: a bit of the byte with the number of rows."""
     each = (MAX_TUNNEL - _TO.size - free) // row.size
     frames = []
     for start in range(0, len(rows) or 1, each):
         part = rows[start : start + each]
-        head = _TO.pack(_head(type_), m.sender, m.target, len(part))
+        head = _TO.pack(_head(type_), m.sender, m.target, len(part) | flag)
         frame = head + b"".join([row.pack(*fields) for fields in part])
         if tags is not None and to:
             place, told = tags.of_word(type_, to, frame)
@@ -354,7 +358,12 @@ def _encode_rows(
 
 
 def _encode_loss_note(m: LossNote, now: float) -> list[bytes]:
-    return _encode_rows(LOSS_NOTE, m, _NOTE, [(e.number, *e.id, e.reason, e.crc) for e in m.entries])
+    rows = [(e.number, *e.id, e.reason, e.crc) for e in m.entries]
+    if not any(e.proof for e in m.entries):
+        return _encode_rows(LOSS_NOTE, m, _NOTE, rows)
+    # struct fills up with zeros.
+    rows_proven = [(*row, e.proof) for row, e in zip(rows, m.entries, strict=True)]
+    return _encode_rows(LOSS_NOTE, m, _PROVEN_NOTE, rows_proven, flag=_PROVEN)
 
 
 def _encode_put(m: Put, now: float) -> list[bytes]:
@@ -639,14 +648,15 @@ def _decode_more(p: bytes, now: float) -> Message:
     return decoder(p, now)
 
 
-def _decode_rows(p: bytes, row: struct.Struct) -> tuple[int, int, list[tuple[int, ...]]]:
+def _decode_rows(p: bytes, row: struct.Struct, flag: int = 0) -> tuple[int, int, list[tuple[Any, ...]]]:
     """Sender, target and the fields of each row."""
     _, sender, target, count = _TO.unpack_from(p)
-    return sender, target, [row.unpack_from(p, _TO.size + i * row.size) for i in range(count)]
+    return sender, target, [row.unpack_from(p, _TO.size + i * row.size) for i in range(count - flag)]
 
 
 def _decode_loss_note(p: bytes, now: float) -> LossNote:
-    sender, target, rows = _decode_rows(p, _NOTE)
+    proven = p[_TO.size - 1] & _PROVEN
+    sender, target, rows = _decode_rows(p, _PROVEN_NOTE if proven else _NOTE, proven)
     return LossNote(sender, target, tuple([LossNoteEntry(row[0], DatumId(*row[1:4]), *row[4:]) for row in rows]))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from rass_mav.core.datum import Datum, DatumId, Fate
-from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, PartialKey, StoredInfo, info_of, key_of
+from rass_mav.core.store import MAX_APART, MAX_APART_OF_ONE, Loss, PartialKey, StoredInfo, info_of, key_of
 from rass_mav.errors import StoreFullError
 from rass_mav.store.memory import flipped
 
@@ -17,7 +17,7 @@ class State:
 
     data: dict[DatumId, Datum] = field(default_factory=dict)
     apart: dict[tuple[DatumId, int], Datum] = field(default_factory=dict)
-    losses: dict[DatumId, Fate] = field(default_factory=dict)
+    losses: dict[DatumId, Loss] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)
     meta: dict[str, int] = field(default_factory=dict)
     sequence: int = 0
@@ -141,8 +141,8 @@ class DurableStore:
             if fate in (Fate.CORRUPTED, Fate.EXPIRED):
                 self.lose(id, fate)
 
-    def lose(self, id: DatumId, fate: Fate) -> None:
-        self._live.losses.setdefault(id, fate)
+    def lose(self, id: DatumId, fate: Fate, proof: bytes = b"") -> None:
+        self._live.losses.setdefault(id, Loss(fate, proof))
         self._urgent = True
 
     def found(self, id: DatumId) -> None:
@@ -173,7 +173,10 @@ class DurableStore:
         return list(self._live.data)
 
     def losses(self) -> Iterable[tuple[DatumId, Fate]]:
-        return list(self._live.losses.items())
+        return [(id, loss.fate) for id, loss in self._live.losses.items()]
+
+    def proofs(self) -> dict[DatumId, bytes]:
+        return {id: loss.proof for id, loss in self._live.losses.items() if loss.proof}
 
     def get_meta(self, key: str) -> int | None:
         return self._live.meta.get(key)

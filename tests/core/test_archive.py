@@ -72,9 +72,9 @@ def test_words_about_stores_are_no_losses_of_data() -> None:
     assert len(archive.wounds) == MAX_WOUNDS
 
 
-def test_losses_are_bounded_by_pair_by_origin_and_in_all() -> None:
+def test_losses_are_bounded_by_origin_and_in_all() -> None:
     archive = Archive()
-    taken = sum(archive.lose(DatumId(1, 5, 2 * s), Fate.CORRUPTED) for s in range(2 * MAX_LOST_OF_ONE))
+    taken = sum(archive.lose(DatumId(1, s % 9, 2 * s), Fate.CORRUPTED) for s in range(2 * MAX_LOST_OF_ONE))
     assert taken == MAX_LOST_OF_ONE
     taken = sum(archive.lose(DatumId(2, epoch, 0), Fate.CORRUPTED) for epoch in range(1000))
     assert taken == MAX_EPOCHS

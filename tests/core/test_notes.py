@@ -232,11 +232,32 @@ def test_notes_that_nobody_takes_do_not_keep_the_others_waiting() -> None:
     for _ in range(3):
         frame = notes.turn(1, 5, numbers.__next__)
         assert frame is not None
-        for number, id, _, _ in frame.entries:
+        for number, id, *_ in frame.entries:
             said.add(id)
             (notes.refused if id in unwanted else notes.committed)(number, 5)
     assert said == {*unwanted, ID}
     assert notes.waiting.keys() == unwanted
+
+
+def test_a_proof_travels_and_outlives_a_restart() -> None:
+    store = DurableStore(1)
+    notes = LossNotes(store)
+    assert notes.take(ID, handed(ID, 9)._replace(proof=b"of node 7"))
+    store.commit()
+    for again in (notes, LossNotes(store)):
+        frame = again.turn(1, 5, itertools.count(1).__next__)
+        assert frame is not None
+        assert [entry.proof for entry in frame.entries] == [b"of node 7"]
+
+
+def test_a_forged_note_does_not_take_the_place_of_a_true_one() -> None:
+    notes = LossNotes(DurableStore(1))
+    assert notes.take(ID, handed(ID, 9)._replace(proof=b"forged"))
+    assert not notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
+    frame = notes.turn(1, 5, itertools.count(1).__next__)
+    assert frame is not None
+    notes.committed(frame.entries[0].number, 5)
+    assert notes.take(ID, handed(ID, 8)._replace(proof=b"true"))
 
 
 def test_notes_outlive_a_restart() -> None:

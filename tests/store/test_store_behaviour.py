@@ -123,6 +123,19 @@ def test_the_first_fate_that_is_told_of_a_loss_stays(store: Store) -> None:
     assert list(store.losses()) == [(id, Fate.OVERFLOW)]
 
 
+def test_a_proof_stays_beside_its_loss(store: Store) -> None:
+    ids = [DatumId(9, 1, sequence) for sequence in range(3)]
+    store.lose(ids[0], Fate.OVERFLOW, b"\x00\xff proof")
+    store.lose(ids[1], Fate.CORRUPTED)
+    for _ in range(2):
+        assert dict(store.losses()) == {ids[0]: Fate.OVERFLOW, ids[1]: Fate.CORRUPTED}
+        assert store.proofs() == {ids[0]: b"\x00\xff proof"}
+        commit(store)
+    store.lose(ids[1], Fate.CORRUPTED, b"later")
+    store.found(ids[0])
+    assert store.proofs() == {}
+
+
 def test_a_loss_that_is_found_is_none_until_it_is_lost_again(store: Store) -> None:
     id = DatumId(9, 1, 5)
     store.lose(id, Fate.OVERFLOW)

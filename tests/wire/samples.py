@@ -9,6 +9,7 @@ from rass_mav.core.messages import (
     BROADCAST,
     DISTANT_BYTES,
     MAX_OTHERS,
+    NOTE_PROOF_BYTES,
     OTHER_BITS,
     REPORT_BITS,
     Accept,
@@ -102,6 +103,19 @@ SAMPLES: dict[str, Message] = {
     ),
     "loss-note": LossNote(
         3, 2, (LossNoteEntry(0x01020306, DatumId(3, 0xCAFEBABE, 9), 1, note_crc(DatumId(3, 0xCAFEBABE, 9), 1)),)
+    ),
+    "loss-note-proven": LossNote(
+        3,
+        2,
+        (
+            LossNoteEntry(
+                0x01020306,
+                DatumId(3, 0xCAFEBABE, 9),
+                1,
+                note_crc(DatumId(3, 0xCAFEBABE, 9), 1),
+                bytes.fromhex("03008084bff17b1ac6de"),
+            ),
+        ),
     ),
     "given": make_given(3, 0xCAFEBABE, 11),
     "digest": make_digest(1, 0x0BADF00D, 515, 16, marks_of([HELLO.id, WORLD.id], 1, 0x0BADF00D, 515, 2 << 16)),
@@ -228,8 +242,13 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
         st.lists(u32, max_size=60).map(tuple),
     ),
     Receipt: st.builds(make_receipt, u16, u32, u32, st.lists(receipt_entries, max_size=3)),
-    LossNote: st.builds(
-        LossNote, u16, u16, st.lists(st.builds(LossNoteEntry, u32, ids, u8, u32), max_size=20).map(tuple)
+    LossNote: st.sampled_from([b"", bytes(range(NOTE_PROOF_BYTES))]).flatmap(
+        lambda proof: st.builds(
+            LossNote,
+            u16,
+            u16,
+            st.lists(st.builds(LossNoteEntry, u32, ids, u8, u32, st.just(proof)), max_size=20).map(tuple),
+        )
     ),
     Given: st.builds(make_given, u16, u32, u32),
     Digest: st.builds(

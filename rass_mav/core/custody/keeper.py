@@ -25,6 +25,8 @@ from rass_mav.core.store import Store
 
 #: Data dropped for one of these reasons are gone, as far as this node knows.
 _BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
+#: Reports of one drone about others' data that a base keeps until it knows that these were created.
+MAX_CLAIMS = 64
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
@@ -334,7 +336,7 @@ class Keeper:
 class Sink(Keeper):
     """The storing half of a base: data that reach it have arrived for good."""
 
-    __slots__ = ("_alarms", "_digests", "_seals", "archive")
+    __slots__ = ("_alarms", "_claims", "_digests", "_seals", "archive")
 
     def __init__(
         self, settings: NodeSettings, store: Store, numbers: HandoverNumbers, receipts: NoReceipts,
@@ -347,6 +349,8 @@ class Sink(Keeper):
         self.arrived = archive
         self._alarms = alarms
         self._seals = seals
+        self._claims: dict[int, dict[DatumId, Fate]] = {}
+        """What drones report of others' data that may not exist, by the drone that says it."""
 
     def _take_up(self) -> Holdings:
         # Data that have arrived are in the archive.
@@ -413,6 +417,9 @@ class Sink(Keeper):
             self.receipts.arrived(datum.id)
             self._digests.arrived(datum.id)
         self.observer.delivered(datum)
+        for claims in self._claims.values():
+            for id in [id for id in claims if id.sequence < self.archive.end(id[:2])]:
+                self._lose(id, claims.pop(id))
 
     def keep_spare(self, giver: int, number: int, datum: Datum, distance: Distance | None = None) -> bool:
         """A spare copy has arrived like any other."""
@@ -440,8 +447,28 @@ class Sink(Keeper):
         return self.receipts.told
 
     def take_note(self, id: DatumId, note: Note) -> bool:
-        """A neighbour reports that a datum is lost, or a store damaged. False: there is no space for the note."""
-        archive, fate = self.archive, fate_of(note.reason)
+        """A neighbour reports that a datum is lost, or a store damaged. False: there is no space for the note.
+
+        Where there are keys, a node is believed about itself. Of others it may have had what they have created: what it
+        says of their data waits until a later number of theirs has arrived.
+        """
+        fate = fate_of(note.reason)
+        if not self.settings.vouched:
+            return self._lose(id, fate)
+        by = self._seals.reporter(id, note.reason, note.proof)
+        if by is None or (by != id.origin and fate in WOUNDS):
+            # If it were refused, it would be offered indefinitely.
+            return True
+        if by == id.origin or id.sequence < self.archive.end(id[:2]):
+            return self._lose(id, fate)
+        claims = self._claims.setdefault(by, {})
+        claims[id] = fate
+        if len(claims) > MAX_CLAIMS:
+            del claims[next(iter(claims))]
+        return True
+
+    def _lose(self, id: DatumId, fate: Fate) -> bool:
+        archive = self.archive
         if self.is_squatted(id) or (id in archive.wounds if fate in WOUNDS else archive.is_lost(id) or self.has(id)):
             return True
         if not archive.lose(id, fate):

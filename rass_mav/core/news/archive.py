@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from rass_mav.core.datum import WOUNDS, DatumId, Fate
 from rass_mav.core.news.ranges import Ranges
 
-#: How many losses a base accepts for one origin and epoch, and in all. They are not authenticated, so they are limited.
+#: How many losses a base accepts for one origin, and in all. Anybody can invent them, or with keys those of one drone,
+#: so they are limited.
 MAX_LOST_OF_ONE = 4096
 MAX_TOLD_LOST = 32768
 #: Epochs of one origin, and pairs of origin and epoch in all, of which a base knows losses and nothing else.
@@ -20,21 +22,19 @@ MAX_WOUNDS = 1024
 class _Origin:
     """The data of one origin and epoch."""
 
-    __slots__ = ("arrived", "lost", "told")
+    __slots__ = ("arrived", "lost")
 
     def __init__(self) -> None:
         self.arrived = Ranges()
         self.lost = Ranges()
         """Reported lost; some of them may have arrived since."""
-        self.told = 0
-        """How many numbers that is."""
 
 
 class Archive:
     """What has become of all data, as far as one base knows. Its size grows with what has arrived, in ranges; losses
     are bounded."""
 
-    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "told_lost", "wounds")
+    __slots__ = ("_epochs", "_losses_only", "_origins", "_told", "_told_of", "told_lost", "wounds")
 
     def __init__(self, ids: Iterable[DatumId] = (), losses: Iterable[tuple[DatumId, Fate]] = ()) -> None:
         """What the store holds, and its table of losses."""
@@ -45,6 +45,8 @@ class Archive:
         """How many of these an origin has."""
         self._told = 0
         """Data ever reported lost."""
+        self._told_of: Counter[int] = Counter()
+        """The same by origin."""
         self.told_lost = 0
         """Data reported lost that have not arrived."""
         self.wounds: dict[DatumId, Fate] = {}
@@ -78,7 +80,7 @@ class Archive:
                 return False
             self.wounds[id] = fate
             return True
-        if self._told >= MAX_TOLD_LOST:
+        if self._told >= MAX_TOLD_LOST or self._told_of[id.origin] >= MAX_LOST_OF_ONE:
             return False
         key = (id.origin, id.epoch)
         origin = self._origins.get(key)
@@ -89,11 +91,11 @@ class Archive:
             self._epochs[id.origin] = epochs + 1
             self._losses_only.add(key)
             origin = self._origins[key] = _Origin()
-        elif origin.told >= MAX_LOST_OF_ONE or id.sequence in origin.lost or id.sequence in origin.arrived:
+        elif id.sequence in origin.lost or id.sequence in origin.arrived:
             return False
         origin.lost.add(id.sequence, id.sequence + 1)
-        origin.told += 1
         self._told += 1
+        self._told_of[id.origin] += 1
         self.told_lost += 1
         return True
 

@@ -20,12 +20,13 @@ from typing import NamedTuple
 from rass_mav.core.datum import WOUNDS, DatumId, Fate
 from rass_mav.core.messages import LossNote, LossNoteEntry
 from rass_mav.core.news.checksums import is_sound_note, note_crc
+from rass_mav.core.seals import NO_SEALS, NoSeals
 from rass_mav.core.store import Store
 
 #: Most notes of a node. Its own replace others'; others share what is left, by neighbour and by origin.
 MAX_NOTES = 256
-#: Notes in a frame, and unanswered at a time.
-NOTES_IN_FRAME = 6
+#: Notes in a frame, and unanswered at a time, without proofs and with them.
+NOTES_IN_FRAME, PROVEN_NOTES_IN_FRAME = 6, 4
 
 REASONS = {
     Fate.CORRUPTED: 1, Fate.EXPIRED: 2, Fate.OVERFLOW: 3, Fate.DIED: 4, Fate.VANISHED: 5, Fate.UNKNOWN: 6,
@@ -47,6 +48,8 @@ class Note(NamedTuple):
     crc: int
     giver: int | None
     """The node that handed it over; None: it is this node's own, or from an earlier run."""
+    proof: bytes = b""
+    """Shows the ground who created it (`LossNoteEntry`)."""
 
 
 class NoLossNotes:
@@ -93,13 +96,14 @@ class NoLossNotes:
 class LossNotes(NoLossNotes):
     """The notes of one drone."""
 
-    __slots__ = ("_numbers", "_target", "suspected")
+    __slots__ = ("_numbers", "_seals", "_target", "suspected")
 
     told = True
 
-    def __init__(self, store: Store) -> None:
-        """Takes up what the table of losses holds from an earlier life."""
+    def __init__(self, store: Store, seals: NoSeals = NO_SEALS) -> None:
+        """Takes up what the table of losses holds from an earlier life. `seals`: prove own notes."""
         super().__init__(store)
+        self._seals = seals
         self.suspected: dict[DatumId, Fate] = {}
         """Notes held back while another node is asked for the datum. On disk too, so that a restart does not lose them.
         Bounded by `repairs.MAX_SEARCHES`."""
@@ -111,15 +115,21 @@ class LossNotes(NoLossNotes):
 
     def _take_up(self) -> None:
         self.waiting = {}
+        proofs = self._store.proofs()
         for id, fate in self._store.losses():
             if id not in self.suspected:
-                self._add(id, _own(id, fate))
+                note = self._own(id, fate)
+                self._add(id, note._replace(proof=proofs.get(id, note.proof)))
 
     def make(self, id: DatumId, fate: Fate) -> None:
         self._store.lose(id, fate)
         self.suspected.pop(id, None)
         if id not in self.waiting:
-            self._add(id, _own(id, fate))
+            self._add(id, self._own(id, fate))
+
+    def _own(self, id: DatumId, fate: Fate) -> Note:
+        reason = REASONS.get(fate, REASONS[Fate.VANISHED])
+        return Note(reason, note_crc(id, reason), None, self._seals.of_note(id, reason))
 
     def give_up(self, id: DatumId, fate: Fate) -> None:
         self.make(id, fate)
@@ -148,8 +158,8 @@ class LossNotes(NoLossNotes):
     def take(self, id: DatumId, note: Note) -> bool:
         known = self.waiting.get(id)
         if known is not None:
-            if (fate_of(known.reason) in WOUNDS) != (fate_of(note.reason) in WOUNDS):
-                # Two different notes happen to have one id: the first has to leave first.
+            if (fate_of(known.reason) in WOUNDS) != (fate_of(note.reason) in WOUNDS) or known.proof != note.proof:
+                # Two different notes happen to have one id, or one of them is forged: the first has to leave first.
                 return False
             # It came back: no answer to an earlier offer may delete it any more.
             self._cancel(id)
@@ -160,7 +170,7 @@ class LossNotes(NoLossNotes):
                 return False
             if self._share(id.origin, note.giver) >= self._share(other.origin, self.waiting[other].giver):
                 return False
-        self._store.lose(id, fate_of(note.reason))
+        self._store.lose(id, fate_of(note.reason), note.proof)
         self.suspected.pop(id, None)
         self._add(id, note)
         return True
@@ -191,12 +201,13 @@ class LossNotes(NoLossNotes):
             return None
         if next_hop != self._target or not self._numbers:
             self._target = next_hop
-            self._numbers = {draw(): id for id in islice(self.waiting, NOTES_IN_FRAME)}
+            most = NOTES_IN_FRAME if self._seals is NO_SEALS else PROVEN_NOTES_IN_FRAME
+            self._numbers = {draw(): id for id in islice(self.waiting, most)}
         entries = []
         for number, id in self._numbers.items():
-            reason, crc, _ = self.waiting[id]
-            entries.append(LossNoteEntry(number, id, reason, crc))
-        if not all(is_sound_note(id, reason, crc) for _, id, reason, crc in entries):
+            reason, crc, _, proof = self.waiting[id]
+            entries.append(LossNoteEntry(number, id, reason, crc, proof))
+        if not all(is_sound_note(entry.id, entry.reason, entry.crc) for entry in entries):
             # Bits have flipped here. The disk has the right ones.
             self._numbers = {}
             self._take_up()
@@ -213,8 +224,3 @@ class LossNotes(NoLossNotes):
         if id is not None:
             # A note that finds no space there must not delay the others.
             self.waiting[id] = self.waiting.pop(id)
-
-
-def _own(id: DatumId, fate: Fate) -> Note:
-    reason = REASONS.get(fate, REASONS[Fate.VANISHED])
-    return Note(reason, note_crc(id, reason), None)

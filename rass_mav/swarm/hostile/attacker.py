@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from rass_mav.core.fingerprints import Fingerprints
 from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, Message, Offer
 from rass_mav.core.routes.neighbours import is_base
+from rass_mav.core.seals import NO_SEALS
 from rass_mav.mavlink.frames import Stream
 from rass_mav.wire.challenge import Challenge
 
@@ -42,6 +43,8 @@ class Attacker:
         """The last beacon of each sender overheard."""
         self.prints = Fingerprints()
         """What its answers confirm."""
+        self.seals = NO_SEALS
+        """What its own keys do, if it is captured."""
         self.stream: Stream = (0, 0, 0)
         self.timestamp = 0
         """Of the frame that it hears now; 0 if that is not signed."""

@@ -51,6 +51,7 @@ class _Member:
             self._key = trust.letters.signing
             signed = Signed(attacker.id, trust.letters, self._writer, self._store, attacker.rng, step_s, payload_type)
             tags = trust.tags(self._store, attacker.rng, step_s)
+            attacker.seals = trust.seals(self._store)
         self._pace = Pace(step_s, 0, keeps=False)
         self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
         attacker.prints = tags.prints

@@ -24,7 +24,7 @@ from rass_mav.core.messages import (
 )
 from rass_mav.core.news.checksums import make_digest, make_receipt, note_crc
 from rass_mav.core.news.marks import MAX_MARKS, bits_for, marks_of
-from rass_mav.core.news.notes import NOTES_IN_FRAME, REASONS
+from rass_mav.core.news.notes import PROVEN_NOTES_IN_FRAME, REASONS
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.signing import MAX_TIMESTAMP
@@ -471,7 +471,7 @@ class FitnessShadower(Shadower):
 class LossLiar(NumberSquatter):
     """Reports the numbers that nearby nodes are about to assign as lost, and their stores as damaged."""
 
-    EACH_TURN = 3
+    EACH_TURN = 5
     AHEAD = 200
 
     def turn(self, now: float) -> Iterable[Said]:
@@ -480,13 +480,14 @@ class LossLiar(NumberSquatter):
             for _ in range(self.EACH_TURN if seen else 0):
                 (origin, epoch), last = rng.choice(seen)
                 first = last + rng.randint(1, self.AHEAD)
-                ids = [DatumId(origin, epoch, (first + i) & 0xFFFFFFFF) for i in range(NOTES_IN_FRAME - 1)]
+                ids = [DatumId(origin, epoch, (first + i) & 0xFFFFFFFF) for i in range(PROVEN_NOTES_IN_FRAME - 1)]
                 lies = [(id, rng.randint(1, 6)) for id in ids]
                 lies.append((DatumId(node.sender, node.life, rng.randrange(1000)), REASONS[Fate.DAMAGED]))
-                yield LossNote(
-                    self.id, node.sender,
-                    tuple(LossNoteEntry(rng.getrandbits(32) | 1, id, why, note_crc(id, why)) for id, why in lies),
-                )  # fmt: skip
+                entries = [
+                    LossNoteEntry(rng.getrandbits(32) | 1, id, why, note_crc(id, why), self.seals.of_note(id, why))
+                    for id, why in lies
+                ]
+                yield LossNote(self.id, node.sender, tuple(entries))
 
 
 #: By the names that `hostile: [{kind: ...}]` uses.
