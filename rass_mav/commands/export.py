@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
     from rass_mav.mission.entry import Data, Entry
-    from rass_mav.mission.formats import Format
+    from rass_mav.mission.formats import Exported, Format
 
 
 def register(subparsers: Subparsers) -> None:
@@ -50,28 +51,48 @@ def _export(options: argparse.Namespace) -> int:
         raise ConfigError(f"--format: expected one of {', '.join(_names())}, got {name!r}")
     format, filter = format_of(name), wanted(options)
     with read_archive(options) as archive:
-        sealed = 0
+        sealed = parts = 0
         out = options.output or Path(archive.path.stem + (format.ending or f"-{name}"))
         refuse_existing(out)
         with progress(archive.count(), "data", quiet=options.json) as advance:
 
             def entries() -> Iterator[Entry]:
-                nonlocal sealed
+                nonlocal sealed, parts
                 singly = filter.kinds == {"part"}
                 for entry in archive.entries():
                     advance(1)
                     # Parts are in their files.
-                    if filter.admits(entry) and (singly or entry.part is None):
+                    if filter.admits(entry):
+                        if entry.part is not None and not singly:
+                            parts += 1
+                            continue
                         sealed += entry.sealed
                         if not entry.sealed:
                             yield entry
 
-            plain = _write(entries(), out, format, archive)
-    left_out = f"; {plain['left_out']} left out ({name} holds {format.holds})" if plain["left_out"] else ""
+            def nothing(why: Counter[str]) -> str:
+                """Why there is nothing to export."""
+                said = [f"{_counted(why)} ({name} holds {format.holds})"] if why else []
+                said += [f"{parts} parts of files (--kind part)"] if parts else []
+                said += [f"{sealed} sealed (--keys opens them)"] if sealed else []
+                none = "no data match the options" if archive.count() else "the store holds no data"
+                return "; ".join(said) or none
+
+            done, files = _write(entries(), out, format, archive, nothing)
+    count = done.left_out.total()
+    left_out = f"; {count} left out: {_counted(done.left_out)} ({name} holds {format.holds})" if count else ""
     left_out += f"; {sealed} sealed (--keys opens them)" if sealed else ""
-    plain["sealed"] = sealed
-    answer(options, {"out": str(out), "format": name, **plain}, [clean(f"{out}: {plain['data']} data{left_out}")])
+    plain = {
+        "out": str(out), "format": name, "data": done.data, "left_out": count, "left_out_why": dict(done.left_out),
+        "sealed": sealed, "files": files,
+    }  # fmt: skip
+    answer(options, plain, [clean(f"{out}: {done.data} data{left_out}")])
     return 0
+
+
+def _counted(why: Counter[str]) -> str:
+    """Reasons with their counts, the most frequent first."""
+    return ", ".join(f"{count} {reason}" for reason, count in sorted(why.items(), key=lambda one: (-one[1], one[0])))
 
 
 def _by_ending(out: Path | None) -> str:
@@ -87,8 +108,11 @@ def _by_ending(out: Path | None) -> str:
     return endings[out.suffix]
 
 
-def _write(entries: Iterator[Entry], out: Path, format: Format, archive: Data) -> dict[str, int]:
-    """Create `out`, completely or not at all; returns how many data and files."""
+def _write(
+    entries: Iterator[Entry], out: Path, format: Format, archive: Data, nothing: Callable[[Counter[str]], str]
+) -> tuple[Exported, int]:
+    """Create `out`, completely or not at all; returns what was done, and how many files there are. `nothing`: says why
+    no data were written, from the reasons. Raises `RassError` then."""
     from tempfile import TemporaryDirectory  # a node does not need it, but loads this module for its command line
 
     # In a folder of its own beside it, so that what is half done goes away with it.
@@ -98,10 +122,12 @@ def _write(entries: Iterator[Entry], out: Path, format: Format, archive: Data) -
     ):
         draft = Path(folder) / out.name
         done = format.write(entries, draft, archive)
+        if not done.data:
+            raise RassError(clean(f"{out}: nothing to export, so it was not created: {nothing(done.left_out)}"))
         files = len(os.listdir(draft)) if draft.is_dir() else 1
         refuse_existing(out)
         os.replace(draft, out)
-    return {"data": done.data, "left_out": done.left_out, "files": files}
+    return done, files
 
 
 def refuse_existing(out: Path) -> None:

@@ -67,8 +67,9 @@ def test_of_a_file_in_part_the_beginning_is_given_on_demand(capsysbinary: pytest
     code, out, err = got(capsysbinary, "photo.jpg", "--partial")
     assert (code, len(out), "5 of 7" in err) == (0, 3 * 14_286, True)
     assert PHOTO.startswith(out)
-    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 0
-    assert json.loads(capsysbinary.readouterr().out)["left_out"] == 1
+    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 1
+    (line,) = json.loads(capsysbinary.readouterr().out)["error"]
+    assert "nothing to export, so it was not created: 1 not whole, or corrupt" in line
 
 
 def test_the_beginning_of_a_packed_file_is_unpacked(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
@@ -103,8 +104,9 @@ def test_contents_that_do_not_fit_the_sha_256_are_not_given(capsysbinary: pytest
     code, out, err = got(capsysbinary, "photo.jpg")
     assert (code, out) == (1, b"")
     assert "not the file that was put, its SHA-256 does not match" in err
-    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 0
-    assert json.loads(capsysbinary.readouterr().out)["left_out"] == 1
+    assert main(["export", "rass-1.db", "--format", "files", "-o", "out", "--json"]) == 1
+    (line,) = json.loads(capsysbinary.readouterr().out)["error"]
+    assert "nothing to export, so it was not created: 1 not whole, or corrupt" in line
 
 
 def test_parts_that_contradict_each_other_are_named(capsysbinary: pytest.CaptureFixture[bytes]) -> None:

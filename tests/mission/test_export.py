@@ -24,6 +24,7 @@ from rass_mav.commands.filters import add_filters, wanted
 from rass_mav.core.datum import Kind
 from rass_mav.errors import ConfigError
 from rass_mav.mission.entry import ALL, Filter
+from rass_mav.mission.formats import NAMES
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 
@@ -84,6 +85,7 @@ def ids(path: Path) -> list[str]:
 )
 def test_without_a_name_it_is_that_of_the_store(name: str, out: str, files: int, store: Path, capsys: Capture) -> None:
     found = plain(capsys, "base.db", "--format", name)
+    assert sum(found.pop("left_out_why").values()) == found["left_out"]
     assert found.pop("left_out") == len(mission()) - found.pop("data")
     # A log is one of a drone and a day, and midnight may lie between the measurements.
     assert found.pop("files") in ((files, files + 1) if name == "bgeigie" else (files,))
@@ -100,9 +102,11 @@ def test_the_ending_names_the_format(store: Path, capsys: Capture) -> None:
 
 def test_people_are_told_in_one_line(store: Path, capsys: Capture) -> None:
     assert main(["export", "base.db", "-o", "safecast", "--format", "bgeigie"]) == 0
-    assert capsys.readouterr().out == (
-        f"safecast: {SAFECAST} data; {len(mission()) - SAFECAST} left out (bgeigie holds measurements in cpm, cps or "
-        "uSv/h with a position on Earth and a time known to 60 s, for Safecast)\n"
+    said = capsys.readouterr().out
+    assert said.startswith(f"safecast: {SAFECAST} data; {len(mission()) - SAFECAST} left out: ")
+    assert said.endswith(
+        " (bgeigie holds measurements in cpm, cps or uSv/h with a position on Earth and a time known to 60 s, for "
+        "Safecast)\n"
     )
     assert main(["export", "base.db", "-o", "all.csv"]) == 0
     assert capsys.readouterr().out == f"all.csv: {len(mission())} data\n"
@@ -148,6 +152,35 @@ def test_a_store_that_is_not_there(store: Path, capsys: Capture) -> None:
 def test_a_place_that_is_not_there(store: Path, capsys: Capture) -> None:
     assert main(["export", "base.db", "-o", "none/a.csv"]) == 1
     assert capsys.readouterr().err == "none/a.csv: no such file or directory\n"
+
+
+# -- nothing to export -------------------------------------------------------------------------------------------------
+
+
+def test_where_nothing_is_exported_the_run_has_failed_and_each_reason_is_counted(store: Path, capsys: Capture) -> None:
+    data = [measured(0, unit="counts"), measured(1, unit="counts"), measured(2, reading=None), nowhere(3)]
+    stored(store.with_name("poor.db"), [*data, put(4, Kind.BYTES, b"x")], time.time())
+    assert main(["export", "poor.db", "--format", "bgeigie", "-o", "logs"]) == 1
+    said = capsys.readouterr()
+    assert said.err == (
+        "logs: nothing to export, so it was not created: 2 unit counts, 1 no measurement, 1 no position, 1 no reading "
+        "(bgeigie holds measurements in cpm, cps or uSv/h with a position on Earth and a time known to 60 s, for "
+        "Safecast)\n"
+    )
+    assert said.out == ""
+    assert here() == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_format_creates_a_file_of_nothing(name: str, store: Path, capsys: Capture) -> None:
+    stored(store.with_name("empty.db"), [], time.time())
+    assert main(["export", "empty.db", "--format", name, "-o", "out", "--json"]) == 1
+    (line,) = json.loads(capsys.readouterr().out)["error"]
+    assert line == "out: nothing to export, so it was not created: the store holds no data"
+    assert main(["export", "base.db", "--format", name, "-o", "out", "--drone", "999", "--json"]) == 1
+    (line,) = json.loads(capsys.readouterr().out)["error"]
+    assert line == "out: nothing to export, so it was not created: no data match the options"
+    assert here() == []
 
 
 # -- what goes wrong ---------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import sqlite3
 import subprocess
 import tracemalloc
 import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from itertools import islice
@@ -82,7 +83,7 @@ def features(path: Path, layer: str) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("name", NAMES)
 def test_every_format_says_what_it_holds_and_takes_no_data_too(name: str, tmp_path: Path) -> None:
     out, done = exported(tmp_path, name, [])
-    assert (done.data, done.left_out) == (0, 0)
+    assert (done.data, done.left_out) == (0, {})
     assert out.exists()
     assert format_of(name).holds
     assert out.is_dir() is (not format_of(name).ending)
@@ -99,7 +100,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 def test_csv_holds_everything(tmp_path: Path) -> None:
     data = mission()
     out, done = exported(tmp_path, "csv", data)
-    assert (done.data, done.left_out) == (len(data), 0)
+    assert (done.data, done.left_out) == (len(data), {})
     found = rows(out)
     assert [row["id"] for row in found] == [str(datum.id) for datum in data]
     assert found[0]["created_utc"] == "2026-11-22T11:58:20.000Z"
@@ -158,7 +159,7 @@ def test_the_index_of_files_has_no_formula_and_names_what_is_there(tmp_path: Pat
 def test_geojson_holds_what_has_a_place_on_earth(tmp_path: Path) -> None:
     data = mission()
     out, done = exported(tmp_path, "geojson", data)
-    assert (done.data, done.left_out) == (PLACED, len(data) - PLACED)
+    assert (done.data, done.left_out.total()) == (PLACED, len(data) - PLACED)
     found = json.loads(out.read_text(encoding="ascii"))
     assert found["type"] == "FeatureCollection"
     first, second, *_, southern, _ = found["features"]
@@ -207,7 +208,7 @@ def test_gdal_reads_geojson(tmp_path: Path) -> None:
 def test_kml_has_a_placemark_for_each_place(tmp_path: Path) -> None:
     data = mission()
     out, done = exported(tmp_path, "kml", data)
-    assert (done.data, done.left_out) == (PLACED, len(data) - PLACED)
+    assert (done.data, done.left_out.total()) == (PLACED, len(data) - PLACED)
     (document,) = ElementTree.parse(out).getroot()
     marks = document.findall("k:Placemark", KML)
     assert len(marks) == PLACED
@@ -283,7 +284,7 @@ def styled(path: Path) -> tuple[str | None, list[tuple[float, float]], list[str 
 def test_a_geopackage_has_the_tables_of_its_standard(tmp_path: Path) -> None:
     data = mission()
     out, done = exported(tmp_path, "gpkg", data)
-    assert (done.data, done.left_out) == (len(data), 0)
+    assert (done.data, done.left_out.total()) == (len(data), 0)
     assert out.read_bytes()[68:72] == b"GPKG"
     with closing(sqlite3.connect(out)) as db:
         assert db.execute("PRAGMA user_version").fetchall() == [(10300,)]
@@ -375,40 +376,40 @@ def test_readings_become_counts_a_minute(unit: str, reading: float, cpm: int, tm
 
 
 @pytest.mark.parametrize(
-    "datum",
+    ("datum", "why"),
     [
-        measured(0, unit="counts"),
-        measured(0, unit=None),
-        measured(0, reading=None),
-        measured(0, reading=-1.0),
-        measured(0, reading=1e9, unit="cpm"),
-        measured(0, latitude=91.0),
-        measured(0, longitude=-181.0),
-        measured(0, altitude=1e6),
-        measured(0)._replace(at_least=True),
-        measured(0)._replace(hops=255),
-        measured(0, ago_s=-1e13),
-        nowhere(0, local=(1.0, 2.0, 3.0)),
-        put(0, Kind.BYTES, b"hello"),
+        (measured(0, unit="counts"), "unit counts"),
+        (measured(0, unit=None), "unit unknown"),
+        (measured(0, reading=None), "no reading"),
+        (measured(0, reading=-1.0), "reading below 0 or too high"),
+        (measured(0, reading=1e9, unit="cpm"), "reading below 0 or too high"),
+        (measured(0, latitude=91.0), "no position"),
+        (measured(0, longitude=-181.0), "no position"),
+        (measured(0, altitude=1e6), "altitude too high"),
+        (measured(0)._replace(at_least=True), "time not known to 60 s"),
+        (measured(0)._replace(hops=255), "time not known to 60 s"),
+        (measured(0, ago_s=-1e13), "time not known to 60 s"),
+        (nowhere(0, local=(1.0, 2.0, 3.0)), "no position"),
+        (put(0, Kind.BYTES, b"hello"), "no measurement"),
     ],
     ids=str,
 )
-def test_what_a_log_cannot_hold_is_left_out(datum: Datum, tmp_path: Path) -> None:
+def test_what_a_log_cannot_hold_is_left_out_and_why(datum: Datum, why: str, tmp_path: Path) -> None:
     out, done = exported(tmp_path, "bgeigie", [datum])
-    assert done == Exported(0, 1, [])
+    assert done == Exported(0, Counter([why]), [])
     assert list(out.iterdir()) == []
 
 
 def test_without_a_date_nothing_can_be_uploaded(tmp_path: Path) -> None:
     _, done = exported(tmp_path, "bgeigie", [measured(0)], trusted=False)
-    assert (done.data, done.left_out) == (0, 1)
+    assert (done.data, done.left_out) == (0, {"time not known to 60 s": 1})
 
 
 def test_each_drone_and_day_has_a_log_in_order_of_time(tmp_path: Path) -> None:
     ago = (3600.0, 100.0, 60_000.0, 7200.0, 200.0)
     data = [measured(n, s, drone=drone, reading=n) for drone in (7, 12) for n, s in enumerate(ago)]
     out, done = exported(tmp_path, "bgeigie", data)
-    assert (done.data, done.left_out) == (10, 0)
+    assert (done.data, done.left_out.total()) == (10, 0)
     assert sorted(done.files) == sorted(out.iterdir())
     for drone in (7, 12):
         for day, expected in (("2026-11-21", [2]), ("2026-11-22", [3, 0, 4, 1])):
@@ -433,7 +434,7 @@ def test_many_logs_need_few_open_files(tmp_path: Path) -> None:
 
 def test_the_whole_mission_is_read_back(tmp_path: Path) -> None:
     out, done = exported(tmp_path, "bgeigie", mission())
-    assert (done.data, done.left_out) == (SAFECAST, len(mission()) - SAFECAST)
+    assert (done.data, done.left_out.total()) == (SAFECAST, len(mission()) - SAFECAST)
     (log,) = out.iterdir()
     found = read_bgeigie(io.BytesIO(log.read_bytes()))
     assert (found.read, found.rejected, found.trouble) == (SAFECAST, 0, "")
@@ -448,7 +449,7 @@ def test_every_place_on_earth_is_read_back(
     datum = measured(0, latitude=latitude, longitude=longitude, altitude=millimetres / 1000)
     out, done = exported(tmp_path_factory.mktemp("log"), "bgeigie", [datum])
     if abs(millimetres) > 999_999_000:
-        assert done.left_out == 1
+        assert done.left_out.total() == 1
         return
     (log,) = out.iterdir()
     record = decode_record(log.read_bytes().splitlines()[3])
@@ -465,7 +466,7 @@ def test_every_place_on_earth_is_read_back(
 def test_files_come_out_under_safe_names(tmp_path: Path) -> None:
     data = mission()
     out, done = exported(tmp_path, "files", data)
-    assert (done.data, done.left_out) == (FILES, len(data) - FILES)
+    assert (done.data, done.left_out.total()) == (FILES, len(data) - FILES)
     index = rows(out / "index.csv")
     assert {path.name for path in out.iterdir()} == {"index.csv", *(row["file"] for row in index)}
     content = {row["id"]: (out / row["file"]).read_bytes() for row in index}
@@ -560,7 +561,7 @@ def test_memory_does_not_grow_with_the_data(name: str, flights: tuple[Path, Path
                 peaks.append(tracemalloc.get_traced_memory()[1])
             finally:
                 tracemalloc.stop()
-        assert done.data + done.left_out == most
+        assert done.data + done.left_out.total() == most
     # Below a MiB Python's own caches are what differs. 12,000 data more would show if so much as their ids were kept.
     assert peaks[2] < 1.3 * max(peaks[1], 1 << 20)
 

@@ -104,15 +104,21 @@ def test_get(base: Base, tmp_path: Path, capsys: Capture) -> None:
     ("format", "opened", "closed"),
     [
         ("csv", (4, 0, 1), (1, 0, 4)),
-        ("geojson", (1, 3, 1), (0, 1, 4)),
+        ("geojson", (1, 3, 1), None),
         ("gpkg", (4, 0, 1), (1, 0, 4)),
         ("files", (2, 2, 1), (1, 0, 4)),
+        ("bgeigie", (1, 3, 1), None),
     ],
 )
 def test_an_export_leaves_out_what_stays_sealed_and_counts_it(
-    base: Base, capsys: Capture, tmp_path: Path, format: str, opened: tuple[int, ...], closed: tuple[int, ...]
+    base: Base, capsys: Capture, tmp_path: Path, format: str, opened: tuple[int, ...], closed: tuple[int, ...] | None
 ) -> None:
     for name, keys, counts in (("a", ["--keys", "ground.keys"], opened), ("b", [], closed)):
+        if counts is None:
+            said = run(capsys, "export", "--format", format, "-o", name, code=1)
+            assert said.startswith(f"{name}: nothing to export, so it was not created: 1 no ")
+            assert "; 4 sealed (--keys opens them)" in said
+            continue
         done = plain(capsys, "export", "--format", format, "-o", name, *keys)
         assert (done["data"], done["left_out"], done["sealed"]) == counts
     if format == "files":

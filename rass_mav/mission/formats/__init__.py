@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from pkgutil import iter_modules, resolve_name
@@ -15,8 +16,8 @@ class Exported(NamedTuple):
 
     data: int
     """How many data were written."""
-    left_out: int
-    """How many the format cannot hold, for example data without a position."""
+    left_out: Counter[str]
+    """How many the format cannot hold, by reason, for example `no position`."""
     files: list[Path]
 
 

@@ -12,6 +12,7 @@ The fields of a sentence, and what those hold that a drone does not know (rass_m
 from __future__ import annotations
 
 import sqlite3
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from functools import reduce
@@ -30,8 +31,8 @@ from .geojson import point_of
 _CPM = {"cpm": 1.0, "cps": 60.0, "usvh": TUBES["safecast"].cpm_per_usvh}
 #: The most that a date may be wrong by, seconds.
 MOST_ERROR_S = 60.0
-#: What the fields of a sentence have room for: device, counts, metres, and a year of four digits, seconds since 1970.
-_MOST_DEVICE, _MOST_CPM, _MOST_M, _LAST_S = 999_999_999, 999_999_999, 999_999.0, 253_402_300_799.0
+#: What the fields of a sentence have room for: counts, metres, and a year of four digits, seconds since 1970.
+_MOST_CPM, _MOST_M, _LAST_S = 999_999_999, 999_999.0, 253_402_300_799.0
 _HEAD = "# NEW LOG\r\n# format=1.3.5nano\r\n# deadtime=on\r\n"
 
 
@@ -42,7 +43,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     log is open at a time.
     """
     out.mkdir()
-    count = left_out = 0
+    count, left_out = 0, Counter[str]()
     files = []
     # Without a name it is a temporary file, which SQLite deletes whatever happens.
     with (
@@ -53,9 +54,10 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         spool.execute("CREATE TABLE line (drone INTEGER, time TEXT, text TEXT)")
         spool.execute("BEGIN")
         for entry in entries:
-            body = _body(entry)
-            if body is None:
-                left_out += 1
+            try:
+                body = _body(entry)
+            except _LeftOutError as reason:
+                left_out[str(reason)] += 1
                 continue
             spool.execute("INSERT INTO line VALUES (?, ?, ?)", (entry.id.origin, _time(entry), body))
             count += 1
@@ -74,13 +76,19 @@ def _write_log(file: Path, bodies: Iterator[str]) -> None:
             log.write(f"${body}*{reduce(xor, body.encode('ascii')):02X}\r\n")
 
 
-def _body(entry: Entry) -> str | None:
-    """What is between $ and star; None: no such log can hold it."""
+class _LeftOutError(Exception):
+    """No such log can hold a datum, and why."""
+
+
+def _body(entry: Entry) -> str:
+    """What is between $ and star. Raises `_LeftOutError`."""
     cpm, point = _counts(entry), point_of(entry)
-    if cpm is None or point is None or abs(point[2]) > _MOST_M or not 0 <= entry.id.origin <= _MOST_DEVICE:
-        return None
+    if point is None:
+        raise _LeftOutError("no position")
+    if abs(point[2]) > _MOST_M:
+        raise _LeftOutError("altitude too high")
     if entry.error_s is None or entry.at_least or entry.error_s > MOST_ERROR_S or not 0.0 <= entry.utc <= _LAST_S:
-        return None
+        raise _LeftOutError(f"time not known to {MOST_ERROR_S:g} s")
     longitude, latitude, altitude = point
     return (
         f"BNRDD,{entry.id.origin},{_time(entry)},{cpm},{round(cpm / 12)},{cpm},A,"
@@ -93,13 +101,19 @@ def _time(entry: Entry) -> str:
     return iso(entry.utc)[:19] + "Z"
 
 
-def _counts(entry: Entry) -> int | None:
-    """The reading in counts per minute; None: it has none."""
+def _counts(entry: Entry) -> int:
+    """The reading in counts per minute. Raises `_LeftOutError`."""
     m = entry.measurement
-    if m is None or m.reading is None or m.unit not in _CPM:
-        return None
+    if m is None:
+        raise _LeftOutError("no measurement")
+    if m.reading is None:
+        raise _LeftOutError("no reading")
+    if m.unit not in _CPM:
+        raise _LeftOutError(f"unit {m.unit or 'unknown'}")
     cpm = m.reading * _CPM[m.unit]
-    return round(cpm) if 0.0 <= cpm <= _MOST_CPM else None
+    if not 0.0 <= cpm <= _MOST_CPM:
+        raise _LeftOutError("reading below 0 or too high")
+    return round(cpm)
 
 
 def _degrees(degrees: float, digits: int) -> str:

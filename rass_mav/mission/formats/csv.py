@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from unicodedata import category, normalize
@@ -31,7 +32,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         for entry in entries:
             table.writerow([*row(entry)[:-1], _harmless(entry.file)])
             count += 1
-    return Exported(count, 0, [out])
+    return Exported(count, Counter(), [out])
 
 
 def row(entry: Entry) -> list[object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -29,25 +30,26 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     of CSV, with the name in the folder. Their bytes are read one datum at a time; what is corrupt or not whole is left
     out."""
     out.mkdir()
-    seen = 0
+    left_out = Counter[str]()
     groups = Groups.of(source)
 
     def written() -> Iterator[Entry]:
-        nonlocal seen
         for entry in entries:
-            seen += 1
-            name = _write_file(entry, out, source, groups)
-            if name is not None:
+            if entry.kind not in (Kind.FILE, Kind.BYTES, Kind.MANIFEST):
+                left_out["no file"] += 1
+            elif (name := _write_file(entry, out, source, groups)) is None:
+                left_out["not whole, or corrupt"] += 1
+            else:
                 yield entry._replace(file=name)
 
     count = csv.write(written(), out / "index.csv", source).data
     # The folder, because the list of its files would grow with the data.
-    return Exported(count, seen - count, [out])
+    return Exported(count, left_out, [out])
 
 
 def _write_file(entry: Entry, out: Path, source: Data, groups: Groups) -> str | None:
-    """Write one datum or file; returns the name of its file, or None if there is nothing to write."""
-    if entry.kind not in (Kind.FILE, Kind.BYTES, Kind.MANIFEST) or entry.malformed:
+    """Write one datum or file; returns the name of its file, or None if it cannot be read whole."""
+    if entry.malformed:
         return None
     try:
         pieces = _pieces(entry, source, groups)

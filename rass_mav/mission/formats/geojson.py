@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,13 +19,13 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
     The third coordinate is the altitude above mean sea level, as everywhere in this program; the RFC means the height
     above the ellipsoid, which differs by up to 110 m.
     """
-    count = left_out = 0
+    count, left_out = 0, Counter[str]()
     with out.open("x", encoding="ascii") as file:
         file.write('{"type": "FeatureCollection", "features": [')
         for entry in entries:
             point = point_of(entry)
             if point is None:
-                left_out += 1
+                left_out["no position"] += 1
                 continue
             feature = {
                 "type": "Feature",

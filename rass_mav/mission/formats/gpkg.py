@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from html import escape
@@ -99,7 +100,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         db.execute("INSERT INTO gpkg_geometry_columns VALUES ('measurements', 'geom', 'POINT', 4326, 1, 0)")
         _write_style(db)
         db.execute("COMMIT")
-    return Exported(count, 0, [out])
+    return Exported(count, Counter(), [out])
 
 
 def _batches(entries: Iterator[Entry]) -> Iterator[list[Entry]]:

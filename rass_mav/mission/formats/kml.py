@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from html import escape
 from pathlib import Path
@@ -33,7 +34,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
 
     Altitudes are absolute, above mean sea level.
     """
-    count = left_out = 0
+    count, left_out = 0, Counter[str]()
     with out.open("x", encoding="utf-8") as file:
         file.write(_HEAD)
         for step, (red, green, blue) in enumerate(COLOURS):
@@ -41,7 +42,7 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         for entry in entries:
             point = point_of(entry)
             if point is None:
-                left_out += 1
+                left_out["no position"] += 1
                 continue
             file.write(_placemark(entry, point))
             count += 1
