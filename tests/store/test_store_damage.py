@@ -38,7 +38,7 @@ def build(path: Path) -> None:
         for _ in range(COUNT):
             number = store.next_sequence()
             store.put(datum(number, sizes(number)))
-        store.lose(datum(900).id, Fate.OVERFLOW)
+        store.lose(datum(900).id, Fate.OVERFLOW, b"proof")
         store.count("delivered", 5)
 
 
@@ -175,6 +175,7 @@ def test_a_damaged_number_of_the_stores_own_means_a_new_epoch(path: Path, statem
         assert (store.life, store.epoch, store.given) == (life, NEW_EPOCH, 0)
         assert len(list(store.ids())) == COUNT
         assert dict(store.losses()) == {datum(900).id: Fate.OVERFLOW, DatumId(7, EPOCH, COUNT): Fate.UNKNOWN}
+        assert store.proofs() == {datum(900).id: b"proof"}
         assert store.report.lost == 0
     with open_store(path) as store:
         assert (store.report, store.epoch) == (OpenReport(), NEW_EPOCH)

@@ -67,6 +67,30 @@ def test_all_know_what_has_arrived_and_the_base_what_is_lost(
     assert world.air.tally.sent - sent == 50 * nodes
 
 
+def test_where_there_are_keys_the_base_knows_the_losses_that_origins_have_outlived() -> None:
+    """All but the last numbers: nothing shows the base that these were created."""
+    world = world_of(
+        nodes=16,
+        steps=200,
+        seed=5,
+        topology="random-walk",
+        radio={"loss": 0.2, "duplicate": 0.1, "reorder": 0.1},
+        radiation={"random_sources": 2},
+        custody={"mirror": False, "receipt_steps": 2},
+        data={"until_step": 87},
+        policy={"name": "hop-count"},
+        keys=True,
+    )
+    world.run(200, after=check)
+    base = node_of(world.agents[0])
+    assert base.archive is not None
+    lost = {id for id in world.ledger.lost if id not in world.ledger.arrived}
+    told = dict(base.store.losses()).keys()
+    assert told <= lost
+    assert len(told) > 10
+    assert all(id.sequence >= base.archive.end(id[:2]) for id in lost - told)
+
+
 def test_who_comes_back_from_an_island_learns_what_has_arrived() -> None:
     world = world_of(
         nodes=25,
