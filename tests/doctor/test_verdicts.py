@@ -484,6 +484,35 @@ def test_signatures(scene: tuple[RunConfig, Evidence], counts: dict[str, int], l
     assert neighbours.signatures(evidence(scene, nothing)) is None
 
 
+def letters(*out: int, revoked: bool = False) -> Change:
+    def change(sample: dict[str, Any]) -> None:
+        trusting({"unsigned": 0, "forged": 4})(sample)
+        sample["letters"] = {"revoked": revoked, "out": [{"node_id": id, "serial": 1} for id in out]}
+
+    return change
+
+
+def test_nobody_is_told_to_give_keys_to_a_node_that_is_revoked(scene: tuple[RunConfig, Evidence]) -> None:
+    seen = evidence(scene, letters(7, 9))
+    seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
+    found = neighbours.signatures(seen)
+    assert found is not None
+    assert found.level == "warn"
+    assert found.remedy == (
+        "drones 7, 9 are revoked or replaced: what comes under their old keys is rightly ignored. Only if frames are from other "
+        "nodes of this mission, give these its keys (docs/keys.md)"
+    )
+
+
+def test_a_drone_that_is_revoked_is_the_fault_itself(scene: tuple[RunConfig, Evidence]) -> None:
+    seen = evidence(scene, letters(revoked=True))
+    seen.samples[0]["links"][0].update({"unsigned": 0, "forged": 0})
+    found = neighbours.signatures(seen)
+    assert found is not None
+    assert (found.level, found.text) == ("fail", "the ground has revoked the keys of this drone")
+    assert "keys drone" in found.remedy
+
+
 def test_another_node_with_this_nodes_ids_is_a_fault_where_frames_are_signed(
     scene: tuple[RunConfig, Evidence],
 ) -> None:
