@@ -97,10 +97,26 @@ def arrival_line(entry: Entry, content: bytes) -> str:
             line += f" at {m.latitude:.6f} {m.longitude:.6f} {m.altitude:.0f} m,"
         reading = "no reading yet" if m.reading is None else f"reading {m.reading:.2f}"
         return f"{line} {reading}, risk {m.risk:.2f}"
+    return clean(f"{line} {_in_words(entry, content)}")
+
+
+def _in_words(entry: Entry, content: bytes) -> str:
+    """What a datum is that is no measurement. Only text is shown; of other bytes, how many they are."""
+    if (status := entry.status) is not None:
+        return f"status: {status.held} data in custody, {status.alone} of them nowhere else, risk {status.risk:.2f}"
+    if (manifest := entry.manifest) is not None:
+        return f"file {manifest.name}, {manifest.size} bytes in {manifest.cut.data()} parts"
     if entry.file is not None:
-        return clean(f"{line} file {entry.file}")
-    text = content.decode(errors="replace")
-    return clean(f"{line} {text[:_MOST_SHOWN]}{' ...' if len(text) > _MOST_SHOWN else ''}")
+        return f"file {entry.file}"
+    if (part := entry.part) is not None:
+        return f"part {part.number + 1} of {part.cut.data()} of a file"
+    if entry.kind_name != "bytes":
+        return f"{'kind ' if entry.kind_name.isdecimal() else ''}{entry.kind_name}, {len(content)} bytes"
+    try:
+        text = content.decode()
+    except UnicodeDecodeError:
+        return f"{len(content)} bytes"
+    return text[:_MOST_SHOWN] + (" ..." if len(text) > _MOST_SHOWN else "")
 
 
 def closing_lines(summary: dict[str, Any]) -> Iterator[str]:

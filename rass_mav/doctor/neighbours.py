@@ -114,8 +114,8 @@ def signatures(evidence: Evidence) -> Finding | None:
             many = "s" if len(out) > 1 else ""
             remedy = (
                 f"drone{many} {', '.join(out)} {'are' if many else 'is'} revoked or replaced: what comes under "
-                f"{'their' if many else 'its'} old keys is rightly ignored. Only if frames are from other nodes of this "
-                "mission, give these its keys (docs/keys.md)"
+                f"{'their' if many else 'its'} old keys is rightly ignored. Only if frames are from other nodes of "
+                "this mission, give these its keys (docs/keys.md)"
             )
         return warned(
             "signatures", f"{unsigned} frames were ignored because they were not signed, and {forged} with other keys",

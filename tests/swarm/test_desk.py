@@ -20,7 +20,8 @@ import pytest
 from rass_mav.app.config import load_config
 from rass_mav.cli import main
 from rass_mav.commands.desk import arrival_line, opening_lines
-from rass_mav.core.datum import DatumId
+from rass_mav.core.datum import DatumId, Kind
+from rass_mav.core.seals import SEALED
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
 from rass_mav.mission.entry import Entry
@@ -29,7 +30,9 @@ from rass_mav.swarm.autopilot import METRES_PER_DEGREE
 from rass_mav.swarm.children import Children
 from rass_mav.swarm.desk import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Desk, MockVehicle
 from rass_mav.swarm.wires import Wires
+from rass_mav.wire.file import Manifest, PartHead, cut_file
 from rass_mav.wire.measurement import Measurement
+from rass_mav.wire.nodestatus import NodeStatus
 
 DEADLINE_S = 60.0
 #: What a drone's installation need not have.
@@ -166,6 +169,7 @@ def test_the_vehicle_flies_past_the_source() -> None:
     assert max(north) - min(north) == pytest.approx(2 * RADIUS_M / METRES_PER_DEGREE, rel=0.01)
 
 
+CUT = cut_file(100_000, 100_000, bytes(32), 0, 1 << 15)
 MEASUREMENT = Measurement(45.0, -73.0, 110.0, 1.5, 0.25)
 
 
@@ -182,9 +186,24 @@ MEASUREMENT = Measurement(45.0, -73.0, 110.0, 1.5, 0.25)
         ({"file": "a\x1b.jpg"}, b"", "file a\\x1b.jpg"),
         ({}, b"hello\x07", "hello\\x07"),
         ({}, b"x" * 61, "x" * 60 + " ..."),
+        ({}, b"\x89PNG\r\n" + bytes(200), "206 bytes"),
+        ({"kind": Kind.PART, "part": PartHead(CUT, 2)}, b"\xff\xd8raw", "part 3 of 4 of a file"),
+        ({"kind": Kind.PART, "malformed": "truncated"}, b"raw", "part, 3 bytes"),
+        (
+            {"kind": Kind.MANIFEST, "file": "a.jpg", "manifest": Manifest(CUT, "a.jpg", 100_000, bytes(32))},
+            b"raw",
+            "file a.jpg, 100000 bytes in 4 parts",
+        ),
+        (
+            {"kind": Kind.STATUS, "status": NodeStatus(3, 1, 0, None, 0.25, 1, 60, None, {}, {})},
+            b"raw",
+            "status: 3 data in custody, 1 of them nowhere else, risk 0.25",
+        ),
+        ({"kind": Kind.BYTES | SEALED}, b"raw", "sealed, 3 bytes"),
+        ({"kind": 77}, b"raw", "kind 77, 3 bytes"),
     ],
 )
 def test_how_a_datum_is_shown(fields: dict[str, Any], content: bytes, shown: str) -> None:
-    entry = Entry(1, DatumId(2, 0x0123ABCD, 4), 0, 0, len(content), 1, 0.0, None, False, 1.0)
+    entry = Entry(1, DatumId(2, 0x0123ABCD, 4), 0, Kind.BYTES, len(content), 1, 0.0, None, False, 1.0)
     line = arrival_line(entry._replace(**fields), content)
     assert line[8:] == f" node 2 {shown}"
