@@ -10,6 +10,8 @@ KEPT_FOR_SPARES = 10
 FULL = 0.2
 #: by an average that follows each datum sent by this much.
 FULL_GAIN = 0.02
+#: One turn in this many counts as not full, whatever is known: what waits for airtime does not wait for ever.
+SPARED = 10
 #: How fast the usual time of a hand-over follows new ones.
 TRIP_GAIN = 1 / 8
 
@@ -17,10 +19,10 @@ TRIP_GAIN = 1 / 8
 class Pace:
     """The bandwidth of the paper: a number of data a step, retransmissions included."""
 
-    __slots__ = ("_in_vain", "_keeps", "items", "kept", "left", "queue", "sent", "trip_s", "turn_s")
+    __slots__ = ("_in_vain", "_keeps", "_turns", "items", "kept", "left", "queue", "sent", "trip_s", "turn_s")
 
-    def __init__(self, turn_s: float, items: int, *, keeps: bool) -> None:
-        """`keeps`: reserve a part for spares of new data."""
+    def __init__(self, turn_s: float, items: int, *, keeps: bool, phase: int = 0) -> None:
+        """`keeps`: reserve a part for spares of new data. `phase`: so that not all nodes spare airtime at once."""
         self.turn_s = turn_s
         """Seconds between two turns, and so between two beacons: the step length, or more."""
         self.items = items
@@ -37,9 +39,11 @@ class Pace:
         self.trip_s = 0.0
         """How long hand-overs usually take until they are answered, seconds."""
         self._in_vain = 0.0
+        self._turns = phase
 
     def begin_turn(self) -> None:
         """The bandwidth of a new turn."""
+        self._turns += 1
         self.left = self.items
         self.kept = self.items // KEPT_FOR_SPARES if self._keeps else 0
 
@@ -55,5 +59,5 @@ class Pace:
 
     @property
     def full(self) -> bool:
-        """Whether there is no airtime to spare: a queue waits, or much gets lost."""
-        return self.queue > 0 or self._in_vain > FULL
+        """Whether there is no airtime to spare in this turn: a queue waits, or much gets lost."""
+        return (self.queue > 0 or self._in_vain > FULL) and self._turns % SPARED != 0

@@ -83,7 +83,9 @@ class Participant(ABC):
             restarted=None if newborn else now,
         )
         self._announcements = Announcements(store, settings.seq_period) if self.base else None
-        self.pace = Pace(settings.step_s, settings.bandwidth_items, keeps=settings.mirror and settings.immediate)
+        self.pace = Pace(
+            settings.step_s, settings.bandwidth_items, keeps=settings.mirror and settings.immediate, phase=self.id
+        )
         """How often this node has its turn, and how much it may send in one."""
         self.potential = 0
         """Own potential as last announced, wire units."""

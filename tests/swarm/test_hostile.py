@@ -116,6 +116,23 @@ def test_among_honest_nodes_nobody_is_suspected(world: str) -> None:
 
 
 @pytest.mark.no_cover
+@pytest.mark.parametrize("mirror", ["true", "false"])
+@pytest.mark.parametrize("place", extents((16, (5, 10), 80), (25, (12, 6), 250)))
+def test_data_that_forgers_called_arrived_arrive_where_much_gets_lost(
+    place: tuple[int, tuple[int, int], int], mirror: str
+) -> None:
+    """Such data wait while airtime is short. It must not be short for ever because nothing else is sent."""
+    nodes, near, end = place
+    forgers = ", ".join(f"{{kind: receipt-forger, near: {node}, begin: 10, end: {end}}}" for node in near)
+    keys = [f"nodes={nodes}", "radio.loss=0.4", f"custody.mirror={mirror}", f"data.until_step={end}"]
+    world = World(load_scenario("hostile", {}, [f"hostile=[{forgers}]", *keys]))
+    world.run(end + 100)
+    summary = world.statistics.summary()
+    assert summary["created"] == (nodes - 1) * end / 10
+    assert summary["delivered"] == summary["created"]
+
+
+@pytest.mark.no_cover
 def test_junk_that_does_not_end_leaves_room_for_data() -> None:
     hostile = f"hostile=[{{kind: junk-custody, near: 12, begin: {ATTACK[0]}}}]"
     world = World(load_scenario("hostile", {}, [hostile, "policy.name=rass", "data.until_step=150"]))
