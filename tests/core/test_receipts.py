@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.core.datum import DatumId
-from rass_mav.core.messages import Receipt, ReceiptEntry, Route
+from rass_mav.core.datum import DatumId, make_datum
+from rass_mav.core.messages import LossNote, Receipt, ReceiptEntry, Route
 from rass_mav.core.news.archive import Archive
 from rass_mav.core.news.checksums import make_given, make_receipt
 from rass_mav.core.news.receipts import DENIAL_TURNS, MAX_ROUNDS, PATIENCE, PAUSE, Receipts
@@ -24,7 +24,7 @@ from rass_mav.wire import encode
 from rass_mav.wire.codec import MAX_TUNNEL
 from tests.extent import examples
 
-from .build import beacon, statement
+from .build import beacon, data, datum, loss, make_node, of, statement
 from .durable import DurableStore
 from .gossip_net import Net, all_known, grid, line
 
@@ -469,3 +469,26 @@ def test_denials_are_bounded() -> None:
     assert len(receipts.statements._denied) == MAX_DENIED
     assert len(receipts._denials) <= 64
     assert receipts.disagreement() == ""
+
+
+@pytest.mark.parametrize("flood_lost", [True, False])
+def test_a_flood_of_losses_does_not_keep_back_what_has_arrived_nor_the_other_way_round(flood_lost: bool) -> None:
+    """Anybody can hand over loss notes about nodes that do not exist, and junk."""
+    base = make_node(0, base=True, receipt_steps=1)
+    flood = [DatumId(1000 + i, i, 5) for i in range(600)]
+    for i, id in enumerate(flood):
+        if flood_lost:
+            base.receive(LossNote(7, 0, (loss(i + 1, id, 1),)), 0.0)
+        else:
+            base.receive(data(7, 0, (i + 1, make_datum(id, 0, 0.0, b"junk"))), 0.0)
+    own = datum()
+    if flood_lost:
+        base.receive(data(8, 0, (9, own)), 0.0)
+    else:
+        base.receive(LossNote(8, 0, (loss(9, own.id, 1),)), 0.0)
+    drone = make_node(1, mirror=True)
+    for t in range(1, 5):
+        for receipt in of(Receipt, base.step(float(t))):
+            drone.receive(receipt, float(t))
+    assert (own.id in drone.keeper.arrived) == flood_lost
+    assert drone.receipts.told_lost(own.id) != flood_lost

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from heapq import nlargest
 from itertools import islice
+from operator import itemgetter
 
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Receipt, ReceiptEntry
@@ -18,6 +20,8 @@ RECEIPT_BYTES = 112
 LISTEN_TURNS = 24
 #: The content of a statement with at most this many live entries is restated in another statement, if there is space.
 LIGHT = 5
+#: At how many changes a statement looks at a time.
+MOST_PLACES = 16
 #: How many serials a base claims on disk at a time.
 SERIALS_CLAIMED = 256
 
@@ -52,7 +56,7 @@ class Serials:
 class Voice:
     """The base's own statements."""
 
-    __slots__ = ("_archive", "_listening", "_serials", "_statements", "_unsaid", "_unsure", "source")
+    __slots__ = ("_archive", "_by_age", "_listening", "_serials", "_statements", "_unsaid", "_unsure", "source")
 
     def __init__(self, source: Source, archive: Archive, serials: Serials, statements: Statements) -> None:
         """`statements`: what is known in the swarm, including this base's own earlier statements."""
@@ -61,8 +65,11 @@ class Voice:
         self._archive = archive
         self._serials = serials
         self._statements = statements
-        self._unsaid: dict[_Place, None] = {}
-        """Changes not sent yet, the longest waiting first."""
+        self._unsaid: dict[_Place, int] = {}
+        """How many changes have not been sent yet, the longest waiting first."""
+        self._by_age = False
+        """Whether the next statement is about what has waited longest; if not, about what has changed most. Junk and
+        notes of invented nodes change little each, so they do not keep back the others."""
         self._unsure: dict[_Place, None] = {
             (pair, lost, block): None
             for pair in archive
@@ -74,7 +81,8 @@ class Voice:
 
     def changed(self, id: DatumId, *, lost: bool) -> None:
         """A datum has arrived, or was reported lost; the archive knows."""
-        self._unsaid[(id.origin, id.epoch), lost, id.sequence // RECEIPT_BITS] = None
+        place = ((id.origin, id.epoch), lost, id.sequence // RECEIPT_BITS)
+        self._unsaid[place] = self._unsaid.get(place, 0) + 1
 
     def contradicts(self, receipt: Receipt) -> bool:
         """Whether a statement in this base's name covers a datum that has not arrived here."""
@@ -92,22 +100,23 @@ class Voice:
         if self._archive.has(pair):
             for lost in (False, True):
                 for block in blocks(self._archive.ranges(pair, lost=lost)):
-                    self._unsaid[pair, lost, block] = None
+                    self._unsaid.setdefault((pair, lost, block), 1)
 
     def turn(self) -> None:
         """Once a turn."""
         if self._unsure:
             self._listening -= 1
             if not self._listening:
-                self._unsaid.update(self._unsure)
+                self._unsaid.update(dict.fromkeys(self._unsure, 1))
                 self._unsure = {}
 
     def statement(self) -> Receipt | None:
         """The statement to send next; None: nothing."""
         entries: list[ReceiptEntry] = []
         room = RECEIPT_BYTES
+        self._by_age = not self._by_age
         while room and self._unsaid:
-            for place in list(islice(self._unsaid, 16)):
+            for place in self._next():
                 entry = self._entry(*place)
                 if entry is not None and not self._statements.says(self.source, entry):
                     size = _growth(entries, entry)
@@ -121,6 +130,12 @@ class Voice:
             return None
         self._restate(entries, room)
         return self._made(entries)
+
+    def _next(self) -> list[_Place]:
+        """Some of what has not been sent; of what has changed as much, the latest."""
+        if self._by_age:
+            return list(islice(self._unsaid, MOST_PLACES))
+        return [place for place, _ in nlargest(MOST_PLACES, reversed(self._unsaid.items()), key=itemgetter(1))]
 
     def _made(self, entries: list[ReceiptEntry]) -> Receipt:
         return make_receipt(*self.source, self._serials.draw(), entries)
