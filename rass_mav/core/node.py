@@ -296,7 +296,7 @@ class Node(Participant):
             if holding is None:
                 keeper.notes.refused(number, sender)
             else:
-                holdings.cancel(holding)
+                holdings.put_off(holding)
         keeper.spares.answered(message, now, out)
         return out
 

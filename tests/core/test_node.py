@@ -122,6 +122,24 @@ def test_the_oldest_data_go_first_and_no_more_than_the_neighbour_has_room_for() 
     assert [h.datum.id for h in sent.handovers] == ids[:2]
 
 
+def test_data_that_nobody_takes_do_not_keep_back_the_others() -> None:
+    """As data under numbers that their origin, which is the only way, has not assigned."""
+    node = with_base(make_node(1, bandwidth_items=2))
+    refused = {node.put(b"x", 0.0) for _ in range(4)}
+    taken = node.put(b"y", 0.0)
+    sent: list[DatumId] = []
+    for t in range(1, 6):
+        with_base(node, float(t), t)
+        for message in of(Data, node.step(float(t))):
+            sent += [h.datum.id for h in message.handovers]
+            wrong = tuple(h.number for h in message.handovers if h.datum.id in refused)
+            good = tuple((h.number, h.datum.crc) for h in message.handovers if h.datum.id == taken)
+            node.receive(Committed(0, 1, good, wrong), float(t))
+    assert taken in sent
+    assert set(node.holdings.custody) == refused
+    assert all(sent.count(id) >= 2 for id in refused), "they are offered again"
+
+
 def test_a_silent_neighbour_is_given_up_and_another_one_chosen() -> None:
     node = fitter(make_node(1))
     node.put(b"x", 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter, defaultdict, deque
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -11,7 +12,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.core.custody.taker import DOUBTED, MAX_GIVERS, TRUSTED, Taker
-from rass_mav.core.custody.takers import JUDGED_TURNS, LEAST, MAX_GIVEN, MAX_TAKERS, MOST_HOPS, NEWS_TURNS, Takers
+from rass_mav.core.custody.takers import (
+    JUDGED_TURNS,
+    LEAST,
+    LONGEST_REST,
+    MAX_GIVEN,
+    MAX_TAKERS,
+    MOST_HOPS,
+    NEWS_TURNS,
+    Takers,
+)
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import NO_ROUTE, Committed, Data, Handover, ReceiptEntry, Route, Word, WordEntry, Words
 from rass_mav.core.news.checksums import make_receipt
@@ -552,3 +562,50 @@ def test_who_delivers_only_this_nodes_own_data_is_found_out_and_stays_so(other_w
         assert drone.doubted == ({NEAR} if sequence >= 300 else drone.doubted & {NEAR})
     assert drone.given[FAR] > 500
     assert dropped < 10
+
+
+# -- nothing rests because of a doubt ----------------------------------------------------------------------------------
+
+
+def test_a_doubted_neighbour_is_given_first_what_can_prove_that_it_delivers() -> None:
+    """No base confirms once more what has arrived, or is said to."""
+    drone = seasoned(mirror=False)
+    drone.ways = {NEAR: 1}
+    drone.deliver = set()
+    while not drone.doubted:
+        drone.turn()
+    drone.confirm([drone.node.put(b"said to have arrived", drone.now) for _ in range(300)])
+    drone.deliver = {NEAR}
+    drone.turns(1, creates=20)
+    drone.turns(10 * JUDGED_TURNS, creates=0)
+    assert not drone.doubted
+
+
+@pytest.mark.no_cover
+def test_however_slow_data_are_the_only_way_is_tried_again_soon() -> None:
+    drone = Drone(mirror=False, capacity_items=5000)
+    drone.ways = {NEAR: 1}
+    drone.delay = 300
+    drone.turns(1000)
+    drone.deliver = set()
+    while not drone.doubted:
+        drone.turn()
+    given = []
+    for turn in range(3000):
+        before = drone.given[NEAR]
+        drone.turn()
+        if drone.given[NEAR] > before:
+            given.append(turn)
+    assert max(b - a for a, b in pairwise([0, *given, 3000])) <= LONGEST_REST + 1
+
+
+def test_who_may_count_on_this_node_makes_it_no_farther_than_its_doubted_neighbour() -> None:
+    """By hops, data would rest at one that seems to be nearer, and has no other way than this node."""
+    node = make_node(OWN, policy="hop-count", newborn=True)
+    tag = node.policy.tag
+    for t in range(1, 4):
+        node.receive(beacon(NEAR, t, Route(1, 1, 1, 1), policy=tag, potential=1 << 24), float(t))
+        node.receive(beacon(FAR, t, Route(1, 1, 1, 3), policy=tag, potential=(1 << 24) // 3), float(t))
+        node.step(float(t))
+        node.routing.neighbours[NEAR].doubted = True
+    assert node.potential > (1 << 24) // 3

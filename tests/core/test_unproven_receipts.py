@@ -134,6 +134,21 @@ def test_a_drone_that_accepted_a_datum_says_committed_for_no_other_content() -> 
     assert list(node.holdings.custody) == [other.id]
 
 
+def test_what_only_waits_for_its_receipt_makes_way_for_another_content() -> None:
+    """The base never confirms one of the two, and it alone can keep both. The other one must not stay where it is."""
+    node = with_base(make_node(1, mirror=True))
+    d, other = datum(), datum(payload=b"another")
+    node.receive(data(7, 1, (5, d)), 0.0)
+    [sent] = of(Data, node.step(1.0))
+    assert node.receive(data(8, 1, (6, other)), 1.0) == [Committed(1, 8, (), (6,))], "it is in custody"
+    node.receive(Committed(0, 1, tuple((h.number, h.datum.crc) for h in sent.handovers), ()), 1.0)
+    assert d.id in node.holdings.passed_on
+    assert node.receive(data(8, 1, (7, other)), 1.0) == [Committed(1, 8, ((7, other.crc),), ())]
+    stored = node.store.get(d.id)
+    assert stored == other.arrived()
+    assert list(node.holdings.custody) == [other.id]
+
+
 # -- what an origin says of its own numbers ----------------------------------------------------------------------------
 
 

@@ -153,7 +153,7 @@ class Incoming:
             and -(-offer.size // offer.chunk_size) <= MAX_CHUNKS
             # Names are easy to invent, and each would take a place.
             and offer.sender in self._routing.neighbours
-            and not self._keeper.is_occupied(offer.id, offer.kind)
+            and not self._keeper.is_occupied(offer.id)
             and not self._keeper.is_squatted(offer.id)
             and self._keeper.is_fair(offer.sender, offer.id.origin, offer.size)
         )

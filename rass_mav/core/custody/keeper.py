@@ -19,7 +19,7 @@ from rass_mav.core.news.notes import NoLossNotes, Note, fate_of
 from rass_mav.core.news.receipts import NoReceipts
 from rass_mav.core.news.table import Pair
 from rass_mav.core.observer import Observer
-from rass_mav.core.seals import SEALED, NoSeals
+from rass_mav.core.seals import NoSeals
 from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 
@@ -81,7 +81,7 @@ class Keeper:
             return True
         size = len(datum.payload)
         fits = self.is_fair(giver, id.origin, size) and (self.may_accept(size) or self.make_room(size, own=False))
-        if not fits or self.is_occupied(id, datum.kind):
+        if not fits or self.is_occupied(id):
             self.refused += 1
             if number == 0:
                 self.observer.declined(id)
@@ -113,14 +113,14 @@ class Keeper:
         self.alarms.ring(Alarm.SQUATTED, str(id))
         return True
 
-    def is_occupied(self, id: DatumId, kind: int) -> bool:
+    def is_occupied(self, id: DatumId) -> bool:
         """Whether the place of a datum on offer is taken by another content under its id.
 
-        If one of two sealed contents is forged, no receipt ends its spares, and only the ground knows which one it is.
-        So what has left custody, and waits for its receipt, makes way for the other one.
+        What has left custody, and waits for its receipt, makes way for the other one. If one of the two is forged, that
+        receipt may never come, and only the base can keep both.
         """
         holding = self.holdings.get(id)
-        return holding is not None and not (kind & SEALED and holding.state is State.PASSED_ON)
+        return holding is not None and holding.state is not State.PASSED_ON
 
     def has_custody(self, giver: int, number: int, id: DatumId, crc: int, datum: Datum | None = None) -> bool:
         """Whether a datum on offer need not be stored: it is here, or this offer was accepted. A receipt does not
@@ -223,11 +223,21 @@ class Keeper:
 
     def give_away(self, holding: Holding, to: int) -> None:
         """A neighbour has taken custody of a datum."""
-        if not (holding.matched or holding.id in self.arrived):
+        if not self.has_probably_arrived(holding):
             # Otherwise no base will confirm it once more, whatever the neighbour does.
             self.takers.gave(holding.id, holding.giver, to, holding.given_to if holding.resent else None)
         if not self.spares.gave(holding, to):
             self.drop(holding, Fate.PASSED_ON)
+
+    def has_probably_arrived(self, holding: Holding) -> bool:
+        """Whether a base is believed to have a datum, by a receipt or a digest."""
+        return holding.matched or holding.id in self.arrived
+
+    def is_proof(self, holding: Holding) -> bool:
+        """Whether the arrival of a datum in custody would show that the neighbour that takes it delivers: no base is
+        believed to have it, and it is no junk, as far as is known."""
+        known = holding.giver is None or self.receipts.arrives(holding.id[:2])
+        return known and not self.has_probably_arrived(holding)
 
     def drop(self, holding: Holding, fate: Fate) -> None:
         """Drop a datum in custody, or a spare."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from itertools import chain, islice
 from math import inf
 
 from rass_mav.core.custody.holdings import Holding, Pending
@@ -108,10 +108,9 @@ class Percolation:
         ):
             return
         inline = self._keeper.settings.inline_bytes
-        for holding in holdings.custody.values():
-            if holding.pending is None and holding.size <= inline:
-                self._hand_over(holding, target, now, out)
-                return
+        small = (h for h in holdings.custody.values() if h.pending is None and h.size <= inline)
+        for holding in islice(self._few_unproven(small, 1), 1):
+            self._hand_over(holding, target, now, out)
 
     def _percolate(self, potential: int, now: float, out: list[Message]) -> None:
         keeper, pace, routing = self._keeper, self._pace, self._routing
@@ -200,7 +199,7 @@ class Percolation:
         """Held data that can be handed over to a neighbour now, least recently used first.
 
         Where they differ in priority, every other one is the most urgent instead. So a datum waits for at most twice as
-        many others as without priorities, whatever these claim. A neighbour that is doubted is given the oldest.
+        many others as without priorities, whatever these claim. A neighbour that is doubted is given few.
 
         Large data wait while no more transfers to the neighbour can begin. Small data behind them do not wait. While
         the air is full, data that have probably arrived wait too: other copies of them have.
@@ -217,15 +216,26 @@ class Percolation:
 
         def free(custody: Iterable[Holding]) -> Iterator[Holding]:
             found: Iterator[Holding] = (holding for holding in custody if holding.pending is None)
-            found = self._few_large(found, large) if allowance is None else islice(found, most)
+            if most is not None:
+                found = self._few_unproven(found, most)
             if pace.full:
-                found = (holding for holding in found if not holding.matched and holding.id not in keeper.arrived)
-            return found
+                found = (holding for holding in found if not keeper.has_probably_arrived(holding))
+            return self._few_large(found, large)
 
         chosen = free(holdings.custody.values())
         if allowance is None and holdings.by_terms.differ:
             chosen = self._few_large(_by_turns(free(holdings.by_terms.urgent()), chosen, self._by_age), large)
         return (holding.id for holding in chosen)
+
+    def _few_unproven(self, holdings: Iterator[Holding], most: int) -> Iterator[Holding]:
+        """For a neighbour that is doubted: so many data first whose arrival would count for it, or would be news at
+        least, the oldest first. What has probably arrived says nothing of it, and does not wait for that."""
+        arrived: list[Holding] = []
+        unproven: list[Holding] = []
+        for holding in holdings:
+            (arrived if self._keeper.has_probably_arrived(holding) else unproven).append(holding)
+        unproven.sort(key=self._keeper.is_proof, reverse=True)
+        return chain(unproven[:most], arrived)
 
     def _few_large(self, holdings: Iterator[Holding], large: int) -> Iterator[Holding]:
         """The same with so many large data at most: more cannot begin, and small ones behind them do not wait."""
@@ -252,7 +262,7 @@ class Percolation:
             pending = holding.pending
             assert pending is not None
             if self._is_hopeless(pending, now):
-                keeper.holdings.cancel(holding)
+                keeper.holdings.put_off(holding)
             elif pending.due <= now and pace.left > 0:
                 self._send_again(holding, pending, now, out)
             elif pending.due < now + pace.turn_s and self._in_danger:

@@ -149,9 +149,9 @@ class Taker:
             self.doubted = False
             self.givers.clear()
 
-    def dropped(self, given: Given, turn: int) -> None:
-        """A datum is overdue in this turn of the node."""
+    def dropped(self, given: Given, turn: int, longest: int) -> None:
+        """A datum is overdue in this turn of the node. `longest`: after that many turns it may have another one."""
         if given.since >= self.doubted_since and turn >= self.rests_until:
-            self.rests_until = turn + (self.clock - given.since << self.failed)
+            self.rests_until = min(turn + (self.clock - given.since << self.failed), given.turn + longest)
             self.failed = min(self.failed + 1, MOST_DOUBLINGS)
         self.window = 1

@@ -225,7 +225,7 @@ class Takers(NoTakers):
             return
         taker.count(given.giver, bad=1.0)
         if taker.doubted:
-            taker.dropped(given, self._turn)
+            taker.dropped(given, self._turn, LONGEST_REST)
         elif taker.delivers < DOUBTED:
             taker.doubt(self._turn + JUDGED_TURNS)
 

@@ -171,7 +171,7 @@ class RoutingTable:
         It also finds the distance, and what to request if no route is taken.
         """
         rank, tag, bound, node_id = self.rank, self.rank.tag, self._bound, self.node_id
-        nearest = nearest_doubted = NO_ROUTE
+        nearest = nearest_feasible = nearest_doubted = NO_ROUTE
         farthest = self._max_hops - 1
         best: Neighbour | None = None
         best_behind = 0
@@ -206,6 +206,7 @@ class RoutingTable:
             if own is not None and (metric >= own[1] if number == own[0] else not newer(number, own[0])):
                 self.wanted = (base, following(own[0]))
                 continue
+            nearest_feasible = min(nearest_feasible, NO_ROUTE if neighbour.doubted else hops)
             if neighbour.odds > 1.0 and tag is not None:
                 # Feasible is what it announces; what counts from here on is what it delivers.
                 metric = self._expected(metric, neighbour.odds)
@@ -222,7 +223,8 @@ class RoutingTable:
                     if tag is None and not behind:
                         # By hops, neighbours that are farther need not be considered.
                         farthest = hops
-        if nearest == NO_ROUTE:
+        if nearest == NO_ROUTE or (nearest_feasible == NO_ROUTE and nearest_doubted < nearest):
+            # Those that are not doubted may count on this node: data would rest at the one that seems to be nearer.
             nearest = nearest_doubted
         self.distance = nearest + 1 if nearest != NO_ROUTE else NO_ROUTE
         return (None if best is None or self._changes(best, best_metric, *elsewhere) else best), best_metric
