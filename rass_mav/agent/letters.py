@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import random
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from math import inf
 from typing import Any
@@ -274,6 +274,10 @@ class Letters:
             return []
         in_file = {id: serial - (id not in ground.revoked) for id, serial in ground.serials.items()}
         return [id for id, serial in self._table.out().items() if serial > in_file.get(id, 0)]
+
+    def serials(self) -> Mapping[int, int]:
+        """By node id, the last serial of a drone that the node's file has; at a drone none."""
+        return {} if self._keyring.ground is None else self._keyring.ground.serials
 
     def packed(self) -> list[bytes]:
         """All letters, to be kept over restarts."""

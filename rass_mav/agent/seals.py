@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from struct import Struct
 
 from rass_mav.core.datum import Datum, DatumId
@@ -22,10 +23,13 @@ class DataKeys:
 
     __slots__ = ("_accept_open", "_keys", "_opener")
 
-    def __init__(self, keyring: Keyring, *, accept_open: bool = False) -> None:
-        """`accept_open`: at a base, data that nobody has sealed count as made by the node that they name."""
+    def __init__(
+        self, keyring: Keyring, serials: Callable[[], Mapping[int, int]], *, accept_open: bool = False
+    ) -> None:
+        """`serials`: those that the ground has assigned by now (`Letters.serials`). `accept_open`: at a base, data that
+        nobody has sealed count as made by the node that they name."""
         self._keys = keyring.own
-        self._opener = None if keyring.ground is None else Opener(keyring.ground)
+        self._opener = None if keyring.ground is None else Opener(keyring.ground, serials)
         self._accept_open = accept_open
 
     def __call__(self, store: Store) -> Seals:

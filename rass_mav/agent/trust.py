@@ -44,6 +44,6 @@ def trust_of(
     return Trust(
         letters,
         partial(PairTags, keyring.own, letters.is_out),
-        DataKeys(keyring, accept_open=accept_open),
+        DataKeys(keyring, letters.serials, accept_open=accept_open),
         GroundWord(keyring),
     )

@@ -7,10 +7,11 @@ are not, because relays change them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from hashlib import blake2b
 from hmac import compare_digest
+from itertools import chain
 from struct import Struct
 
 from nacl.bindings import (
@@ -76,8 +77,10 @@ class Sealer:
 class Opener:
     """Opens sealed data, at a base or afterwards."""
 
-    def __init__(self, ground: Ground) -> None:
+    def __init__(self, ground: Ground, serials: Callable[[], Mapping[int, int]] | None = None) -> None:
+        """`serials`: returns the last serials by node id, if they may change; None: those of `ground`."""
         self._ground = ground
+        self._serials = serials or (lambda: ground.serials)
         self._key = lru_cache(KEPT_KEYS)(self._agree)
 
     def open(self, id: tuple[int, int, int], kind: int, sealed: bytes, beside: bytes = b"") -> bytes:
@@ -90,25 +93,26 @@ class Opener:
         if len(sealed) < SEAL_SIZE:
             raise MalformedError(f"a sealed datum has at least {SEAL_SIZE} bytes, got {len(sealed)}")
         nonce, about = _NONCE.pack(*id), _about(kind, beside)
-        for serial in self._serials(id[0]):
-            key = self._key(id[0], serial)[0].reveal()
+        for key, _ in self._keys(id[0]):
             try:
-                return crypto_aead_chacha20poly1305_ietf_decrypt(sealed, about, nonce, key)
+                return crypto_aead_chacha20poly1305_ietf_decrypt(sealed, about, nonce, key.reveal())
             except CryptoError:
                 continue
         raise ForgedError("not sealed by the origin that it names, or altered")
 
     def made(self, node_id: int, loss: bytes, tag: bytes) -> bool:
         """Whether a node (0..65534) has reported a loss."""
-        return any(
-            compare_digest(_loss_tag(self._key(node_id, serial)[1], loss), tag) for serial in self._serials(node_id)
-        )
+        return any(compare_digest(_loss_tag(key, loss), tag) for _, key in self._keys(node_id))
 
-    def _serials(self, origin: int) -> Iterator[int]:
+    def _keys(self, origin: int) -> Iterator[tuple[Secret, Secret]]:
         """Those that the origin may have, the likely ones first."""
-        last = self._ground.serials.get(origin, BASE_SERIAL)
-        yield from range(last, BASE_SERIAL - 1, -1)
-        yield from range(last + 1, last + 1 + LATER_SERIALS)
+        last = self._serials().get(origin)
+        if last is None:
+            # No drone of this mission, at most a base. Invented origins must not push out the keys of drones.
+            yield self._agree(origin, BASE_SERIAL)
+            return
+        for serial in chain(range(last, BASE_SERIAL - 1, -1), range(last + 1, last + 1 + LATER_SERIALS)):
+            yield self._key(origin, serial)
 
     def _agree(self, origin: int, serial: int) -> tuple[Secret, Secret]:
         public = crypto_scalarmult_base(self._ground.node_secret(origin, serial).reveal())

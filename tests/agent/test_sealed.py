@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -13,6 +14,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.seals import DataKeys
+from rass_mav.agent.trust import trust_of
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import State
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Kind, make_datum
@@ -21,7 +23,8 @@ from rass_mav.core.seals import SEALED
 from rass_mav.core.store import MAX_APART
 from rass_mav.core.terms import TERMS, USUAL, Terms, parted
 from rass_mav.errors import DatumError, ForgedError, StoreError, StoreFullError
-from rass_mav.keys.sealing import SEAL_SIZE
+from rass_mav.keys.keyring import Keyring
+from rass_mav.keys.sealing import SEAL_SIZE, Sealer
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
@@ -32,7 +35,7 @@ from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 from tests.core.durable import DurableStore
 
-from .sealed import BASE, OPENER, Row, arrived, forged_by, handed, keyring, make, opened, with_crc
+from .sealed import BASE, GROUND, OPENER, Row, arrived, forged_by, handed, keyring, make, opened, with_crc
 from .test_agent import on
 
 TEXT = b"the source is in the third house"
@@ -307,12 +310,31 @@ def test_two_bases_read_each_other_and_a_base_without_keys_takes_what_it_cannot_
         OPENER.open(datum.id, 1, datum.payload)
 
 
+def test_a_base_opens_what_its_file_says_by_now_and_nothing_of_others() -> None:
+    """A running base takes a changed file of keys. What its file does not name costs it no search."""
+    trust = trust_of(keyring(BASE), random.Random(1), 1.0)
+    seals = trust.seals(MemoryStore(5))
+
+    def made_by(node_id: int, serial: int) -> bool:
+        id = DatumId(node_id, 5, 0)
+        sealed = Sealer(GROUND.node(node_id, serial), *id[1:]).seal(0, 0, b"payload")
+        return seals.is_made(make_datum(id, SEALED, 0.0, sealed))
+
+    assert [made_by(7, 1), made_by(7, 4), made_by(7, 9), made_by(12, 1), made_by(2, 0)] == [
+        True, True, False, False, True,
+    ]  # fmt: skip
+    later = replace(GROUND, serials={**GROUND.serials, 7: 9, 12: 1})
+    trust.letters.renew(Keyring(later.node(BASE), later))
+    assert made_by(7, 9)
+    assert made_by(12, 1)
+
+
 # -- no number is sealed twice -----------------------------------------------------------------------------------------
 
 
 def test_a_second_content_under_one_id_is_refused() -> None:
     store = MemoryStore(5)
-    seals = DataKeys(keyring(8))(store)
+    seals = DataKeys(keyring(8), dict)(store)
     seals.seal(DatumId(8, 5, 3), 0, b"one")
     for sequence in (3, 0):
         with pytest.raises(ValueError, match="sealed a second time"):

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import ForgedError, MalformedError
+from rass_mav.keys import sealing
 from rass_mav.keys.certificate import CERTIFICATE_SIZE, Certificate, GroundPublic, agreed
 from rass_mav.keys.identity import Ground
 from rass_mav.keys.pairs import TAG_SIZE, Pair
-from rass_mav.keys.sealing import LATER_SERIALS, SEAL_SIZE, Opener, Sealer
+from rass_mav.keys.sealing import KEPT_KEYS, LATER_SERIALS, SEAL_SIZE, Opener, Sealer
 from rass_mav.keys.secret import Purpose, Secret
 from rass_mav.wire import MAX_TUNNEL
 
@@ -137,7 +139,7 @@ def test_a_public_key_on_which_everybody_agrees_is_refused() -> None:
 def test_the_ground_reads_what_a_node_has_sealed(
     origin: int, serial: int, epoch: int, sequence: int, kind: int, payload: bytes, secret: Secret
 ) -> None:
-    ground = Ground(secret)
+    ground = Ground(secret, serials={origin: 1})
     sealed = Sealer(ground.node(origin, serial), epoch, 0).seal(sequence, kind, payload)
     assert len(sealed) == len(payload) + SEAL_SIZE == len(payload) + 16
     assert Opener(ground).open((origin, epoch, sequence), kind, sealed) == payload
@@ -195,6 +197,33 @@ def test_data_of_a_drone_that_was_replaced_and_of_later_ones_are_read() -> None:
     sealed = Sealer(GROUND.node(7, 2 + LATER_SERIALS + 1), 5, 0).seal(0, 1, b"payload")
     with pytest.raises(ForgedError):
         OPENER.open((7, 5, 0), 1, sealed)
+
+
+def test_invented_origins_cost_little_and_push_out_no_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To agree on a key is the work: whoever may invent origins causes it once for each datum at most."""
+    work = 0
+
+    def counted(*given: Any) -> Secret:
+        nonlocal work
+        work += 1
+        return agreed(*given)
+
+    monkeypatch.setattr(sealing, "agreed", counted)
+    opener = Opener(GROUND)
+    true = Sealer(SEVEN, 5, 6).seal(6, 1, b"payload")
+    assert opener.open((7, 5, 6), 1, true) == b"payload"
+    before = work
+    for origin in range(100, 100 + KEPT_KEYS + 10):
+        with pytest.raises(ForgedError):
+            opener.open((origin, 5, 6), 1, bytes(40))
+    assert work <= before + KEPT_KEYS + 10
+    before = work
+    assert opener.open((7, 5, 6), 1, true) == b"payload"
+    assert work == before
+    # The data of any base are read, those of a drone only if the file names it.
+    assert opener.open((1, 5, 6), 1, Sealer(BASE, 5, 6).seal(6, 1, b"payload")) == b"payload"
+    with pytest.raises(ForgedError):
+        opener.open((8, 5, 6), 1, Sealer(EIGHT, 5, 6).seal(6, 1, b"payload"))
 
 
 @given(st.lists(st.integers(0, 20), max_size=20), st.integers(0, 10))
