@@ -38,7 +38,7 @@ from rass_mav.mavlink.dialect import payload_of
 from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.telemetry import Accuracy, Position, Reading, Telemetry
+from rass_mav.mavlink.telemetry import Accuracy, LocalPosition, Position, Reading, Telemetry
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 if TYPE_CHECKING:
@@ -376,7 +376,7 @@ class Agent:
             self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
         if self.peers.signed is not None:
             self._reports.twins(self.peers.signed.streams, now, self.tell_ground)
-        if self._is_measured():
+        if self._is_measured() and any(self.known(now)):
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
@@ -464,20 +464,15 @@ class Agent:
         """Create a datum from the vehicle's position and the sensor's reading. None: the store is full (overflow)."""
         node = self.node
         telemetry = self.telemetry
-        position = telemetry.position
-        if position is not None and now - position.at > POSITION_STALE_S:
-            position = None
-        local = telemetry.local
-        reading = self.last_reading
-        fresh = reading is not None and now - reading.at <= self.settings.risk.stale_s
+        position, local, reading = self.known(now)
         payload = encode_measurement(
             Measurement(
                 position.latitude if position else None,
                 position.longitude if position else None,
                 position.altitude if position else None,
-                reading.value if reading is not None and fresh else None,
+                reading.value if reading else None,
                 node.risk.risk(now),
-                local[:3] if local is not None and now - local.at <= POSITION_STALE_S else None,
+                local[:3] if local else None,
                 self.settings.unit,
                 None if position is None else _error_m(position, telemetry.accuracy, now),
             )
@@ -490,6 +485,15 @@ class Agent:
         except StoreFullError:
             self._reports.full(now, self.tell_ground)
             return None
+
+    def known(self, now: float) -> tuple[Position | None, LocalPosition | None, Reading | None]:
+        """What a measurement would contain: position, local position and reading, as far as they are not stale."""
+        position, local, reading = self.telemetry.position, self.telemetry.local, self.last_reading
+        return (
+            position if position is not None and now - position.at <= POSITION_STALE_S else None,
+            local if local is not None and now - local.at <= POSITION_STALE_S else None,
+            reading if reading is not None and now - reading.at <= self.settings.risk.stale_s else None,
+        )
 
     def tell_ground(self, severity: int, text: str) -> None:
         """Send a STATUSTEXT to the people at the ground station; `severity` as MAV_SEVERITY."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from rass_mav.agent.agent import POSITION_STALE_S, Agent
+from rass_mav.agent.agent import Agent
 from rass_mav.mavlink.frames import Frame
 
 #: Seconds without a base, a position or a reading before that is reported.
@@ -16,6 +16,7 @@ NO_READING_S = 30.0
 BACK_S = 10.0
 #: Seconds between two reports that the same thing is missing, at least.
 AGAIN_S = 300.0
+_NOTHING = "RASS: no position, no reading: nothing is measured"
 _WARNING = 4
 _INFO = 6
 
@@ -88,20 +89,21 @@ class Shortages:
                     agent.tell_ground(_WARNING, f"RASS: no base in reach for {NO_BASE_S:g} s, data wait here")
         if (position := self._position) is not None and position.look(self._has_position(now), now):
             if position.missed:
-                agent.tell_ground(_WARNING, f"RASS: no position for {NO_POSITION_S:g} s, none in new data")
+                some = f"RASS: no position for {NO_POSITION_S:g} s, none in new data"
+                agent.tell_ground(_WARNING, some if any(agent.known(now)) else _NOTHING)
             else:
                 agent.tell_ground(_INFO, "RASS: position available again")
         if (reading := self._reading) is not None and reading.look(agent.node.risk.known(now), now):
             if reading.missed:
+                # Of an autopilot that has died, the position is reported later.
+                last = not agent.node.base and (position is None or position.missed) and not any(agent.known(now))
+                text = _NOTHING if last else "RASS: no radiation reading, worst risk assumed"
                 why = self._trouble()
-                agent.tell_ground(
-                    _WARNING, f"RASS: no radiation reading, worst risk assumed{': ' + why if why else ''}"
-                )
+                agent.tell_ground(_WARNING, f"{text}: {why}" if why else text)
             else:
                 agent.tell_ground(_INFO, "RASS: radiation readings available again")
 
     def _has_position(self, now: float) -> bool:
         """Whether there is a position for a measurement, on Earth or only relative to the autopilot's origin."""
-        telemetry = self._agent.telemetry
-        known = (telemetry.position, telemetry.local)
-        return any(position is not None and now - position.at <= POSITION_STALE_S for position in known)
+        position, local, _ = self._agent.known(now)
+        return position is not None or local is not None

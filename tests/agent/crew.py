@@ -76,6 +76,8 @@ class Crew:
         for _ in range(count):
             self.now += 1.0
             for position, agent in enumerate(self.agents):
+                if not agent.settings.base:
+                    agent.reading(1e6, self.now)  # the worst risk, and something to measure
                 self.say(position, agent.step(self.now))
 
     def say(self, sender: int, frames: Sequence[Outgoing]) -> None:

@@ -65,6 +65,8 @@ class Row:
     def step(self) -> None:
         self.now += 1.0
         for place, agent in enumerate(self.agents):
+            if not agent.settings.base:
+                agent.reading(1e6, self.now)  # the worst risk, and something to measure
             self._deliver([(place, outgoing) for outgoing in on(Way.NEIGHBOURS, agent.step(self.now))])
 
     def until(self, now: float) -> None:

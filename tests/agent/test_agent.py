@@ -278,6 +278,7 @@ def test_beacons_in_our_name_that_we_have_not_sent_come_from_a_copy_of_our_store
 
 def test_a_full_node_tells_the_ground_and_goes_on() -> None:
     agent = make(4, store={"capacity_items": 1}, data={"interval_steps": 1})
+    agent.reading(1.0, 0.0)
     heard = to_vehicle([outgoing for t in range(4) for outgoing in agent.step(float(t))])
     texts = [parse(frame).text for frame in heard if frame.message_id == STATUSTEXT]
     assert len(texts) == 1
@@ -323,6 +324,7 @@ def fit_beacon(agent: Agent, sender: int, number: int) -> Beacon:
 @pytest.mark.parametrize("forward", ["step", "immediate"])
 def test_data_move_on_at_once_or_in_the_next_step(forward: str) -> None:
     agent = make(3, forward=forward, data={"interval_steps": 1, "due": "together", "until_step": 1})
+    agent.reading(1.0, 0.0)
     heard(agent, fit_beacon(agent, 2, 0), 0.0)
     first = [type(m) for m in said(agent.step(0.0))]
     d = make_datum(DatumId(4, 5, 6), 0, 0.0, b"x")

@@ -15,10 +15,11 @@ from .field import BASE, DRONE, Field
 
 WARNING, INFO = 4, 6
 STALE_S = 10.0
+NOTHING = "RASS: no position, no reading: nothing is measured"
 
 
-def watched(trouble: str = "") -> Field:
-    field = Field(data={"interval_steps": 0})
+def watched(trouble: str = "", interval_steps: int = 0) -> Field:
+    field = Field(data={"interval_steps": interval_steps})
     field.drone.services.append(Shortages(field.drone, 0.0, position=True, reading=True, trouble=lambda: trouble))
     return field
 
@@ -116,9 +117,54 @@ def test_from_the_start_on_it_is_missing() -> None:
     assert field.told() == [
         "RASS: no radiation reading, worst risk assumed: th",
         "e cable is loose",
-        "RASS: no position for 60 s, none in new data",
+        NOTHING,
         "RASS: no base in reach for 120 s, data wait here",
     ]
+
+
+def lose_autopilot(field: Field, lost: bool) -> None:
+    field.autopilot = not lost
+
+
+def created(field: Field) -> int:
+    """How many data of the drone there are, with it or at the base."""
+    return len({*field.drone.store.ids(), *field.base.store.ids()})
+
+
+def test_nothing_is_measured_that_would_say_nothing() -> None:
+    """A node whose autopilot has died would fill its store, until it has a position or a reading again."""
+    field = watched(interval_steps=1)
+
+    field.until(30.0)
+    assert created(field) == 30
+    lose_autopilot(field, True)
+    field.until(30.0 + STALE_S)
+    assert created(field) == 30 + STALE_S, "what was heard last is still of use"
+    field.until(600.0)
+    assert created(field) == 30 + STALE_S
+    assert field.told() == ["RASS: no radiation reading, worst risk assumed", NOTHING]
+    lose_autopilot(field, False)
+    field.until(660.0)
+    assert created(field) == 30 + STALE_S + 60
+    assert field.told() == ["RASS: position available again", "RASS: radiation readings available again"]
+
+
+def test_what_went_missing_last_is_told_with_its_effect() -> None:
+    field = watched()
+    lose_fix(field, True)
+    field.until(2 * NO_POSITION_S)
+    lose_reading(field, True)
+    field.until(field.now + NO_READING_S + FORGOTTEN_S)
+    assert field.told() == ["RASS: no position for 60 s, none in new data", NOTHING]
+    assert len(NOTHING) <= 50, "one STATUSTEXT"
+
+
+@pytest.mark.parametrize("lose", [lose_fix, lose_reading])
+def test_a_position_or_a_reading_alone_is_measured(lose: Callable[[Field, bool], None]) -> None:
+    field = watched(interval_steps=1)
+    lose(field, True)
+    field.until(100.0)
+    assert created(field) == 100
 
 
 def test_a_position_relative_to_the_origin_is_one() -> None:

@@ -141,6 +141,8 @@ class RadioNode:
         turn_s, items = common_pace([lane], 1.0, agent.settings.store.bandwidth_items)
         agent.node.keep_pace(turn_s, items, now, slowest_turn([lane], 1.0))
         agent.pace_vehicle(lane.pacer.vehicle_rate)
+        if not agent.settings.base:
+            agent.reading(0.5, now)  # of its own sensor
         ways = {Way.NEIGHBOURS} if agent.ground is None else {Way.NEIGHBOURS, Way.VEHICLE}
         self.say([outgoing for outgoing in agent.step(now) if outgoing.way in ways])
         if agent.ground is not None:

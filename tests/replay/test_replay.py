@@ -112,8 +112,7 @@ def test_a_vehicle_whose_log_has_ended_is_out_of_range_and_lives_on(tmp_path: Pa
     # The last record is of 29.2 s: until 39.2 s it is heard.
     assert [row.sequence for row in rows] == [0, 1, 2, 3]
     result = summary(swarm, arrivals(swarm))
-    assert result["created"] == 20
-    assert result["held"] >= 6
+    assert (result["created"], result["held"]) == (10 + 4, 0), "nothing is measured without position and reading"
     assert swarm.agents[2].node.routing.hops == NO_ROUTE
 
 
@@ -125,7 +124,7 @@ def test_a_vehicle_whose_heartbeats_are_lost_is_heard_all_the_same(tmp_path: Pat
 
 def test_a_vehicle_that_comes_later_joins(tmp_path: Path) -> None:
     swarm = swarm_of(tmp_path, vehicle(1, 60, x=5, home=(0, 0)), vehicle(2, 60, x=6, begin=30))
-    assert {row.sequence for row in rows_of(swarm, 2)} >= {0, 1, 2, 3, 4}
+    assert {row.sequence for row in rows_of(swarm, 2)} == {0, 1, 2}
 
 
 def test_the_base_stands_where_it_is_told(tmp_path: Path) -> None:
@@ -169,7 +168,7 @@ def test_while_it_drains_a_swarm_stays_where_the_logs_left_it(tmp_path: Path) ->
     keys = ("data.interval_steps=1", "store.bandwidth_items=1")
     swarm = swarm_of(tmp_path, vehicle(1, 40, x=5, home=(0, 0), fix_after=39), keys=keys, drain=60)
     assert swarm.ledger.held == 0
-    assert len(swarm.ledger.arrived) == swarm.span_steps
+    assert len(swarm.ledger.arrived) == swarm.span_steps - 1, "at the first step nothing has been heard"
 
 
 def test_corruption_strikes_only_when_asked(tmp_path: Path) -> None:
