@@ -13,6 +13,10 @@ from rass_mav.store.settings import StoreSettings
 from rass_mav.wire import INLINE_BYTES
 from rass_mav.wire.measurement import MEASUREMENT_BYTES
 
+#: By default a status comes once a minute, and on a slow link, where turns are long, once in so many.
+USUAL_STATUS_S = 60.0
+LEAST_STATUS_TURNS = 60
+
 
 class DataSettings(Section):
     """The measurements that a node creates."""
@@ -143,7 +147,7 @@ class AgentSettings(Section):
             node_id=self.node_id,
             base=self.base,
             step_s=self.step_s,
-            capacity_items=self.store.capacity_items if bounded else None,
+            capacity_items=self.store.most_items if bounded else None,
             capacity_bytes=self.store.capacity_bytes if bounded else None,
             own_share=policy.own_share if self.store.own_share is None else self.store.own_share,
             drop_oldest=drop_oldest,

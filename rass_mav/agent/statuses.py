@@ -6,7 +6,7 @@ import logging
 from typing import Protocol
 
 from rass_mav.agent.peers import Peers
-from rass_mav.agent.settings import AgentSettings
+from rass_mav.agent.settings import LEAST_STATUS_TURNS, USUAL_STATUS_S, AgentSettings
 from rass_mav.core.datum import Kind
 from rass_mav.core.participant import Participant
 from rass_mav.errors import StoreFullError
@@ -21,9 +21,6 @@ log = logging.getLogger(__name__)
 _SYS_STATUS: int = common.MAVLINK_MSG_ID_SYS_STATUS
 _system_status = common.MAVLink_sys_status_message.unpacker
 _BATTERY_REMAINING = 12
-#: By default a status comes once a minute, and on a slow link, where turns are long, once in so many.
-USUAL_S = 60.0
-LEAST_TURNS = 60
 #: Of an unlimited store in `Holdings.free`.
 _NO_LIMIT = 0xFFFF
 #: The part of the interval after which a node sends its first status is its id times this: they are spread evenly.
@@ -77,7 +74,7 @@ class Statuses:
     def _interval_now_s(self) -> float:
         if self._interval_s is not None:
             return self._interval_s
-        return max(USUAL_S, LEAST_TURNS * self._agent.node.pace.turn_s)
+        return max(USUAL_STATUS_S, LEAST_STATUS_TURNS * self._agent.node.pace.turn_s)
 
     def _status(self, now: float) -> NodeStatus:
         node, position = self._agent.node, self._agent.telemetry.position

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import time
 from collections import deque
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from rass_mav.core.terms import TERMS_SIZE
 from rass_mav.errors import ControlError, DatumError, StoreDamagedError, StoreError, StoreFullError
 from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.telemetry import Position
+from rass_mav.store.disk import space
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.wire.file import PART_HEAD, Cut, Manifest, Part, cut_file, encode_manifest, encode_part
 
@@ -124,18 +124,18 @@ class Files:
         `DatumError` if they never will."""
         if len(self._spool.waiting) + len(self._coming) >= MOST_WAITING:
             raise StoreFullError(f"{name}: {MOST_WAITING} files wait already")
-        store, quota = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
+        store, bound = self._driver.agent.store, self._driver.agent.settings.store.quota_bytes
         more, waiting = self._cost(cut), self._waiting()
-        if quota is not None and more > quota:
-            raise DatumError(f"{name}: quota of {quota} bytes: {more} are needed; nothing of it was put")
+        if bound is not None and more > bound:
+            raise DatumError(f"{name}: quota of {bound} bytes: {more} are needed; nothing of it was put")
+        quota = store.quota_bytes
         if quota is not None and store.used_bytes + waiting + more > quota:
             raise StoreFullError(
                 f"{name}: quota of {quota} bytes: {store.used_bytes} are in use, {waiting} wait to be stored, {more} "
                 "more do not fit; nothing of it was put"
             )
         # Until its last part is stored, it is there twice.
-        about = os.statvfs(self._spool.folder.parent)
-        free = about.f_bavail * about.f_frsize
+        free = space(self._spool.folder.parent).usable
         if 2 * more + waiting > free:
             raise StoreFullError(
                 f"{name}: the disk has {free} bytes free, {2 * more + waiting} are needed; nothing of it was put"
@@ -269,13 +269,13 @@ class Files:
         """Whether a datum may be created. On a drone files take no more than half of the store, so that there is space
         for measurements."""
         agent = self._driver.agent
-        node, store, settings = agent.node, agent.store, agent.settings.store
+        node, store = agent.node, agent.store
         holdings, size = node.holdings, size + TERMS_SIZE + node.seals.added
         if not (store.accepting and store.room_for(size - holdings.spare_bytes)):
             return False
         if node.sink:
             return True
-        items, most = settings.capacity_items, settings.capacity_bytes
+        items, most = holdings.capacity_items, holdings.capacity_bytes
         half_free = (items is None or 2 * (len(holdings.custody) + 1) <= items) and (
             most is None or 2 * (holdings.custody_bytes + size) <= most
         )

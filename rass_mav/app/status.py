@@ -194,7 +194,7 @@ def _store(driver: Driver) -> dict[str, Any]:
         "items": items,
         "spares": len(node.holdings) - len(node.holdings.custody),
         "bytes": node.store.used_bytes - items * ROW_OVERHEAD,
-        "capacity_items": None if node.sink else settings.capacity_items,
+        "capacity_items": node.settings.capacity_items,
         "capacity_bytes": None if node.sink else settings.capacity_bytes,
-        "quota_bytes": settings.quota_bytes,
+        "quota_bytes": node.store.quota_bytes,
     }

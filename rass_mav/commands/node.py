@@ -140,18 +140,27 @@ def _narrate(line: str) -> None:
 
 def _check(options: argparse.Namespace) -> int:
     from rass_mav.app.config import filled_in
+    from rass_mav.app.endurance import empty, endurance
     from rass_mav.config.loading import dump_yaml, to_plain
 
     config = _config(options)
     warnings = config.warnings()
     for warning in warnings:
         sys.stderr.write(f"{options.config}: warning: {warning}\n")
+    lasts = None
+    if not config.base:
+        # The store's folder may be another user's.
+        with contextlib.suppress(OSError):
+            lasts = endurance(config, empty(config))
     if options.json:
-        print_json({"ok": True, "config": to_plain(filled_in(config)), "warnings": warnings})
+        seconds = None if lasts is None or lasts.seconds == math.inf else round(lasts.seconds)
+        print_json({"ok": True, "config": to_plain(filled_in(config)), "warnings": warnings, "store_lasts_s": seconds})
     elif options.show:
         sys.stdout.write(dump_yaml(filled_in(config)))
     else:
         say(f"{options.config}: ok ({config.node.role}, node {config.node_id})")
+        if lasts is not None:
+            say(f"{options.config}: an empty store {lasts.text}")
     return 0
 
 

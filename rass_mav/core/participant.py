@@ -18,7 +18,7 @@ from rass_mav.core.pace import Pace
 from rass_mav.core.policy import POTENTIAL_BASE, Policy
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.routes.announcements import Announcements
-from rass_mav.core.routes.costs import Toll
+from rass_mav.core.routes.costs import NO_COST, Toll
 from rass_mav.core.routes.ranks import ByCost, ByHops
 from rass_mav.core.routes.serial import following
 from rass_mav.core.routes.table import HOLD_LIFETIMES, RoutingTable
@@ -27,6 +27,10 @@ from rass_mav.core.settings import NodeSettings
 from rass_mav.core.store import Store
 from rass_mav.core.terms import TERMS, USUAL, Terms
 from rass_mav.errors import DatumError, StoreFullError
+
+#: What waits here makes a hop from here dearer by this at most, wire units: a route over a dozen nodes that have been
+#: filled for days has a cost.
+MOST_QUEUE = NO_COST // 16
 
 
 class Participant(ABC):
@@ -215,7 +219,7 @@ class Participant(ABC):
             hop = self.policy.potential(routing.distance, self.risk.risk(now), 1)
             # A datum that comes here is exposed for one more turn for each turn's worth of data before it.
             queue = hop * len(self.holdings.custody) // self.pace.items if self.settings.queue_toll else 0
-            routing.toll = Toll(hop, queue)
+            routing.toll = Toll(hop, min(queue, MOST_QUEUE))
         routing.update(now)
 
     def update_fitness(self, now: float) -> Beacon:

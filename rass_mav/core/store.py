@@ -90,8 +90,13 @@ class Store(Protocol):
         """Whether a datum, a loss or a meta number is not on disk yet: messages about it have to wait. Cheap."""
 
     @property
+    def quota_bytes(self) -> int | None:
+        """What `used_bytes` may be now at most; None: there is no bound. On a disk it changes with what is free there.
+        Cheap."""
+
+    @property
     def used_bytes(self) -> int:
-        """What the quota bounds: bytes of payload and an overhead for each datum."""
+        """What the quota bounds: bytes of payload and an overhead for each datum. Cheap where there is a quota."""
 
     def next_sequence(self) -> int:
         """Claim the next sequence number of this epoch; durable with the next commit. From 0, without gaps."""

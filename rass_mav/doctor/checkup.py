@@ -72,7 +72,7 @@ def check_up(path: str) -> Report:
         passed("configuration", f"{path} is valid (node {config.node_id}, {config.node.role})"),
         service.service(name),
         computer.clock(time.time(), config.store_path),
-        storage.store(config.store_path),
+        storage.store(config),
         keys.keys(config),
     ]
     serial = {port.key: ports.serial_port(port) for port in ports.serial_ports(config)}

@@ -12,6 +12,31 @@ from typing import NamedTuple, Protocol
 
 from .files import make_file
 
+#: What a store leaves free of a disk: this many bytes, for the log and what else writes there,
+RESERVE_BYTES = 64 << 20
+#: or one part in this many of a small disk.
+RESERVE_PART = 16
+
+
+class Space(NamedTuple):
+    """What there is of a disk, bytes."""
+
+    free: int
+    """What a user can still write."""
+    reserve: int
+    """What a store leaves of that."""
+
+    @property
+    def usable(self) -> int:
+        """What a store may still take."""
+        return max(0, self.free - self.reserve)
+
+
+def space(folder: Path) -> Space:
+    """Of the disk of a folder. `OSError`."""
+    disk = os.statvfs(folder)
+    return Space(disk.f_bavail * disk.f_frsize, min(RESERVE_BYTES, disk.f_blocks * disk.f_frsize // RESERVE_PART))
+
 
 class BlockFile:
     """A file that is read and written at offsets in bytes. Reading is safe on any thread, also during a write.
@@ -75,6 +100,9 @@ class Disk(Protocol):
     def open_file(self, path: Path, *, writable: bool) -> BlockFile:
         """Open a file, or create it if it is to be `writable`. `OSError`, `FileNotFoundError`."""
 
+    def space(self, folder: Path) -> Space | None:
+        """How much there is; None: there is no end. `OSError`."""
+
 
 class HostDisk(NamedTuple):
     """The disk of this computer."""
@@ -85,6 +113,10 @@ class HostDisk(NamedTuple):
     def open_file(self, path: Path, *, writable: bool) -> BlockFile:
         """As in `Disk`."""
         return BlockFile(path, writable=writable)
+
+    def space(self, folder: Path) -> Space | None:
+        """As in `Disk`."""
+        return space(folder)
 
 
 HOST = HostDisk()

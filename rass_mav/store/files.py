@@ -64,6 +64,12 @@ def tighten(path: Path) -> None:
                 file.chmod(mode & MODE)
 
 
+def taken(path: Path) -> int:
+    """The bytes that the files of a store take: the database, its log and the large payloads."""
+    files = (path, beside(path, LOG_ENDINGS[0]), beside(path, PAYLOADS))
+    return sum(file.stat().st_size for file in files if file.exists())
+
+
 def sync_directory(path: Path) -> None:
     """Make a rename in the directory of `path` durable."""
     directory = os.open(path.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)

@@ -33,8 +33,8 @@ class MemoryStore:
     """
 
     __slots__ = (
-        "_apart", "_counters", "_data", "_losses", "_meta", "_partials", "_quota", "_sequence", "_struck", "_used",
-        "epoch", "life",
+        "_apart", "_counters", "_data", "_losses", "_meta", "_partials", "_sequence", "_struck", "_used", "epoch",
+        "life", "quota_bytes",
     )  # fmt: skip
     accepting = True
     """Always."""
@@ -58,12 +58,15 @@ class MemoryStore:
         self._meta: dict[str, int] = {}
         self._partials: dict[PartialKey, dict[int, bytes]] = {}
         """Pieces by their offset. What grew last is last."""
-        self._quota = quota_bytes
+        self.quota_bytes = quota_bytes
+        """Bound of `used_bytes`; None: no bound."""
         self._used = 0  # counted only under a quota: without one, not every put has to ask
 
     @property
     def used_bytes(self) -> int:
         """The sum of `cost`, as on a disk: what the quota bounds."""
+        if self.quota_bytes is not None:
+            return self._used
         data = (*self._data.values(), *self._apart.values())
         return sum(cost(len(datum.payload)) for datum in data)
 
@@ -82,16 +85,16 @@ class MemoryStore:
 
     def room_for(self, size: int) -> bool:
         """Whether a datum of `size` bytes of payload fits the quota."""
-        return self._quota is None or self._used + cost(size) <= self._quota
+        return self.quota_bytes is None or self._used + cost(size) <= self.quota_bytes
 
     def put(self, datum: Datum) -> None:
         """Store a datum as the latest, or replace the one with its id. `StoreFullError` over the quota."""
         id = datum[0]
         data = self._data
-        if self._quota is not None:
+        if self.quota_bytes is not None:
             old = data.get(id)
             freed = 0 if old is None else cost(len(old.payload))
-            self._used = charge(self._used, freed, len(datum.payload), self._quota)
+            self._used = charge(self._used, freed, len(datum.payload), self.quota_bytes)
         if id in data:
             del data[id]
             self._struck.discard(id)
@@ -108,7 +111,7 @@ class MemoryStore:
         of_this_id = sum(other == id for other, _ in self._apart)
         if len(self._apart) >= MAX_APART or of_this_id >= MAX_APART_OF_ONE or not self.room_for(size):
             return False
-        if self._quota is not None:
+        if self.quota_bytes is not None:
             self._used += cost(size)
         self._apart[id, datum.crc] = datum
         return True
@@ -140,7 +143,7 @@ class MemoryStore:
         if datum is None:
             return
         self._struck.discard(id)
-        if self._quota is not None:
+        if self.quota_bytes is not None:
             self._used -= cost(len(datum.payload))
         if fate in RECORDED:
             self._losses.setdefault(id, Loss(fate))

@@ -25,7 +25,7 @@ from .committing import Committer
 from .disk import HOST, Disk
 from .drafts import connect
 from .errors import Unsound, explained
-from .files import checked_path
+from .files import checked_path, taken
 from .lock import Lock
 from .opening import CHECK_LIMIT, Opening
 from .payloads import Payloads
@@ -72,8 +72,9 @@ class SqliteStore:
         committer: Committer | None,
         report: OpenReport,
         quota_bytes: int | None,
+        disk: Disk,
     ) -> None:
-        """Not for callers: see `open`. `committer`: None: nothing can be written."""
+        """Not for callers: see `open`. `committer`: None: nothing can be written. `OSError`."""
         self._path = path
         self._lock = lock
         self._source = source
@@ -82,7 +83,13 @@ class SqliteStore:
         self._closed = False
         self.report = report
         """What opening the store found, and what was done about it."""
-        self._quota = quota_bytes
+        self._bound = quota_bytes
+        self._disk = disk
+        self.quota_bytes: int | None = None
+        """What `used_bytes` may be now at most: the bound that was given, or as much as the disk has, less a reserve;
+        None: no bound."""
+        if committer is not None:
+            self._look_at_disk()
         self._changes = Changes()
         self._buffered = 0
         self._out: Batch | None = None
@@ -128,7 +135,7 @@ class SqliteStore:
 
         `node_id`: the node that owns it; losses are recorded under it.
         `draw_epoch`: called for a life or an epoch (32 bits) when a new one is due.
-        `quota_bytes`: bound of `used_bytes`; None: no bound.
+        `quota_bytes`: bound of `used_bytes`; None: only that of the disk, which leaves a reserve free.
         `file_limit`: bound of the database and its large payloads in bytes, rounded down to pages; a commit beyond it
         fails as on a full disk. None: no bound.
         `suspect`: check the whole file whatever its size; for opening again after `StoreDamagedError`.
@@ -159,7 +166,7 @@ class SqliteStore:
                     reader = connect(path, vfs=disk.vfs, busy_timeout=busy_timeout)
                     reader.execute("PRAGMA query_only = ON")
                     source = schema.Source(reader, committer.payloads)
-                    store = cls(path, lock, source, committer, report, quota_bytes)
+                    store = cls(path, lock, source, committer, report, quota_bytes, disk)
                     committer.begin(schema.read_own(schema.read_numbers(writer, "meta")))
                     return store
             except BaseException:
@@ -196,7 +203,7 @@ class SqliteStore:
             reader = open_to_read(path, draw_epoch, disk.vfs)
             with explained(path, "opening the store to read"):
                 source = schema.Source(reader, Payloads(path, disk, writable=False))
-            return cls(path, lock, source, None, OpenReport(unwritable=reason), quota_bytes)
+            return cls(path, lock, source, None, OpenReport(unwritable=reason), quota_bytes, disk)
         except BaseException:
             lock.release()
             raise
@@ -236,7 +243,7 @@ class SqliteStore:
         if self._committer is None:
             return False
         needed = cost(size)
-        within_quota = self._quota is None or self.used_bytes + needed <= self._quota
+        within_quota = self.quota_bytes is None or self.used_bytes + needed <= self.quota_bytes
         return within_quota and self._buffered + needed <= MAX_BUFFERED_BYTES
 
     def put(self, datum: Datum) -> None:
@@ -249,7 +256,7 @@ class SqliteStore:
             raise StoreFullError(f"{self._path}: cannot be written ({self.report.unwritable})")
         id, size = datum.id, len(datum.payload)
         old = self._sizes.get(id)
-        used = charge(self.used_bytes, 0 if old is None else cost(old), size, self._quota)
+        used = charge(self.used_bytes, 0 if old is None else cost(old), size, self.quota_bytes)
         if self._buffered + cost(size) > MAX_BUFFERED_BYTES:
             raise StoreFullError(f"{self._path}: {self._buffered} bytes wait to be written, which is the limit")
         self._release(id)
@@ -542,6 +549,18 @@ class SqliteStore:
                 if out.state is BatchState.WRITING:
                     out.state = BatchState.FAILED
                     self._failing = True
+                with suppress(OSError):
+                    self._look_at_disk()
+
+    def _look_at_disk(self) -> None:
+        """How much the store may hold now: its files may grow by what the disk has free, less a reserve. What was
+        removed leaves space inside them. The log is part of the reserve. `OSError`."""
+        space = self._disk.space(self._path.absolute().parent)
+        if space is None:
+            self.quota_bytes = self._bound
+            return
+        most = max(0, taken(self._path) + space.free - space.reserve)
+        self.quota_bytes = most if self._bound is None else min(self._bound, most)
 
     def _checked(self, batch: object) -> Batch:
         out = self._out

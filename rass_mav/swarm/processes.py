@@ -365,7 +365,7 @@ class ProcessSwarm:
         created = census.created
         lost = census.losses()
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
-        room = len(self._drones) * census.samples * (scenario.store.capacity_items or 0)
+        room = len(self._drones) * census.samples * scenario.store.most_items
         return {
             "nodes": scenario.nodes,
             "bases": scenario.bases,

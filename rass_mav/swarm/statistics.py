@@ -107,8 +107,7 @@ class Statistics:
         created = ledger.created
         bases = sum(agent.settings.base for agent in world.agents)
         drones = len(world.agents) - bases
-        capacity = self._full_items or settings.store.capacity_items
-        room = drones * self._steps * (capacity or 0)
+        room = drones * self._steps * (self._full_items or settings.store.most_items)
         kept = created - sum(count for fate, count in lost.items() if fate != "vanished")
         received = self._received + sum(agent.peers.received for agent in world.agents)
         malformed = self._malformed + sum(a.peers.malformed + a.peers.reader.malformed for a in world.agents)

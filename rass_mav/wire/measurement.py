@@ -13,6 +13,8 @@ _UNIT = struct.Struct("<B")
 _ERROR = struct.Struct("<H")
 #: Bytes of a measurement without unit, error and padding.
 MEASUREMENT_BYTES = _MEASUREMENT.size
+#: With unit and error.
+MOST_MEASUREMENT_BYTES = MEASUREMENT_BYTES + _UNIT.size + _ERROR.size
 _VERSION = 1
 _HAS_POSITION = 1
 _HAS_READING = 2

@@ -12,12 +12,15 @@ from typing import Any
 
 import pytest
 
-from rass_mav.app.config import load_config
+from rass_mav.app.config import RunConfig, load_config
+from rass_mav.config.loading import convert
+from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.doctor import computer, network, ports, service, storage
 from rass_mav.doctor.checkup import as_the_service
 from rass_mav.doctor.finding import Finding
 from rass_mav.errors import ServiceError
 from rass_mav.link.settings import LinkSection, PeerSection
+from rass_mav.store.disk import Space
 from rass_mav.store.sqlite import SqliteStore
 from tests.namespaces import DOWN, JOINED, NOT_JOINED, in_namespace
 from tests.ptys import SerialDevice
@@ -214,26 +217,60 @@ def test_a_name_service_that_hangs_does_not_hold_us_up() -> None:
     assert time.monotonic() - began < 2 * network.LOOKUP_S
 
 
+def build(raw: dict[str, Any]) -> RunConfig:
+    return convert(raw, RunConfig, "test")
+
+
+def drone(path: Path, **sections: Any) -> RunConfig:
+    """A drone whose store is at `path`."""
+    store = {**sections.pop("store", {}), "path": str(path)}
+    node = {**sections.pop("node", {}), "id": 7}
+    return build({"node": node, "store": store, "links": [{"type": "udp", "listen": "127.0.0.1:0"}], **sections})
+
+
+def said(config: RunConfig) -> str:
+    return sound(storage.store(config)).text
+
+
 def test_a_store(tmp_path: Path) -> None:
     path = tmp_path / "n.db"
-    fresh = sound(storage.store(path))
+    fresh = sound(storage.store(drone(path)))
     assert (fresh.level, "not created yet" in fresh.text) == ("pass", True)
-    assert sound(storage.store(tmp_path / "nowhere/n.db")).level == "fail"
+    assert sound(storage.store(drone(tmp_path / "nowhere/n.db"))).level == "fail"
     store = SqliteStore.open(path, node_id=7, draw_epoch=lambda: 1)
     # A node may be using it.
-    assert "0 data" in sound(storage.store(path)).text
+    assert "0 data" in sound(storage.store(drone(path))).text
     store.close()
-    assert sound(storage.store(path, free=3_000_000)).level == "fail"
-    assert sound(storage.store(path, free=30_000_000)).level == "warn"
+    assert sound(storage.store(drone(path), Space(free=60_000_000, reserve=64_000_000))).level == "fail"
+    assert sound(storage.store(drone(path), Space(free=100_000_000, reserve=64_000_000))).level == "warn"
     path.with_name("n.db.damaged-1").touch()
-    aside = sound(storage.store(path))
+    aside = sound(storage.store(drone(path)))
     assert (aside.level, "n.db.damaged-1" in aside.text) == ("warn", True)
     path.write_bytes(b"no database, for sure" * 100)
-    damaged = sound(storage.store(path))
+    damaged = sound(storage.store(drone(path)))
     assert (damaged.level, "set it aside" in damaged.remedy) == ("warn", True)
     path.chmod(0o400)
     with ordinary_user(tmp_path):
-        assert "no permission to write" in sound(storage.store(path)).text
+        assert "no permission to write" in sound(storage.store(drone(path))).text
+
+
+def test_it_says_how_long_the_store_lasts_without_contact(tmp_path: Path) -> None:
+    path = tmp_path / "n.db"
+    assert "lasts 5.8 days without contact (a measurement every 10 s, a status every 60 s)" in said(drone(path))
+    assert "lasts 16 hours" in said(drone(path, node={"step_s": 0.1}))
+    small = sound(storage.store(drone(path, store={"capacity_items": 50})))
+    assert (small.level, "lasts 7.1 minutes" in small.text) == ("warn", True)
+    assert "store.capacity_items" in small.remedy
+    # 1 MiB of quota: 119 bytes a measurement, 193 a status.
+    assert "lasts 19 hours" in said(drone(path, store={"quota_bytes": 1 << 20}))
+    assert "never fills up" in said(drone(path, data={"lifetime_s": 3600}))
+    assert "creates no data" in said(drone(path, data={"interval_steps": 0, "status_s": 0}))
+    assert "without contact" not in said(build({"node": {"id": 7, "role": "base"}, "store": {"path": str(path)}}))
+    with SqliteStore.open(path, node_id=7, draw_epoch=lambda: 1) as store:
+        for number in range(25):
+            store.put(make_datum(DatumId(7, 1, number), 0, 0.0, b"reading"))
+    assert "25 data" in said(drone(path, store={"capacity_items": 50}))
+    assert "lasts 3.6 minutes" in said(drone(path, store={"capacity_items": 50}))
 
 
 def test_the_services_configuration_has_its_store_in_the_services_folder(tmp_path: Path) -> None:

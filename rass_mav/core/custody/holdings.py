@@ -11,9 +11,9 @@ caller drops spares; `crowded` and `yielding` determine when and which.
 from __future__ import annotations
 
 import enum
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
-from itertools import chain, islice
+from itertools import chain
 from math import inf
 from typing import NamedTuple
 
@@ -224,9 +224,9 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_looked_at", "_own", "_settings", "_store", "asked", "bare", "by_terms",
+        "_all", "_oldest", "_settings", "_store", "_unverified", "asked", "bare", "by_terms",
         "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
-        "portions", "reserved", "spare", "spare_bytes",
+        "portions", "reserved", "shares", "spare", "spare_bytes",
     )  # fmt: skip
 
     def __init__(self, store: Store, settings: NodeSettings, *, load: bool = True) -> None:
@@ -235,11 +235,6 @@ class Holdings:
         self._store = store
         self.capacity_items = settings.capacity_items
         self._settings = settings
-        self._own = (
-            int(settings.own_share * (settings.capacity_items or 0)),
-            int(settings.own_share * (settings.capacity_bytes or 0)),
-        )
-        """Items and bytes that are reserved for the node's own data."""
         self._all: dict[DatumId, Holding] = {}
         self.custody: dict[DatumId, Holding] = {}
         """Data in custody, least recently used first (the paper's LRU eviction)."""
@@ -255,11 +250,16 @@ class Holdings:
         """Bytes of payload of the spares of both kinds."""
         self.portions = Portions(settings.node_id)
         """Whose data are here."""
-        self._looked_at = 0
+        self._unverified: deque[DatumId] = deque()
+        """Copies whose checksums are still to be verified in this rotation."""
+        self._oldest = inf
+        """No copy was created before this, seconds."""
         self.reserved = 0
         """Places reserved for items that should come back."""
         self.bare: dict[DatumId, Holding] = {}
         """Small data in custody without a backer, those without one for longest first."""
+        self.shares: dict[DatumId, Holding] = {}
+        """Shares in custody that were created here, least recently used first."""
         self.asked: dict[DatumId, Holding] = {}
         """Spares that a partner counts on, those asked for the longest ago first."""
         self.pending: dict[int, Holding] = {}
@@ -295,42 +295,54 @@ class Holdings:
 
     # -- capacity ------------------------------------------------------------------------------------------------------
 
+    @property
+    def capacity_bytes(self) -> int | None:
+        """Bytes of payload that can be held now: what the settings allow, and what the store's quota leaves beside all
+        else that is there."""
+        most, quota = self._settings.capacity_bytes, self._store.quota_bytes
+        if quota is None:
+            return most
+        left = max(0, quota - self._store.used_bytes + self.custody_bytes + self.spare_bytes)
+        return left if most is None else min(most, left)
+
+    def _others(self, capacity: int) -> int:
+        """The part of a capacity that others' data may take; the rest is reserved for the node's own."""
+        return capacity - int(self._settings.own_share * capacity)
+
     def free(self) -> int:
         """Items of others that can be taken into custody, 0..65535 (65535: no bound). Spares count as free."""
-        if (
-            self._settings.capacity_bytes is not None
-            and self.custody_bytes >= self._settings.capacity_bytes - self._own[1]
-        ):
+        capacity_bytes = self.capacity_bytes
+        if capacity_bytes is not None and self.custody_bytes >= self._others(capacity_bytes):
             return 0
         if self.capacity_items is None:
             return 0xFFFF
-        return min(max(self.capacity_items - self._own[0] - len(self.custody) - self.reserved, 0), 0xFFFE)
+        return min(max(self._others(self.capacity_items) - len(self.custody) - self.reserved, 0), 0xFFFE)
 
     def room_for(self, size: int, *, own: bool, items: int = 1) -> bool:
         """Whether so many data, `size` bytes of payload in all, fit into custody. `own`: a measurement of this node."""
-        if self._settings.capacity_bytes is not None:
-            limit = self._settings.capacity_bytes if own else self._settings.capacity_bytes - self._own[1]
-            if self.custody_bytes + size > limit:
-                return False
-        if self.capacity_items is None:
+        if (limit := self.capacity_bytes) is not None and self.custody_bytes + size > (
+            limit if own else self._others(limit)
+        ):
+            return False
+        if (limit := self.capacity_items) is None:
             return True
-        limit = self.capacity_items if own else self.capacity_items - self._own[0]
-        return len(self.custody) + self.reserved + items <= limit
+        return len(self.custody) + self.reserved + items <= (limit if own else self._others(limit))
 
     def is_fair(self, giver: int, origin: int, size: int) -> bool:
         """Whether a neighbour may hand over a datum of an origin, of `size` bytes of payload, if it fits. When the
         space for others' data is nearly used up, what is left is for those that have less than an equal share."""
         used = (len(self.custody) + self.reserved, self.custody_bytes + size)
-        for which, capacity in enumerate((self.capacity_items, self._settings.capacity_bytes)):
+        for which, capacity in enumerate((self.capacity_items, self.capacity_bytes)):
             if capacity is not None:
-                places = capacity - self._own[which]
+                places = self._others(capacity)
                 if is_last_part(used[which], places) and not self.portions.is_fair(giver, origin, which, places):
                     return False
         return True
 
     def room_to_grow(self, growth: int) -> bool:
         """Whether a datum in custody may be replaced by one that is `growth` bytes longer."""
-        return self._settings.capacity_bytes is None or self.custody_bytes + growth <= self._settings.capacity_bytes
+        capacity_bytes = self.capacity_bytes
+        return capacity_bytes is None or self.custody_bytes + growth <= capacity_bytes
 
     def crowded(self, size: int, others: int = 0) -> bool:
         """Whether a datum does not fit beside all copies here, spares included, and `others`, which are kept elsewhere.
@@ -339,10 +351,8 @@ class Holdings:
         """
         if self.capacity_items is not None and len(self._all) + others + self.reserved >= self.capacity_items:
             return True
-        if (
-            self._settings.capacity_bytes is not None
-            and self.custody_bytes + self.spare_bytes + size > self._settings.capacity_bytes
-        ):
+        capacity_bytes = self.capacity_bytes
+        if capacity_bytes is not None and self.custody_bytes + self.spare_bytes + size > capacity_bytes:
             return True
         return not self._store.room_for(size)
 
@@ -352,8 +362,8 @@ class Holdings:
         used = 0.0
         if self.capacity_items is not None:
             used = (len(self._all) + others) / max(self.capacity_items, 1)
-        if self._settings.capacity_bytes is not None:
-            used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(self._settings.capacity_bytes, 1))
+        if (capacity_bytes := self.capacity_bytes) is not None:
+            used = max(used, (self.custody_bytes + self.spare_bytes + size) / max(capacity_bytes, 1))
         return max(0.0, 1.0 - used)
 
     def yielding(self, *, distant: bool, near: bool) -> Holding | None:
@@ -372,7 +382,10 @@ class Holdings:
         return None
 
     def older(self, than: float) -> list[Holding]:
-        """Copies of data that were created before a moment, seconds."""
+        """Copies of data that were created before a moment, seconds. The caller drops them."""
+        if than <= self._oldest:
+            return []
+        self._oldest = min((h.created for h in self._all.values() if h.created >= than), default=inf)
         return [self._all[id] for id in self if self._all[id].created < than]
 
     def damaged(self, limit: int | None) -> list[Holding]:
@@ -380,10 +393,10 @@ class Holdings:
         if limit is None or limit >= len(self._all):
             found = self._store.corrupt(self)
         else:
-            if self._looked_at >= len(self._all):
-                self._looked_at = 0
-            found = self._store.corrupt(islice(self, self._looked_at, self._looked_at + limit))
-            self._looked_at += limit
+            if not self._unverified:
+                self._unverified.extend(self)
+            turn = [self._unverified.popleft() for _ in range(min(limit, len(self._unverified)))]
+            found = self._store.corrupt(id for id in turn if id in self._all)
         return [self._all[id] for id in found]
 
     # -- changes -------------------------------------------------------------------------------------------------------
@@ -422,9 +435,7 @@ class Holdings:
         if holding.state is State.CUSTODY:
             self.withdraw(holding)
             partner.backed[holding.id] = holding
-            if holding.offer_at is not None:
-                holding.offer_at = None
-                del self.bare[holding.id]
+            self._clothe(holding)
         else:
             partner.spares[holding.id] = holding
             partner.large += holding.size > self._settings.inline_bytes
@@ -515,8 +526,7 @@ class Holdings:
     def want_none(self, holding: Holding) -> None:
         """Offer no more spares of a datum in custody, as long as the state of its copy does not change."""
         self.withdraw(holding)
-        if holding.offer_at is not None:
-            holding.offer_at = inf
+        self._clothe(holding)
 
     # -- the indexes ---------------------------------------------------------------------------------------------------
 
@@ -525,12 +535,15 @@ class Holdings:
 
     def _enter(self, holding: Holding) -> Holding:
         self._all[holding.id] = holding
+        self._oldest = min(self._oldest, holding.created)
         self._of(holding.state)[holding.id] = holding
         self.by_terms.enter(holding)
         if holding.state is State.CUSTODY:
             self.custody_bytes += holding.size
             self.portions.add(holding.giver, holding.id.origin, holding.size)
             self._lay_bare(holding)
+            if holding.told.share and holding.giver is None:
+                self.shares[holding.id] = holding
         else:
             self.spare_bytes += holding.size
             if holding.state is State.PASSED_ON:
@@ -548,9 +561,8 @@ class Holdings:
             self.portions.remove(holding.giver, holding.id.origin, holding.size)
             self.cancel(holding)
             self.withdraw(holding)
-            if holding.offer_at is not None:
-                holding.offer_at = None
-                del self.bare[holding.id]
+            self._clothe(holding)
+            self.shares.pop(holding.id, None)
         else:
             self.spare_bytes -= holding.size
             if holding.state is State.PASSED_ON:
@@ -577,3 +589,9 @@ class Holdings:
         if holding.size <= self._settings.inline_bytes and not holding.told.share:
             holding.offer_at = -inf
             self.bare[holding.id] = holding
+
+    def _clothe(self, holding: Holding) -> None:
+        """It needs no spare any more."""
+        if holding.offer_at is not None:
+            holding.offer_at = None
+            del self.bare[holding.id]

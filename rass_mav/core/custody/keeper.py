@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable
 from dataclasses import replace
+from itertools import islice
 from math import inf
 
 from rass_mav.core.alarms import Alarm, Alarms
@@ -27,6 +28,8 @@ from rass_mav.core.store import Store
 _BEYOND_REPAIR = (Fate.CORRUPTED, Fate.EXPIRED, Fate.OVERFLOW)
 #: Reports of one drone about others' data that a base keeps until it knows that these were created.
 MAX_CLAIMS = 64
+#: Data in custody, those that leave next, of which a digest is asked whether they have arrived.
+MOST_MATCHED = 1024
 #: Among honest nodes the ages of one datum differ by at most this, seconds.
 _AGES_DIFFER_S = 1.0
 
@@ -289,9 +292,10 @@ class Keeper:
         self.takers.heed_digest(digest)
         for id in matched(digest, holdings.passed_on):
             self.drop(holdings.passed_on[id], Fate.DELIVERED)
-        for held in (holdings.spare, holdings.custody):
-            for id in matched(digest, held):
-                held[id].matched = True
+        for id in matched(digest, holdings.spare):
+            holdings.spare[id].matched = True
+        for id in matched(digest, islice(holdings.custody, MOST_MATCHED)):
+            holdings.custody[id].matched = True
         self.spares.heed_digest(digest)
 
     @property

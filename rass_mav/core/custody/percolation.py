@@ -25,6 +25,8 @@ DANGER = 0.05
 #: Large data that a neighbour may have from here without having passed them on. With more, both would send all the
 #: time, and what is on the other side of the neighbour would not be heard.
 MAX_HEAPED = 2
+#: Data that a node looks at for some that have not arrived, while the air is full or the neighbour is doubted.
+MOST_LOOKED_AT = 1024
 #: Turns for which a datum that the receiver was heard to hand over is not sent to it again.
 MOVING_TURNS = 4
 
@@ -145,7 +147,7 @@ class Percolation:
         )
         places = [self._id, *near]
         inline = keeper.settings.inline_bytes
-        for holding in [h for h in keeper.holdings.custody.values() if h.told.share and h.giver is None]:
+        for holding in list(keeper.holdings.shares.values()):
             target = places[holding.id.sequence % len(places)]
             if pace.left <= pace.kept:
                 return
@@ -217,9 +219,9 @@ class Percolation:
         def free(custody: Iterable[Holding]) -> Iterator[Holding]:
             found: Iterator[Holding] = (holding for holding in custody if holding.pending is None)
             if most is not None:
-                found = self._few_unproven(found, most)
+                found = self._few_unproven(islice(found, MOST_LOOKED_AT), most)
             if pace.full:
-                found = (holding for holding in found if not keeper.has_probably_arrived(holding))
+                found = self._not_arrived(found)
             return self._few_large(found, large)
 
         chosen = free(holdings.custody.values())
@@ -236,6 +238,13 @@ class Percolation:
             (arrived if self._keeper.has_probably_arrived(holding) else unproven).append(holding)
         unproven.sort(key=self._keeper.is_proof, reverse=True)
         return chain(unproven[:most], arrived)
+
+    def _not_arrived(self, holdings: Iterator[Holding]) -> Iterator[Holding]:
+        """The same without data that have probably arrived, as far as a node looks at a time."""
+        for holding in islice(holdings, MOST_LOOKED_AT):
+            if not self._keeper.has_probably_arrived(holding):
+                yield holding
+        yield from holdings
 
     def _few_large(self, holdings: Iterator[Holding], large: int) -> Iterator[Holding]:
         """The same with so many large data at most: more cannot begin, and small ones behind them do not wait."""

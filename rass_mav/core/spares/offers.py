@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from math import inf
 
 from rass_mav.core.custody.holdings import Holding
@@ -44,6 +45,8 @@ GONE_GAIN = 0.05
 TARGET = 0.999
 #: The chance of loss in the next step from which a datum gets a spare even while the air is full.
 DANGER = 0.05
+#: Data without a backer that are looked at at a time, besides those that are sent or on their way.
+LOOK = 256
 
 
 class SpareOffers:
@@ -109,7 +112,8 @@ class SpareOffers:
     def spread(self, now: float, out: list[Message]) -> None:
         """Send spares to the safest neighbours, for the data that need them, within the bandwidth."""
         auto, holdings = self._keeper.settings.copies_auto, self._keeper.holdings
-        needy = [h for h in holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None)]
+        due = (h for h in holdings.bare.values() if _is_due(h, now) and (auto or h.pending is None))
+        needy = list(islice(due, LOOK + max(self._pace.left, 0) + len(holdings.pending)))
         if self._came:
             came = (holdings.custody.get(id) for id in self._came)
             # Data without a backer are in `bare`.
@@ -129,10 +133,12 @@ class SpareOffers:
     def _offer(self, needy: list[Holding], now: float, out: list[Message]) -> None:
         if self._pace.left <= 0:
             return
-        for holding in (needed := [holding for holding in needy if holding.id in self._keeper.arrived]):
-            # A base has stated that it has the datum.
-            self._keeper.holdings.want_none(holding)
-        needy = [holding for holding in needy if holding not in needed] if needed else needy
+        arrived = self._keeper.arrived
+        for holding in needy:
+            if holding.id in arrived:
+                # A base has stated that it has the datum.
+                self._keeper.holdings.want_none(holding)
+        needy = [holding for holding in needy if holding.id not in arrived]
         safest = self._safest_first(now)
         room = {neighbour.id: neighbour.beacon.free for neighbour in safest}
         batches: dict[int, list[Handover]] = {}

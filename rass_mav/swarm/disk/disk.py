@@ -200,6 +200,9 @@ class Disk:
         """Open a file, or create it if it is to be `writable`. `OSError`, `FileNotFoundError`."""
         return _Beside(self, path, writable=writable)
 
+    def space(self, folder: Path) -> None:
+        """There is no end; what is full fails."""
+
     def use(self, path: Path) -> _File:
         """For its files: a file is open."""
         file = self._file(str(path))

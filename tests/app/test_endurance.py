@@ -1,0 +1,48 @@
+"""The table in docs/store.md says how long a store lasts: the program says the same."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from rass_mav.app.config import NodeSection, RunConfig, RunDataSettings, RunStoreSettings
+from rass_mav.app.endurance import Left, endurance
+from rass_mav.store.quota import cost
+
+PAGE = Path(__file__).parents[2] / "docs/store.md"
+_ROW = re.compile(r"^\| (\d+) s(?: \(default\))? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.M)
+_ENDLESS = 1 << 60
+
+
+def config(interval_steps: int) -> RunConfig:
+    return RunConfig(node=NodeSection(id=7), data=RunDataSettings(interval_steps=interval_steps))
+
+
+def hours(of: RunConfig, items: int, room: int = _ENDLESS) -> float:
+    return endurance(of, Left(items, room)).seconds / 3600
+
+
+def test_the_table_of_hours() -> None:
+    rows = _ROW.findall(PAGE.read_text(encoding="utf-8"))
+    assert len(rows) == 4
+    for interval, alone, files, half, fifty, megabytes in rows:
+        of = config(int(interval))
+        items = of.store.most_items
+        for told, found in (
+            (alone, hours(of, items)),
+            (files, hours(of, items - 100 * 32)),
+            (half, hours(of, items // 2)),
+            (fifty, hours(of, 50)),
+            (megabytes, (86_400 / int(interval) * cost(23) + 1_440 * cost(97)) / 1e6),
+        ):
+            digits = len(told.partition(".")[2])
+            assert abs(float(told) - found) <= 0.5 * 10**-digits + 1e-9, (interval, told, found)
+
+
+def test_the_tighter_bound_counts() -> None:
+    of = config(10)
+    assert hours(of, 1000) < hours(of, 2000)
+    assert hours(of, 2000, 1000 * cost(23)) < hours(of, 1000)
+    tight = replace(of, store=RunStoreSettings(capacity_bytes=100))
+    assert hours(tight, 1000) < 0.02
