@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from .files import make_file
+from .files import make_file, taken
 
 #: What a store leaves free of a disk: this many bytes, for the log and what else writes there,
 RESERVE_BYTES = 64 << 20
@@ -120,3 +120,23 @@ class HostDisk(NamedTuple):
 
 
 HOST = HostDisk()
+
+
+class Quota:
+    """How much a store may hold: what it was given, and what the disk has, less a reserve."""
+
+    def __init__(self, path: Path, disk: Disk, bound: int | None) -> None:
+        """`path`: of the database. `bound`: bytes; None: only that of the disk."""
+        self._path = path
+        self._disk = disk
+        self._bound = bound
+        self.bytes = bound
+        """By the last look; None: no bound."""
+
+    def look(self) -> None:
+        """The files may grow by what the disk has free, less the reserve. What was removed leaves space inside them.
+        The log is part of the reserve. `OSError`."""
+        space = self._disk.space(self._path.absolute().parent)
+        if space is not None:
+            most = max(0, taken(self._path) + space.free - space.reserve)
+            self.bytes = most if self._bound is None else min(self._bound, most)

@@ -22,10 +22,10 @@ from rass_mav.errors import StoreDamagedError, StoreError, StoreFullError
 from . import schema
 from .changes import Batch, BatchState, Changes
 from .committing import Committer
-from .disk import HOST, Disk
+from .disk import HOST, Disk, Quota
 from .drafts import connect
 from .errors import Unsound, explained
-from .files import checked_path, taken
+from .files import checked_path
 from .lock import Lock
 from .opening import CHECK_LIMIT, Opening
 from .payloads import Payloads
@@ -83,13 +83,9 @@ class SqliteStore:
         self._closed = False
         self.report = report
         """What opening the store found, and what was done about it."""
-        self._bound = quota_bytes
-        self._disk = disk
-        self.quota_bytes: int | None = None
-        """What `used_bytes` may be now at most: the bound that was given, or as much as the disk has, less a reserve;
-        None: no bound."""
+        self._quota = Quota(path, disk, quota_bytes)
         if committer is not None:
-            self._look_at_disk()
+            self._quota.look()
         self._changes = Changes()
         self._buffered = 0
         self._out: Batch | None = None
@@ -224,6 +220,11 @@ class SqliteStore:
             raise StoreFullError(f"{self._path}: all sequence numbers of this epoch are used up")
         self._sequence = self._changes.sequence = sequence + 1
         return sequence
+
+    @property
+    def quota_bytes(self) -> int | None:
+        """What `used_bytes` may be now at most; None: no bound."""
+        return self._quota.bytes
 
     @property
     def accepting(self) -> bool:
@@ -550,17 +551,7 @@ class SqliteStore:
                     out.state = BatchState.FAILED
                     self._failing = True
                 with suppress(OSError):
-                    self._look_at_disk()
-
-    def _look_at_disk(self) -> None:
-        """How much the store may hold now: its files may grow by what the disk has free, less a reserve. What was
-        removed leaves space inside them. The log is part of the reserve. `OSError`."""
-        space = self._disk.space(self._path.absolute().parent)
-        if space is None:
-            self.quota_bytes = self._bound
-            return
-        most = max(0, taken(self._path) + space.free - space.reserve)
-        self.quota_bytes = most if self._bound is None else min(self._bound, most)
+                    self._quota.look()
 
     def _checked(self, batch: object) -> Batch:
         out = self._out

@@ -168,9 +168,9 @@ class Holding:
 
 
 class ByTerms:
-    """The copies of one node by their terms."""
+    """The copies of one node by their terms, and by their age."""
 
-    __slots__ = ("_levels", "_mortal", "_next_end")
+    __slots__ = ("_levels", "_mortal", "_next_end", "oldest")
 
     def __init__(self) -> None:
         self._levels: dict[int, dict[DatumId, Holding]] = {}
@@ -179,9 +179,12 @@ class ByTerms:
         """Those that expire by their own terms, spares too."""
         self._next_end = inf
         """None of them expires before this, seconds."""
+        self.oldest = inf
+        """No copy was created before this, seconds."""
 
     def enter(self, holding: Holding) -> None:
         """A copy is here now, in its state."""
+        self.oldest = min(self.oldest, holding.created)
         id, (priority, ttl_s) = holding.id, holding.told.terms
         if ttl_s is not None:
             self._mortal[id] = holding
@@ -224,7 +227,7 @@ class Holdings:
     """The records of one node. Bounded by items and by bytes of payload; None: no bound of that kind."""
 
     __slots__ = (
-        "_all", "_oldest", "_settings", "_store", "_unverified", "asked", "bare", "by_terms",
+        "_all", "_settings", "_store", "_unverified", "asked", "bare", "by_terms",
         "capacity_items", "custody", "custody_bytes", "large", "offers", "partners", "passed_on", "pending",
         "portions", "reserved", "shares", "spare", "spare_bytes",
     )  # fmt: skip
@@ -252,8 +255,6 @@ class Holdings:
         """Whose data are here."""
         self._unverified: deque[DatumId] = deque()
         """Copies whose checksums are still to be verified in this rotation."""
-        self._oldest = inf
-        """No copy was created before this, seconds."""
         self.reserved = 0
         """Places reserved for items that should come back."""
         self.bare: dict[DatumId, Holding] = {}
@@ -383,9 +384,9 @@ class Holdings:
 
     def older(self, than: float) -> list[Holding]:
         """Copies of data that were created before a moment, seconds. The caller drops them."""
-        if than <= self._oldest:
+        if than <= self.by_terms.oldest:
             return []
-        self._oldest = min((h.created for h in self._all.values() if h.created >= than), default=inf)
+        self.by_terms.oldest = min((h.created for h in self._all.values() if h.created >= than), default=inf)
         return [self._all[id] for id in self if self._all[id].created < than]
 
     def damaged(self, limit: int | None) -> list[Holding]:
@@ -535,7 +536,6 @@ class Holdings:
 
     def _enter(self, holding: Holding) -> Holding:
         self._all[holding.id] = holding
-        self._oldest = min(self._oldest, holding.created)
         self._of(holding.state)[holding.id] = holding
         self.by_terms.enter(holding)
         if holding.state is State.CUSTODY:
