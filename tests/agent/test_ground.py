@@ -145,7 +145,7 @@ def test_values_tell_how_the_node_does() -> None:
         "RASS_PHI": pytest.approx(1 / 265, rel=1e-4),
         "RASS_HOPS": -1.0,
         "RASS_RISK": 1.0,
-        "RASS_FILL": pytest.approx(1 / 50),
+        "RASS_FILL": pytest.approx(1 / c.agent.settings.store.most_items),
     }
     alone = Conversation(policy={"name": "survival"}, ground={"values_s": 10.0})
     alone.agent.step(0.0)

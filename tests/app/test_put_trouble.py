@@ -346,7 +346,9 @@ def test_no_space_is_promised_twice(tmp_path: Path) -> None:
     async def scenario() -> None:
         with ThreadPoolExecutor(1) as disk:
             async with running(
-                LoopbackHub().endpoint("n"), MemoryStore(1), settings(2, capacity_items=None, quota_bytes=500_000)
+                LoopbackHub().endpoint("n"),
+                MemoryStore(1, quota_bytes=500_000),
+                settings(2, capacity_items=None, quota_bytes=500_000),
             ) as driver:
                 files = Files(driver, Spool(tmp_path / "spool"), 1 << 15, disk)
                 # At the same moment, from two clients.

@@ -199,7 +199,14 @@ def test_large_data_go_in_chunks_through_the_swarm() -> None:
 
 @pytest.mark.no_cover
 def test_stigmergy_fills_every_store_and_refuses_the_rest() -> None:
-    world = run(nodes=25, steps=120, seed=1, policy={"name": "stigmergy"}, radiation={"sources": []})
+    world = run(
+        nodes=25,
+        steps=120,
+        seed=1,
+        policy={"name": "stigmergy"},
+        radiation={"sources": []},
+        store={"capacity_items": 50},
+    )
     summary = world.statistics.summary()
     assert summary["memory_used_percent"] > 80
     assert summary["lost"]["overflow"] > summary["created"] / 2
