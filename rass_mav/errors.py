@@ -32,6 +32,10 @@ class StoreError(RassError):
     """The durable store could not complete a request (damaged database, disk error)."""
 
 
+class UnpackedSizeError(StoreError):
+    """A packed file is so much larger than what came of it that it is not unpacked without being asked for."""
+
+
 class StoreFullError(StoreError):
     """The store has no space left, in items, in bytes or in its quota. Nothing was stored."""
 

@@ -14,6 +14,8 @@ from rass_mav.wire.file import PLAIN, ZLIB, ZSTD
 
 #: Bytes that are unpacked at a time.
 PIECE = 1 << 16
+# The memory of a stream that is unpacked, as a power of two. `packer` needs 2 MiB; RFC 8878 asks for 8 MiB.
+_ZSTD_WINDOW = 23
 
 
 class Packer(Protocol):
@@ -87,7 +89,7 @@ def _unpacked_zlib(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _unpacked_zstd(pieces: Iterable[bytes], zstd: ModuleType) -> Iterator[bytes]:
-    unpacker = zstd.ZstdDecompressor()
+    unpacker = zstd.ZstdDecompressor(options={zstd.DecompressionParameter.window_log_max: _ZSTD_WINDOW})
     try:
         for piece in pieces:
             if unpacker.eof:

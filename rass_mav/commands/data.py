@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import base64
 import contextlib
+import json
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -53,6 +54,7 @@ def register(subparsers: Subparsers) -> None:
     _add_keys(get)
     get.add_argument("id", metavar="ID|NAME", help="an id as printed by put and ls, or the name of a file")
     get.add_argument("--partial", action="store_true", help="of a file that is not whole, its beginning")
+    add_any_size(get)
     get.add_argument("-o", "--output", type=Path, metavar="FILE", help="file to write to (default: stdout)")
 
 
@@ -60,6 +62,14 @@ def add_store(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that name a store, and the keys for what is sealed in it."""
     parser.add_argument("store", metavar="STORE|CONFIG", nargs="?", help=STORE_HELP)
     _add_keys(parser)
+
+
+def add_any_size(parser: argparse.ArgumentParser) -> None:
+    """Add the option that lifts the limit of packed files."""
+    parser.add_argument(
+        "--any-size", action="store_true",
+        help="unpack files however large; without it at most 100 times what came of them, or 16 MiB",
+    )  # fmt: skip
 
 
 def _add_keys(parser: argparse.ArgumentParser) -> None:
@@ -282,35 +292,48 @@ def _get(options: argparse.Namespace) -> int:
 
     start_logging(options.verbose)
     with read_archive(options) as archive:
-        entry, file = find(archive, options.id)
+        entry, file = find(archive, options.id, any_size=options.any_size)
         if file is None:
             assert entry is not None
-            pieces = iter([_content(archive, entry)])
+            content = _content(archive, entry)
+            pieces, size = iter([content]), len(content)
+        elif options.partial and not file.extent.whole:
+            # Read once more, to say its size before it.
+            size = sum(map(len, file.beginning())) if options.json else 0
+            pieces = file.beginning()
         else:
-            if options.partial and not file.extent.whole:
-                pieces = file.beginning()
-            else:
-                file.check()
-                pieces = file.pieces()
+            size, pieces = file.check(), file.pieces()
         found: dict[str, Any] = {} if entry is None else entry.plain()
         if file is not None:
             found = {"name": file.name, **found, "parts": file.extent._asdict()}
         if options.output is not None:
             with os_errors_as(RassError, options.output), options.output.open("wb") as out:
                 found["bytes"] = sum(map(out.write, pieces))
+            if options.json:
+                print_json(found)
         elif options.json:
-            content = b"".join(pieces)
-            found |= {"bytes": len(content), "content": base64.b64encode(content).decode()}
+            _print_with({**found, "bytes": size}, pieces)
         else:
             for piece in pieces:
                 sys.stdout.buffer.write(piece)
-    if options.json:
-        print_json(found)
-    elif file is not None and not file.extent.whole:
+    if not options.json and file is not None and not file.extent.whole:
         warn(
             clean(f"{file.name}: {file.extent.words} are here; this is its beginning, up to the first that is missing")
         )
     return 0
+
+
+def _print_with(plain: dict[str, Any], pieces: Iterable[bytes]) -> None:
+    """One JSON object on stdout, with `content` in base64 as its last member, which need not fit into memory."""
+    write = sys.stdout.write
+    write(f'{json.dumps(plain)[:-1]}, "content": "')
+    rest = b""
+    for piece in pieces:
+        rest += piece
+        whole = len(rest) - len(rest) % 3
+        write(base64.b64encode(rest[:whole]).decode())
+        rest = rest[whole:]
+    write(f'{base64.b64encode(rest).decode()}"}}\n')
 
 
 def _content(archive: Data, entry: Entry) -> bytes:

@@ -11,15 +11,17 @@ from typing import Any, NamedTuple
 from rass_mav.app.packing import unpacked
 from rass_mav.app.payloads import parse_name
 from rass_mav.app.redundancy import restored
-from rass_mav.errors import ConfigError, DatumError, MalformedError, RassError, StoreError
-from rass_mav.wire.file import MOST_FILE, Cut, decode_part, key_of
+from rass_mav.errors import ConfigError, DatumError, MalformedError, RassError, StoreError, UnpackedSizeError
+from rass_mav.wire.file import MOST_FILE, PLAIN, Cut, decode_part, key_of
 
 from .entry import Data, Entry
 
 #: Of several data that say they are the same part, so many are looked at.
 MOST_RIVALS = 8
-#: Of a file whose manifest is lost nobody knows the size. It has at most so many times the bytes of its parts.
-_MOST_UNPACKED = 1024
+#: A packed file is unpacked if it has at most so many bytes, or so many times the bytes of its parts. With a larger one
+#: a drone could fill the disk of whoever unpacks it.
+SMALL_FILE = 16 << 20
+MOST_RATIO = 100
 
 
 class Extent(NamedTuple):
@@ -175,9 +177,13 @@ class Groups:
 class File:
     """A file of a store."""
 
-    def __init__(self, group: Group, entry: Entry | None, payload: Callable[[str], bytes]) -> None:
-        """`entry`: of the manifest; None: it is not there. `payload`: returns the contents of a datum."""
+    def __init__(
+        self, group: Group, entry: Entry | None, payload: Callable[[str], bytes], *, any_size: bool = False
+    ) -> None:
+        """`entry`: of the manifest; None: it is not there. `payload`: returns the contents of a datum. `any_size`:
+        it is unpacked however large it becomes."""
         self._group = group
+        self._any_size = any_size
         self.entry = entry
         self._manifest = None if entry is None else entry.manifest
         self._payload = payload
@@ -190,7 +196,8 @@ class File:
         return self._group.extent
 
     def check(self) -> int:
-        """Read all of it once; returns its size. Raises `StoreError`: it is not whole, or not what was put."""
+        """Read all of it once; returns its size. Raises `StoreError`: it is not whole, or not what was put;
+        `UnpackedSizeError`."""
         extent = self._group.extent
         if not extent.whole:
             raise StoreError(f"{self.name}: {extent.words} are here; --partial gives its beginning")
@@ -215,30 +222,46 @@ class File:
         return chain([first], pieces)
 
     def pieces(self, *, partial: bool = False) -> Iterator[bytes]:
-        """The contents, of a file that was checked. `partial`: what there is of the beginning. Raises `StoreError`."""
+        """The contents, of a file that was checked. `partial`: what there is of the beginning. Raises `StoreError`,
+        `UnpackedSizeError`."""
         cut, manifest = self._group.cut, self._manifest
-        most = min(MOST_FILE, _MOST_UNPACKED * cut.length) if manifest is None else manifest.size
+        size = MOST_FILE if manifest is None else manifest.size
+        limit = size if self._any_size or cut.packing == PLAIN else max(SMALL_FILE, MOST_RATIO * cut.length)
+        too_large = UnpackedSizeError(
+            f"{self.name}: packed in {cut.length} bytes, it has more than {limit}; --any-size unpacks it all the same"
+        )
+        if limit < size and manifest is not None:
+            raise too_large
+        found = 0
         try:
-            yield from unpacked(self._group.stored(self._payload), cut.packing, most)
+            for piece in unpacked(self._group.stored(self._payload), cut.packing, size):
+                found += len(piece)
+                if found > limit:
+                    raise too_large
+                yield piece
         except MalformedError as error:
             if not partial:
                 raise StoreError(f"{self.name}: {error}") from None
 
 
-def find(data: Data, name: str) -> tuple[Entry | None, File | None]:
+def find(data: Data, name: str, *, any_size: bool = False) -> tuple[Entry | None, File | None]:
     """What `get` is asked for: an id, or the name of a file. The entry of the datum, which may be a manifest; None: the
-    manifest of the file is not there. The file; None: the datum is none that came in parts.
+    manifest of the file is not there. The file; None: the datum is none that came in parts. `any_size`: as of `File`.
 
     Raises `DatumError`: neither; `StoreError`: it is not there; `ConfigError`: several files have this name.
     """
+
+    def file(group: Group, entry: Entry | None) -> File:
+        return File(group, entry, data.payload, any_size=any_size)
+
     with suppress(DatumError):
         parse_name(name)
         entry = data.entry(name)
-        return entry, None if entry.manifest is None else File(Groups.of(data).parts_of(entry), entry, data.payload)
+        return entry, None if entry.manifest is None else file(Groups.of(data).parts_of(entry), entry)
     named = [entry for entry in data.entries(parts=False) if entry.file == name and not entry.malformed]
     groups = Groups.of(data)
     if not named:
-        orphans = [File(group, None, data.payload) for group in groups.orphans(data) if group.name == name]
+        orphans = [file(group, None) for group in groups.orphans(data) if group.name == name]
         if not orphans:
             raise DatumError(f"expected an id like 7-0123abcd-42, or the name of a file that is here, got {name!r}")
         return None, _best(orphans)
@@ -249,7 +272,7 @@ def find(data: Data, name: str) -> tuple[Entry | None, File | None]:
     if named[0].manifest is None:
         return named[0], None
     # Put more than once, by one drone or by several: the same contents.
-    best = _best([File(groups.parts_of(entry), entry, data.payload) for entry in named])
+    best = _best([file(groups.parts_of(entry), entry) for entry in named])
     return best.entry, best
 
 

@@ -112,6 +112,7 @@ complete -c rass-mav -n '_shtab_rass_mav_using get' -l json -d 'print exactly on
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s c -l config -x -d 'a node'"'"'s configuration, a store'"'"'s file (a drone'"'"'s card), or a database (postgresql://...); default: rass-*.db here, if there is one'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l keys -xka "(__fish_complete_path (commandline -ct))" -d 'the ground'"'"'s keys, for sealed data (default: those that CONFIG names)'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -l partial -d 'of a file that is not whole, its beginning'
+complete -c rass-mav -n '_shtab_rass_mav_using get' -l any-size -d 'unpack files however large; without it at most 100 times what came of them, or 16 MiB'
 complete -c rass-mav -n '_shtab_rass_mav_using get' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'file to write to (default: stdout)'
 complete -c rass-mav -n '_shtab_rass_mav_using; and test $_shtab_rass_mav_npos -eq 0' -a export -d 'Write the data of a store to a file for other programs.'
 complete -c rass-mav -n '_shtab_rass_mav_using export' -s h -l help -d 'show this help message and exit'

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rass_mav.app.payloads import unpack_file
 from rass_mav.core.datum import Kind
-from rass_mav.errors import DatumError, StoreError
+from rass_mav.errors import DatumError, StoreError, UnpackedSizeError
 from rass_mav.mission.assembly import File, Groups
 from rass_mav.mission.entry import Data, Entry
 
@@ -37,7 +37,13 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
         for entry in entries:
             if entry.kind not in (Kind.FILE, Kind.BYTES, Kind.MANIFEST):
                 left_out["no file"] += 1
-            elif (name := _write_file(entry, out, source, groups)) is None:
+                continue
+            try:
+                name = _write_file(entry, out, source, groups)
+            except UnpackedSizeError:
+                left_out["much larger than its parts: get --any-size"] += 1
+                continue
+            if name is None:
                 left_out["not whole, or corrupt"] += 1
             else:
                 yield entry._replace(file=name)
@@ -48,11 +54,14 @@ def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
 
 
 def _write_file(entry: Entry, out: Path, source: Data, groups: Groups) -> str | None:
-    """Write one datum or file; returns the name of its file, or None if it cannot be read whole."""
+    """Write one datum or file; returns the name of its file, or None if it cannot be read whole. Raises
+    `UnpackedSizeError`."""
     if entry.malformed:
         return None
     try:
         pieces = _pieces(entry, source, groups)
+    except UnpackedSizeError:
+        raise
     except (DatumError, StoreError):
         return None
     name = safe_name(entry.name, entry.file or "")
