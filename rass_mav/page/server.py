@@ -17,10 +17,12 @@ from aiohttp import web
 
 from rass_mav import __version__
 from rass_mav.app.outlets import PageSection
+from rass_mav.errors import why
 from rass_mav.link.address import parse_address, show_address
 from rass_mav.mission.entry import Data
 
 from .access import Access, GuessedError
+from .door import BACKLOG, Door, Guest
 from .follow import Follower, ask_node
 from .hub import END, Client, CrowdedError, Hub
 from .tiles import NOTHING, Tiles
@@ -35,6 +37,8 @@ LOOK_SHARE = 0.2
 #: A browser hears something at least this often, seconds.
 BEAT_S = 10.0
 COOKIE = "rass-page"
+#: A connection that asks nothing for so long is closed, seconds.
+IDLE_S = 15.0
 #: Bytes of a login form.
 _MOST_BODY = 4096
 
@@ -75,6 +79,7 @@ class Page:
     ) -> None:  # fmt: skip
         """`socket`: of the node that writes the store. `now`: the date, seconds since 1970."""
         self.hub = Hub() if hub is None else hub
+        self.door = Door()
         self._follower, self._access, self._tiles, self._socket, self._now = follower, access, tiles, socket, now
         # One thread for the store and the mission, so that they need no locks; one for the tiles.
         self._reading = ThreadPoolExecutor(1, "page-store")
@@ -94,7 +99,11 @@ class Page:
 
         @web.middleware
         async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
-            return await self._guard(request, handler)
+            if request.transport is None:
+                # The connection has ended meanwhile: nobody gets this.
+                return web.Response(status=408)
+            with self.door.asking(request.transport):
+                return await self._guard(request, handler)
 
         app = web.Application(middlewares=[guard], client_max_size=_MOST_BODY)
         app.on_response_prepare.append(_add_headers)
@@ -342,15 +351,37 @@ def page_of(section: PageSection, open: Callable[[], Data], socket: Path | None)
 async def serve(page: Page, listen: str, ready: Callable[[str], None], stopped: asyncio.Event) -> None:
     """Serve until `stopped`. `ready` is called with the page's URL. `OSError`: the address cannot be used."""
     host, port = parse_address(listen, any_port=True, ipv6=True)
-    runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=1.0)
+    loop = asyncio.get_running_loop()
+    loop.set_exception_handler(_Complaints())
+    runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=1.0, keepalive_timeout=IDLE_S)
     await runner.setup()
+    server = None
     try:
-        await web.TCPSite(runner, host, port).start()
-        address = runner.addresses[0]
+        made = runner.server
+        assert made is not None
+        server = await loop.create_server(lambda: Guest(page.door, made), host, port, backlog=BACKLOG)
+        address = server.sockets[0].getsockname()
         ready(f"http://{show_address((str(address[0]), int(address[1])))}/")
         waits = [asyncio.create_task(stopped.wait()), *page.tasks]
         done, _ = await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
     finally:
+        if server is not None:
+            server.close()
         await runner.cleanup()
+
+
+class _Complaints:
+    """What goes wrong in the loop. That no connection can be accepted, which the loop tries again, is said once."""
+
+    def __init__(self) -> None:
+        self._said = False
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        error = context.get("exception")
+        if not isinstance(error, OSError) or "accept" not in context["message"]:
+            loop.default_exception_handler(context)
+        elif not self._said:
+            self._said = True
+            log.warning("no connection can be accepted: %s", why(error))

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import select
 import signal
+import socket
 import subprocess
 import sys
 import urllib.error
 import urllib.request
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -93,6 +96,34 @@ def test_it_serves_until_it_is_stopped(store: Path) -> None:
             page.send_signal(signal.SIGTERM)
             assert page.wait(PATIENCE_S) == 0
             assert page.stderr.read() == b""
+        finally:
+            page.kill()
+
+
+def test_connections_that_ask_nothing_keep_nobody_out(store: Path) -> None:
+    """More of them than the program may open files; and whoever asks slowly, or never takes an answer."""
+    pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
+    command = [sys.executable, "-m", "rass_mav", "page", str(store), "--listen", "127.0.0.1:0", "--json"]
+    with (
+        ExitStack() as stack,
+        subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE) as page,
+    ):
+        try:
+            assert page.stdout is not None
+            assert page.stderr is not None
+            url = json.loads(page.stdout.readline())["url"]
+            resource.prlimit(page.pid, resource.RLIMIT_NOFILE, (256, 256))
+            host, port = url[7:-1].split(":")
+            for said in (b"", b"GET / HTTP/1.1\r\nHost: ", b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n"):
+                for _ in range(300):
+                    one = stack.enter_context(socket.create_connection((host, int(port)), PATIENCE_S))
+                    with suppress(OSError):
+                        one.sendall(said)
+                with urllib.request.urlopen(f"{url}healthz", timeout=PATIENCE_S) as answer:
+                    assert answer.status == 200
+            page.send_signal(signal.SIGTERM)
+            assert page.wait(PATIENCE_S) == 0
+            assert len(page.stderr.read()) < 1000
         finally:
             page.kill()
 
