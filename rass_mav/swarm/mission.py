@@ -24,7 +24,8 @@ def ground_of(scenario: Scenario) -> Ground:
     from rass_mav.keys.secret import Secret
 
     secret = Secret(hashlib.sha256(f"{scenario.seed}:mission".encode()).digest())
-    return Ground(secret, serials=dict.fromkeys(range(scenario.bases, scenario.nodes), 1))
+    captured = [id for id, section in enumerate(scenario.hostile, scenario.nodes) if section.captured]
+    return Ground(secret, serials=dict.fromkeys([*range(scenario.bases, scenario.nodes), *captured], 1))
 
 
 def swarm_trusts(scenario: Scenario) -> dict[int, Trust]:
@@ -36,16 +37,10 @@ def swarm_trusts(scenario: Scenario) -> dict[int, Trust]:
         return {}
     ground = ground_of(scenario)
     from rass_mav.agent.trust import trust_of
-    from rass_mav.keys.keyring import Keyring
 
-    keyrings = {node_id: keyring_of(ground, node_id) for node_id in range(scenario.nodes)}
-    for id, section in enumerate(scenario.hostile, scenario.nodes):
-        if section.captured:
-            # The ground knows no drone with this id. But the certificate is true.
-            keyrings[id] = Keyring(ground.node(id, 1), None)
     return {
-        id: trust_of(keyring, random.Random(f"{scenario.seed}:letters:{id}"), scenario.node.step_s)
-        for id, keyring in keyrings.items()
+        id: trust_of(keyring_of(ground, id), random.Random(f"{scenario.seed}:letters:{id}"), scenario.node.step_s)
+        for id in (*range(scenario.bases), *ground.serials)
     }
 
 
