@@ -424,3 +424,25 @@ def test_answers_about_a_captured_transfer_from_another_node_change_nothing() ->
     assert giver.receive(Sack(1, 2, 7, 20, 0), 0.2) == []
     giver.receive(Committed(1, 2, ((offer.number, offer.crc),), ()), 0.3)
     assert offer.id not in giver.holdings.custody
+
+
+def test_a_receiver_that_reports_nothing_again_and_again_is_not_sent_it_all_the_time() -> None:
+    giver, receiver = giver_of(noise(300)), make_node(2)
+    fit(giver, receiver, 0.0)
+    [offer] = of(Offer, giver.step(0.0))
+    said, sent = giver.receive(Accept(2, 1, offer.number, 77, 0, 0), 0.0), 0
+    for turn in range(1, 4):
+        now, before = float(turn), sent
+        for _ in range(1000):
+            chunks = of(Chunk, said)
+            sent += len(chunks)
+            asked = [chunk for chunk in chunks if chunk.poll]
+            if not asked:
+                break
+            question = 0 if asked[-1].data else asked[-1].position
+            said = giver.receive(Sack(2, 1, 77, 0, 0, question), now - 0.5)
+        assert sent - before < 250
+        fit(giver, receiver, now)
+        said = giver.step(now)
+    # It does not give up at once: it may be the link.
+    assert of(Chunk, said)

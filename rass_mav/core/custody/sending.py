@@ -14,6 +14,9 @@ from rass_mav.core.messages import REPORT_BITS, Chunk, Offer
 
 #: A chunk this far beyond the first that is missing waits, so that a report covers all that has arrived.
 SPAN = REPORT_BITS
+#: After so many reports in a row by which chunks got lost and none arrived, chunks wait for the next turn: whoever
+#: reports so has another content in mind, or lies.
+MOST_VAIN = 16
 
 
 class Sending:
@@ -21,7 +24,7 @@ class Sending:
 
     __slots__ = (
         "_most", "_next", "_sent", "arrived", "count", "datum", "flying", "handle", "missing", "moved", "named",
-        "neighbour", "number", "offered", "omitted", "size", "tries",
+        "neighbour", "number", "offered", "omitted", "size", "tries", "vain",
     )  # fmt: skip
 
     def __init__(self, datum: Datum, neighbour: int, number: int, chunk_size: int) -> None:
@@ -44,6 +47,8 @@ class Sending:
         """Offers since an answer."""
         self.moved = False
         """Whether more has been reported than ever before, since `Transfers.check` looked last."""
+        self.vain = 0
+        """Reports since the last one by which something arrived, and since the turn began, by which chunks got lost."""
         self.arrived = 0
         """Chunks that the receiver has, by its word: bit i is chunk i."""
         self.flying: dict[int, Flight] = {}
@@ -106,6 +111,8 @@ class Sending:
         """The receiver reports these chunks. Returns those that were on their way, and their last transmissions."""
         new = report & ~self.arrived
         self.arrived |= new
+        if new:
+            self.vain = 0
         landed = []
         while new:
             position = (new & -new).bit_length() - 1
@@ -125,6 +132,7 @@ class Sending:
     def miss(self, before: int, covered: int, flow: Flow) -> None:
         """All transmissions before this serial have arrived or are lost. `covered`: of the chunks below this one it is
         known which have arrived."""
+        flying = len(self.flying)
         for position, flight in list(self.flying.items()):
             if flight.serial >= before:
                 break
@@ -132,6 +140,7 @@ class Sending:
                 del self.flying[position]
                 self.missing[position] = flight
                 flow.lost()
+        self.vain += len(self.flying) < flying
 
     def omit(self, before: int, now: float) -> None:
         """A report about the other transfers leaves this one out. `before`: as in `miss`."""
@@ -150,7 +159,7 @@ class Sending:
         """The chunks that may be sent again, or with `fresh` for the first time. Each has to be sent before the next is
         taken."""
         if not fresh:
-            while self.missing:
+            while self.missing and self.vain < MOST_VAIN:
                 yield min(self.missing)
             return
         first_missing = (~self.arrived & self.arrived + 1).bit_length() - 1

@@ -111,6 +111,7 @@ class Transfers:
         if not behind:
             pending.tries = 1 if sending.moved else pending.tries + 1
         sending.moved = False
+        sending.vain = 0
         if idle and not behind:
             # Those before it were given up.
             out += self._fill(sending.neighbour, self._streams[sending.neighbour], now)
