@@ -23,6 +23,7 @@ from rass_mav.swarm.scenario import Scenario
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 
 from . import agents, captured, disk, nodes
+from . import attackers as overhearing
 
 #: A directory in memory, where there is such a place: a store waits for its disk.
 _MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
@@ -71,6 +72,11 @@ def agent(data: bytes) -> None:
 def keyed(data: bytes) -> None:
     """Two drones and a base with all their keys, among strangers and with a captured drone."""
     captured.play(data)
+
+
+def attackers(data: bytes) -> None:
+    """A base and drones, open or with keys, between two attackers who understand what they overhear."""
+    overhearing.play(data)
 
 
 def tlog(data: bytes) -> None:
@@ -129,5 +135,5 @@ def control(data: bytes) -> None:
             pass
 
 
-_ALL = (frames, payloads, conversation, agent, keyed, tlog, bgeigie, sensors, settings, store, control)
+_ALL = (frames, payloads, conversation, agent, keyed, attackers, tlog, bgeigie, sensors, settings, store, control)
 TARGETS: dict[str, Callable[[bytes], None]] = {target.__name__: target for target in _ALL}
