@@ -15,7 +15,7 @@ from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.parameters import recall
-from rass_mav.agent.peers import Peers, open_datagram
+from rass_mav.agent.peers import Peers, head_of, open_datagram
 from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.signed import Signed
@@ -183,7 +183,9 @@ class Agent:
         for error in unfit:
             self.tell_ground(_WARNING, f"RASS: not restored: {error}")
 
-    def _make_node(self, now: float, observer: Observer | None, newborn: bool) -> Participant:
+    def _make_node(
+        self, now: float, observer: Observer | None, newborn: bool, before: Participant | None = None
+    ) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
         kind = self._makings.participant or (Replica if policy.replicates else Node)
@@ -191,7 +193,7 @@ class Agent:
         seals = None if trust is None else trust.seals(self.store)
         return kind(
             self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
-            now=now, observer=observer, newborn=newborn, seals=seals, prints=self._makings.tags.prints,
+            now=now, observer=observer, newborn=newborn, seals=seals, prints=self._makings.tags.prints, before=before,
         )  # fmt: skip
 
     def _node_settings(self) -> NodeSettings:
@@ -221,24 +223,26 @@ class Agent:
         if rescaled:
             self._observe_again()
 
-    def begin_again(self, settings: AgentSettings, sender: str, now: float) -> None:
+    def begin_again(self, settings: AgentSettings, sender: str, now: float, *, keep_routes: bool = False) -> None:
         """Start a new node after a frame hit a fault and the store rolled back its uncommitted changes.
 
         Telemetry, readings and the parameters set from the ground stay.
 
         :param settings: those in use before the frame came.
-        :param sender: the sender of the frame, in words.
+        :param sender: what is blamed for it, in words.
+        :param keep_routes: the fault did not strike where neighbours and routes are changed, so they stay too.
         """
+        keep_routes = keep_routes and self.settings is settings
         self.settings = settings
-        self._renew(now)
+        self._renew(now, keep_routes=keep_routes)
         self._keep_system_id()
         if self.ground is not None:
             self.ground.keep_again()
         self._reports.fault(sender, now, self.tell_ground)
 
-    def _renew(self, now: float) -> None:
+    def _renew(self, now: float, *, keep_routes: bool = False) -> None:
         """A new node takes over the store, as after a restart."""
-        self.node = self._make_node(now, self.node.observer, False)
+        self.node = self._make_node(now, self.node.observer, False, self.node if keep_routes else None)
         self.answers.forget()
         if self.peers.word is not None:
             self.peers.word.node = self.node
@@ -266,7 +270,7 @@ class Agent:
 
     def vehicle_frame(self, frame: Frame, now: float) -> None:
         """A frame from the autopilot's port, whoever sent it."""
-        self.guard.take(frame, now, self._hear_vehicle)
+        self.guard.take(frame, now, self._hear_vehicle, f"message {frame.message_id} from the autopilot's port")
 
     def _hear_vehicle(self, frame: Frame, now: float) -> None:
         if self.ground is not None:
@@ -322,17 +326,23 @@ class Agent:
         return out
 
     def peer_frame(
-        self, frame: Frame, now: float, may_be_neighbour: Callable[[int], bool] | None = None
+        self,
+        frame: Frame,
+        now: float,
+        may_be_neighbour: Callable[[int], bool] | None = None,
+        link: str = "the neighbours",
     ) -> Sequence[Outgoing]:
         """A frame with a TUNNEL message from the neighbours' radio. Returns the answers.
 
         `may_be_neighbour` is called with the node id of each beacon's sender. If it returns False, the beacon is
-        ignored.
+        ignored. `link`: its name, if there are several.
         """
 
         def hear(frame: Frame, now: float) -> Sequence[Outgoing]:
             message = self.peers.understood(frame, now)
-            if message is None or self.guard.shuts_out(message, now):
+            if message is None:
+                return ()
+            if self.guard.shuts_out(message, link, now, proven=self.peers.tags.proves(message)):
                 return ()
             if type(message) is Beacon and message.sender != self.settings.node_id:
                 if may_be_neighbour is not None and not may_be_neighbour(message.sender):
@@ -340,7 +350,7 @@ class Agent:
                 self.peers.beacon_from(message.sender, frame.system_id)
             return self._answers(message, now)
 
-        return self.guard.take(frame, now, hear) or ()
+        return self.guard.take(frame, now, hear, f"payloads {head_of(frame).hex()} from {link}") or ()
 
     def _answers(self, message: Message, now: float) -> Sequence[Outgoing]:
         answers = self.node.receive(message, now)
@@ -393,7 +403,7 @@ class Agent:
             if held.frame is None:
                 hear(None, now)
             else:
-                self.guard.take(held.frame, now, hear)
+                self.guard.take(held.frame, now, hear, f"{type(held.message).__name__} of the ground")
 
     def _is_measured(self) -> bool:
         """Whether a measurement is due in this step."""

@@ -119,7 +119,7 @@ class Ground:
         """Bytes directly from a ground station: a datagram, or a piece of a stream, which may end in the middle of a
         frame. Vehicle telemetry in them is ignored."""
         for frame in self._reader.feed(data) if stream else self._reader.datagram(data):
-            self._agent.guard.take(frame, now, self._hear)
+            self._agent.guard.take(frame, now, self._hear, f"message {frame.message_id} from the ground station")
 
     def _hear(self, frame: Frame, now: float) -> None:
         self.handle(frame, Way.GROUND, now)

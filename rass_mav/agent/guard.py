@@ -9,21 +9,31 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
+from traceback import walk_tb
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.core.messages import Message, is_vital, sender_of
+from rass_mav.core.participant import Participant
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreDamagedError, StoreError
 from rass_mav.mavlink.frames import Frame
 
 log = logging.getLogger(__name__)
 
-#: How long a sender is muted after its first fault, and at most after many, seconds.
-FIRST_MUTE_S, MOST_MUTE_S = 2.0, 600.0
-#: Senders remembered. When there are more, the one that would be forgotten next is forgotten.
+#: How long a kind of message, or a sender, is muted after its first fault, and at most after many, seconds.
+FIRST_MUTE_S, MOST_MUTE_S = 2.0, 30.0
+#: If neighbours and routes stay, kinds without which nothing arrives are muted only as long as it takes to limit what
+#: the faults cost, seconds: that, and for each datum that a new node has to read.
+VITAL_MUTE_S, VITAL_MUTE_PER_DATUM_S = 0.1, 0.001
+#: After so long without a fault what is muted is forgotten, and each fault is logged in full again, seconds.
+SUSPECT_S = 60.0
+#: Kinds and senders remembered. When there are more, the one that would be forgotten next is forgotten.
 MAX_SENDERS = 64
 #: Frames that hit a fault, by digest. When there are more, the oldest is forgotten.
 MAX_DIGESTS = 256
+#: Where neighbours and routes are changed.
+_ROUTES = "rass_mav.core.routes."
 
 T = TypeVar("T")
 RollBack = Callable[[StoreError], None]
@@ -35,7 +45,9 @@ class Host(Protocol):
     settings: AgentSettings
     store: Store
 
-    def begin_again(self, settings: AgentSettings, sender: str, now: float) -> None:
+    node: Participant
+
+    def begin_again(self, settings: AgentSettings, sender: str, now: float, *, keep_routes: bool) -> None:
         """Continue with a new node, after a frame hit a fault and the store rolled back its uncommitted changes."""
 
 
@@ -47,7 +59,7 @@ class Fault(NamedTuple):
     digest: str
     """Of its message id and payload, 16 hexadecimal digits."""
     sender: str
-    """In words."""
+    """What was muted for it, in words."""
 
 
 class Unguarded:
@@ -59,15 +71,21 @@ class Unguarded:
     faults = 0
     """Frames that hit a fault and were dropped."""
 
-    def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T]) -> T | None:
+    def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: str) -> T | None:
         """Handle a frame. Returns the result of `handle`; None: the frame was dropped.
 
         If `faults` has risen afterwards, drop answers to other frames that have not gone to the gate yet.
+
+        :param kind: the kind of frame, and where it came from, in words. One who can send such a frame can send it in
+            any name, so that is what is muted.
         """
         return handle(frame, now)
 
-    def shuts_out(self, message: Any, now: float) -> bool:
-        """Whether the node that a message names as its sender is muted. Call it before the node gets the message."""
+    def shuts_out(self, message: Message, link: str, now: float, *, proven: bool) -> bool:
+        """Whether a message is muted. Call it before the node gets the message.
+
+        :param link: from which it came, in words. :param proven: nobody but its sender can have said it.
+        """
         return False
 
     def use(self, roll_back: RollBack) -> None:
@@ -89,67 +107,84 @@ class Guard(Unguarded):
         self._mutes = Mutes()
         self._digests: dict[str, None] = {}
         self._sender = ""
-        """The sender of the current frame."""
+        """What is blamed for a fault of the current frame."""
+        self._vital = False
+        """Whether that is a kind of which others' messages are needed."""
         self.faults = 0
         self.dropped = 0
-        """Frames dropped without handling: their sender was muted, or the same bytes had raised before."""
+        """Frames dropped without handling: they were muted, came before the changes since the last fault were on disk,
+        or the same bytes had raised before."""
         self.last: Fault | None = None
 
     def use(self, roll_back: RollBack) -> None:
         """From now on `roll_back` drops uncommitted changes and the frames that depend on them."""
         self._roll_back = roll_back
 
-    def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T]) -> T | None:
+    def take(self, frame: Frame, now: float, handle: Callable[[Frame, float], T], kind: str) -> T | None:
         """Handle a frame. Returns the result of `handle`; None: the frame was dropped unhandled, or hit a fault.
 
         After a fault all changes that were not being written are dropped, and a new node takes over. Errors in this
         recovery are raised. So is `StoreDamagedError`, which the driver handles.
         """
-        # One kind of message must not mute the whole autopilot, so the kind is part of the sender's name.
-        self._sender = f"component {frame.system_id}/{frame.component_id} (message {frame.message_id})"
-        if self._mutes.muted(self._sender, now) or (self._digests and _digest(frame) in self._digests):
+        if self._is_shut_out(kind, now) or (self._digests and _digest(frame) in self._digests):
             self.dropped += 1
             return None
+        self._vital = False
         settings = self._host.settings
         try:
             return handle(frame, now)
         except StoreDamagedError:
             raise
-        except Exception:
+        except Exception as error:
             # The only place that catches everything: no frame may end the node, whatever it breaks.
-            log.exception(
-                "a frame from %s hit a fault in this program and was dropped; please report: message %d of %d/%d, "
-                "sequence %d, digest %s, payload %s",
-                self._sender, frame.message_id, frame.system_id, frame.component_id, frame.sequence,
-                _digest(frame), frame.payload.hex(),
-            )  # fmt: skip
-        self._recover(frame, settings, now)
+            keep_routes = not _struck(error, _ROUTES)
+            if self._mutes.is_news(self._sender, now):
+                log.exception(
+                    "a frame hit a fault in this program and was dropped, and %s is muted; please report: message %d "
+                    "of %d/%d, sequence %d, digest %s, payload %s",
+                    self._sender, frame.message_id, frame.system_id, frame.component_id, frame.sequence,
+                    _digest(frame), frame.payload.hex(),
+                )  # fmt: skip
+        self._recover(frame, settings, now, keep_routes=keep_routes)
         return None
 
-    def shuts_out(self, message: Any, now: float) -> bool:
-        """Whether the node that a message names as its sender is muted. If not, that node is blamed for a fault."""
-        node_id = getattr(message, "sender", None)
-        if node_id is not None:
-            self._sender = f"node {node_id}"
-            if self._mutes.muted(self._sender, now):
-                self.dropped += 1
-                return True
+    def shuts_out(self, message: Message, link: str, now: float, *, proven: bool) -> bool:
+        """Whether a message is muted. If not, a fault is blamed on its sender if that is proven, and otherwise on this
+        kind of message from this link."""
+        self._vital = not proven and is_vital(message)
+        sender = sender_of(message) if proven else None
+        if self._is_shut_out(f"{type(message).__name__} from {link}" if sender is None else f"node {sender}", now):
+            self.dropped += 1
+            return True
         return False
 
-    def _recover(self, frame: Frame, settings: AgentSettings, now: float) -> None:
+    def _is_shut_out(self, sender: str, now: float) -> bool:
+        """Whether this is muted, or could cost others' changes. If not, it is blamed for a fault from now on."""
+        self._sender = sender
+        if not self._mutes:
+            return False
+        store = self._host.store
+        # What is suspect may drop nothing but its own changes.
+        return self._mutes.muted(sender, now) or (sender in self._mutes and store.unwritten and store.accepting)
+
+    def _recover(self, frame: Frame, settings: AgentSettings, now: float, *, keep_routes: bool) -> None:
         sender = self._sender
         self.faults += 1
         self.last = Fault(now, _digest(frame), sender)
         self._digests[self.last.digest] = None
         if len(self._digests) > MAX_DIGESTS:
             del self._digests[next(iter(self._digests))]
-        self._mutes.raised(sender, now)
+        if self._vital and keep_routes:
+            cost_s = VITAL_MUTE_S + VITAL_MUTE_PER_DATUM_S * len(self._host.node.holdings)
+            self._mutes.raised(sender, now, cost_s, cost_s)
+        else:
+            self._mutes.raised(sender, now, FIRST_MUTE_S, MOST_MUTE_S)
         self._roll_back(StoreError("not stored: a frame received at the same time hit a fault; try again"))
-        self._host.begin_again(settings, sender, now)
+        self._host.begin_again(settings, sender, now, keep_routes=keep_routes)
         self._host.store.count("faults")
 
     def report(self, now: float) -> dict[str, Any]:
-        """For `status`: how many frames hit a fault, the last one, and which senders are muted for how much longer."""
+        """For `status`: how many frames hit a fault, the last one, and what is muted for how much longer."""
         last = self.last
         return {
             "count": self.faults,
@@ -161,35 +196,64 @@ class Guard(Unguarded):
         }
 
 
+class _Mute(NamedTuple):
+    until: float
+    length: float
+    """Seconds."""
+    forgotten: float
+    """When it is forgotten, unless there is another fault."""
+    logged: float
+
+
 class Mutes:
-    """The muted senders. A sender is forgotten after as long without a fault as it was muted."""
+    """What is muted: kinds of messages from a link, and senders that are proven."""
 
     __slots__ = ("_senders",)
 
     def __init__(self) -> None:
-        # By sender: until when it is muted, and for how long, seconds.
-        self._senders: dict[str, tuple[float, float]] = {}
+        self._senders: dict[str, _Mute] = {}
+
+    def __contains__(self, sender: str) -> bool:
+        """Whether it has had a fault lately."""
+        return sender in self._senders
+
+    def __len__(self) -> int:
+        return len(self._senders)
 
     def muted(self, sender: str, now: float) -> bool:
-        """Whether the sender's frames must be dropped."""
-        return bool(self._senders) and now < self._senders.get(sender, (now, 0.0))[0]
+        """Whether such frames must be dropped."""
+        mute = self._senders.get(sender)
+        if mute is None:
+            return False
+        if now >= mute.forgotten:
+            del self._senders[sender]
+        return now < mute.until
 
-    def raised(self, sender: str, now: float) -> None:
-        """Mute a sender whose frame has hit a fault, for twice as long as last time."""
+    def is_news(self, sender: str, now: float) -> bool:
+        """Whether a fault should be logged in full: once in `SUSPECT_S` is enough."""
+        mute = self._senders.get(sender)
+        return mute is None or now >= mute.logged + SUSPECT_S
+
+    def raised(self, sender: str, now: float, first_s: float, most_s: float) -> None:
+        """Mute it after a fault: for `first_s`, and for twice as long as last time, up to `most_s`, seconds."""
         senders = self._senders
-        for other in [other for other, (until, length) in senders.items() if now >= until + length]:
+        logged = now if self.is_news(sender, now) else senders[sender].logged
+        for other in [other for other, mute in senders.items() if now >= mute.forgotten]:
             del senders[other]
-        if sender in senders:
-            length = min(2 * senders.pop(sender)[1], MOST_MUTE_S)
-        else:
-            length = FIRST_MUTE_S
+        last = senders.pop(sender, None)
+        length = first_s if last is None else min(2.0 * last.length, most_s)
         if len(senders) >= MAX_SENDERS:
-            del senders[min(senders, key=lambda other: sum(senders[other]))]
-        senders[sender] = (now + length, length)
+            del senders[min(senders, key=lambda other: senders[other].forgotten)]
+        senders[sender] = _Mute(now + length, length, now + length + SUSPECT_S, logged)
 
     def left(self, now: float) -> dict[str, float]:
-        """The muted senders, each with the seconds that remain."""
-        return {sender: until - now for sender, (until, _) in self._senders.items() if now < until}
+        """What is muted, each with the seconds that remain."""
+        return {sender: mute.until - now for sender, mute in self._senders.items() if now < mute.until}
+
+
+def _struck(error: Exception, package: str) -> bool:
+    """Whether a function of a package was at work when an error was raised: what it changes may be half done."""
+    return any(frame.f_globals.get("__name__", "").startswith(package) for frame, _ in walk_tb(error.__traceback__))
 
 
 def _digest(frame: Frame) -> str:

@@ -40,11 +40,13 @@ class Lane:
         only: frozenset[int] | None = None,
         rng: random.Random,
         now: float,
+        name: str = "the neighbours",
     ) -> None:
         """`budget`: None: frames leave as fast as the interface takes them. `interface`: how much waits in it, bytes,
         for a link without a budget. `stream`: bytes come in pieces that end anywhere; otherwise in datagrams of whole
-        frames. `only`: node ids accepted as neighbours on this link; None: all."""
+        frames. `only`: node ids accepted as neighbours on this link; None: all. `name`: of the link."""
         self.agent = agent
+        self._name = name
         self.duplicates = duplicates
         signed = agent.peers.signed
         self.check = None if signed is None else signed.check()
@@ -104,7 +106,7 @@ class Lane:
             on_beacon(sender)
             return True
 
-        return self.agent.peer_frame(frame, now, may_be_neighbour)
+        return self.agent.peer_frame(frame, now, may_be_neighbour, self._name)
 
     def _hear_radio(self, frame: Frame, now: float) -> None:
         """A RADIO_STATUS: from our radio, forwarded from another radio, or forged."""

@@ -24,7 +24,7 @@ from rass_mav.mavlink.frames import Stream
 from rass_mav.wire import encode
 from rass_mav.wire.codec import COMMITTED
 from rass_mav.wire.introduction import decode_introduction, is_introduction
-from rass_mav.wire.tags import Said, believed
+from rass_mav.wire.tags import Said, believed, is_tagged
 
 #: Hand-overs whose contents are remembered, the latest. More wait for an answer only where thousands are sent a step.
 MAX_OFFERED = 4096
@@ -149,6 +149,9 @@ class PairTags(NoTags):
                 self._unknown += 1
                 return None
         return heard
+
+    def proves(self, message: Message) -> bool:
+        return is_tagged(message)
 
     def fingerprint(self, number: int) -> int | None:
         """What was last handed over under this number."""

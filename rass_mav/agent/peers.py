@@ -20,7 +20,7 @@ from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
-from rass_mav.mavlink.tunnel import decode_tunnel, tunnel_from_datagram
+from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel, tunnel_from_datagram
 from rass_mav.wire import decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
 from rass_mav.wire.word import is_word
@@ -50,6 +50,12 @@ def stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
     if not data[2] & FLAG_SIGNED or not key.made(data):
         return None
     return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
+
+
+def head_of(frame: Frame) -> bytes:
+    """The bytes of a TUNNEL message's payload that say what kind it is: one, or two where the first has no room."""
+    head = frame.payload[TUNNEL_AHEAD : TUNNEL_AHEAD + 2]
+    return head if head[:1] == MORE_HEAD else head[:1]
 
 
 class OtherVersion(NamedTuple):

@@ -94,4 +94,4 @@ class Reports:
         """A frame hit a fault."""
         if now >= self._fault_at:
             self._fault_at = now + REPORT_S
-            tell(_CRITICAL, f"RASS: a frame from {sender} hit a fault in this program and was dropped; please report")
+            tell(_CRITICAL, f"RASS: a frame hit a fault in this program and was dropped ({sender}); please report")

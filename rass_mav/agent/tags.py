@@ -34,6 +34,10 @@ class NoTags:
         its TUNNEL. `stream`: in which it came, if it is signed."""
         return message
 
+    def proves(self, message: Message) -> bool:
+        """Whether nobody but its sender can have said a message that is `believed`."""
+        return False
+
     def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
         """Take a TUNNEL payload that only introduces another node. False: it is something else."""
         return False

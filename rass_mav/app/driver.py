@@ -96,7 +96,7 @@ class Driver:
                 link,
                 Lane(
                     agent, self.duplicates, budget=link.budget, interface=partial(_waiting, link), stream=link.stream,
-                    only=link.only, rng=rng, now=now(),
+                    only=link.only, rng=rng, now=now(), name=link.name,
                 ),
                 now,
                 partial(self._greeting, link),

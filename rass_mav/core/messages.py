@@ -495,6 +495,11 @@ def is_of_transfer(message: Message) -> bool:
     return type(message) in (Offer, Accept, Chunk, Sack)
 
 
+def is_vital(message: Message) -> bool:
+    """Whether no datum arrives without messages of this kind."""
+    return type(message) in (Beacon, Data, Committed)
+
+
 def joined(messages: Iterable[Message]) -> list[Message]:
     """The same with all data for a node in one message, and all answers to it."""
     joined: dict[Hashable, Message] = {}

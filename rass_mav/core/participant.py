@@ -62,12 +62,13 @@ class Participant(ABC):
     def __init__(
         self, settings: NodeSettings, store: Store, policy: Policy, risk: RiskEstimator, rng: random.Random, *,
         now: float, observer: Observer | None = None, newborn: bool = False, seals: NoSeals | None = None,
-        prints: Fingerprints | None = None,
+        prints: Fingerprints | None = None, before: Participant | None = None,
     ) -> None:  # fmt: skip
         """`now` in seconds, on the timeline of all later calls.
 
         `newborn`: no node can remember this one from an earlier life, so it need not wait before it uses a route.
         `seals`: what the node's keys do to data; `prints`: what answers to hand-overs confirm. None: it has no keys.
+        `before`: its neighbours and routes become those of this one; it has the same settings. None: there are none.
         """
         self.id = settings.node_id
         self.base = settings.base
@@ -79,14 +80,19 @@ class Participant(ABC):
         self.observer = observer or Observer()
         self.seals = seals or NO_SEALS
         slow = store.get_meta("turn") or 0
-        self.routing = RoutingTable(
-            settings,
-            store.life,
-            ByHops() if policy.costs is None else ByCost(policy.costs),
-            turn_s=slow / 10,
-            restarted=None if newborn else now,
-        )
-        self._announcements = Announcements(store, settings.seq_period) if self.base else None
+        if before is None:
+            self.routing = RoutingTable(
+                settings,
+                store.life,
+                ByHops() if policy.costs is None else ByCost(policy.costs),
+                turn_s=slow / 10,
+                restarted=None if newborn else now,
+            )
+            self._announcements = Announcements(store, settings.seq_period) if self.base else None
+        else:
+            self.routing, self._announcements = before.routing, before._announcements
+            if self._announcements is not None:
+                self._announcements.claim()
         self.pace = Pace(
             settings.step_s, settings.bandwidth_items, keeps=settings.mirror and settings.immediate, phase=self.id
         )
@@ -99,6 +105,8 @@ class Participant(ABC):
         self._beacon_number, first = divmod(rng.getrandbits(48), 1 << 32)
         self.numbers = HandoverNumbers(first, prints or Fingerprints())
         self._steps = 0
+        if before is not None:
+            self._beacon_number, self._steps = before._beacon_number, before._steps
         self.receipts = NoReceipts()
         """What bases report as arrived."""
         self.holdings = self._take_up(now)

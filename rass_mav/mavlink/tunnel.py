@@ -12,6 +12,8 @@ from .frames import FLAG_SIGNED, MAGIC_V2, TUNNEL_EXTRA, TUNNEL_MAX
 from .signing import SIGNATURE_SIZE
 
 _FIELDS = struct.Struct("<HBBB")
+#: Bytes of a TUNNEL message before the payload of the tunnel.
+TUNNEL_AHEAD = _FIELDS.size
 # Size of a frame without its payload, and with the fields before the data, in bytes.
 _AROUND = 12
 _AHEAD = _AROUND + _FIELDS.size

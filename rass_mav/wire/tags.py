@@ -81,6 +81,11 @@ def believed(message: Message, payload: bytes, own: int, checks: Checks) -> Mess
     return message
 
 
+def is_tagged(message: Message) -> bool:
+    """Whether a message that is `believed` had a tag for all that it says."""
+    return type(message) in (Committed, PassedOn) or (type(message) is Words and message.target != BROADCAST)
+
+
 def end_of_fields(message: Beacon | Data | Committed | PassedOn | Words) -> int:
     """Where in its payload the blocks of a message begin, or its place and its tags."""
     if isinstance(message, Beacon):

@@ -14,10 +14,23 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.guard import FIRST_MUTE_S, MAX_DIGESTS, MAX_SENDERS, MOST_MUTE_S, Guard, Mutes
+from rass_mav.agent.guard import FIRST_MUTE_S, MAX_DIGESTS, MAX_SENDERS, MOST_MUTE_S, SUSPECT_S, Guard, Mutes
 from rass_mav.agent.outgoing import Outgoing
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
-from rass_mav.core.messages import Committed, Data, Handover, Message
+from rass_mav.core.messages import (
+    BEACON_BASE,
+    Accept,
+    Committed,
+    Data,
+    Handover,
+    LossNote,
+    LossNoteEntry,
+    Message,
+    Offer,
+    Route,
+)
+from rass_mav.core.news.checksums import note_crc
+from rass_mav.core.store import PartialKey
 from rass_mav.errors import RassError, StoreDamagedError, StoreError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import Frame, FrameWriter
@@ -26,6 +39,7 @@ from rass_mav.store import SqliteStore
 from rass_mav.wire import encode
 from tests.agent.conversation import Conversation
 from tests.agent.test_agent import heard, make, said, to_vehicle
+from tests.core.build import beacon
 from tests.extent import examples
 from tests.telemetry import global_position_int, named_value_float
 
@@ -42,6 +56,11 @@ class BuggyStore(SqliteStore):
             raise ValueError("not a payload I like")
         if datum.payload.startswith(b"damage"):
             raise StoreDamagedError("pages are missing")
+
+    def partial(self, key: PartialKey) -> list[tuple[int, bytes]]:
+        if key.size == 666:
+            raise KeyError(key)
+        return super().partial(key)
 
 
 class Node:
@@ -149,14 +168,15 @@ def test_what_was_acknowledged_stays_and_what_was_dropped_was_not_acknowledged_a
     )  # fmt: skip
     # Nobody has seen the number of the datum that was dropped.
     assert node.put(b"again") == own
-    node.hear(handover(8, b"second"))
+    node.commit()
+    node.hear(handover(8, b"second"), 0.5)
     node.commit()
     assert (node.committed(), node.told) == ({5, 8}, {own: None})
     assert len(node.agent.step(1.0)) > 0
     [logged] = [record for record in caplog.records if record.exc_info]
     assert handover(7, POISON, 3).handovers[0].datum.payload.hex() in logged.getMessage()
     assert logged.levelno == logging.ERROR
-    with_half = [text for text in caplog.messages if "RASS: a frame from node 3 hit a fault in this program" in text]
+    with_half = [text for text in caplog.messages if "RASS: a frame hit a fault in this program" in text]
     assert len(with_half) == 1
 
 
@@ -181,10 +201,11 @@ def test_what_is_on_its_way_to_the_disk_stays_whether_it_gets_there_at_once_or_n
 
 
 def test_an_answer_to_a_frame_of_the_same_datagram_is_not_said_when_its_datum_is_dropped(node: Node) -> None:
-    node.say(node.agent.peer_bytes(tunnels(handover(5, b"x"), handover(6, POISON, 3), handover(7, b"z")), 0.0))
+    lost = LossNote(4, 1, (LossNoteEntry(7, DatumId(4, 77, 7), 1, note_crc(DatumId(4, 77, 7), 1)),))
+    node.say(node.agent.peer_bytes(tunnels(handover(5, b"x"), handover(6, POISON, 3), lost), 0.0))
     node.commit()
     assert node.committed() == {7}
-    assert [id.sequence for id in node.store.ids()] == [7]
+    assert list(node.store.ids()) == []
 
 
 def test_the_same_bytes_again_do_nothing(node: Node, caplog: pytest.LogCaptureFixture) -> None:
@@ -199,51 +220,92 @@ def test_the_same_bytes_again_do_nothing(node: Node, caplog: pytest.LogCaptureFi
     assert len([record for record in caplog.records if record.exc_info]) == 1
 
 
-def test_a_sender_is_muted_for_a_time_that_doubles_and_others_are_heard(node: Node) -> None:
+def offer(number: int, size: int = 666, sender: int = 3) -> Offer:
+    return Offer(sender, 1, number, DatumId(sender, 77, number), 0, 0.0, 0, number, size, 123)
+
+
+def test_a_kind_of_message_is_muted_for_a_time_that_doubles_and_others_are_heard(node: Node) -> None:
     now, number, lengths = 0.0, 100, []
-    for _ in range(11):
+
+    def accepted(number: int, now: float) -> bool:
+        node.hear(beacon(4, int(now * 10) & 0xFFFF), now)
+        before = len(node.left)
+        node.hear(offer(number, 1000, 4), now)
+        return any(isinstance(message, Accept) for message in node.left[before:])
+
+    for _ in range(7):
         number += 1
-        node.hear(handover(number, POISON, sender=3), now)
-        [(sender, length)] = node.guard().report(now)["muted"].items()
-        assert sender == "node 3"
+        node.hear(beacon(3, int(now * 10) & 0xFFFF), now)
+        node.hear(offer(number), now)
+        [(kind, length)] = node.guard().report(now)["muted"].items()
+        assert kind == "Offer from the neighbours"
         lengths.append(length)
         faults = node.guard().faults
-        # What is said meanwhile is not heard, and does not make it longer.
-        node.hear(handover(number + 1000, POISON, sender=3), now + 0.5 * length)
-        node.hear(handover(number + 2000, b"good", sender=3), now + 0.9 * length)
-        node.hear(handover(number + 3000, b"good", sender=4), now + 0.9 * length)
+        # What is said meanwhile, in whatever name, is not heard, and does not make it longer.
+        node.hear(offer(number + 1000, sender=5), now + 0.5 * length)
+        assert not accepted(number + 2000, now + 0.9 * length)
+        node.hear(handover(number + 3000, b"good", sender=3), now + 0.9 * length)
         node.commit()
         assert node.guard().faults == faults
-        assert not {number + 1000, number + 2000} & node.committed()
         assert number + 3000 in node.committed()
         now += length
-        node.hear(handover(number + 4000, b"good", sender=3), now)
-        node.commit()
-        assert number + 4000 in node.committed()
-    assert lengths == [min(FIRST_MUTE_S * 2**n, MOST_MUTE_S) for n in range(11)]
-    # After as long a silence it is as if nothing had been.
-    now += MOST_MUTE_S
-    node.hear(handover(99, POISON, sender=3), now)
-    assert node.guard().report(now)["muted"] == {"node 3": FIRST_MUTE_S}
+        assert accepted(number + 4000, now)
+    assert lengths == [min(FIRST_MUTE_S * 2**n, MOST_MUTE_S) for n in range(7)]
+    # After a while without it is as if nothing had been.
+    now += SUSPECT_S
+    node.hear(beacon(3, int(now * 10) & 0xFFFF), now)
+    node.hear(offer(99), now)
+    assert node.guard().report(now)["muted"] == {"Offer from the neighbours": FIRST_MUTE_S}
+
+
+def test_a_hand_over_that_is_suspect_waits_until_it_can_drop_nothing_else(node: Node) -> None:
+    node.hear(handover(7, POISON, sender=3))
+    node.commit()
+    own = node.put(b"mine")
+    for number in range(10, 20):
+        node.hear(handover(number, POISON, sender=number), 10.0)
+    node.hear(handover(8, b"good"), 10.0)
+    assert node.told == {}
+    node.commit()
+    assert node.told == {own: None}
+    node.hear(handover(9, b"good"), 10.0)
+    node.commit()
+    assert (node.committed(), node.guard().faults) == ({9}, 1)
+
+
+def test_a_fault_that_does_not_strike_the_routes_leaves_them(node: Node) -> None:
+    for number in range(2):
+        node.hear(beacon(2, number, Route(2, 1, 5, 0), flags=BEACON_BASE), float(number))
+    node.agent.step(20.0)
+    for number in range(18, 22):
+        node.hear(beacon(2, number, Route(2, 1, 5, 0), flags=BEACON_BASE), float(number))
+        node.agent.step(float(number))
+    route = node.agent.node.routing.route
+    assert route is not None
+    before = node.agent.node
+    node.hear(handover(7, POISON, sender=3), 21.0)
+    assert node.agent.node is not before
+    node.agent.step(21.5)
+    assert node.agent.node.routing.route == route
 
 
 def test_nothing_grows_without_bound(node: Node) -> None:
     mutes = Mutes()
-    mutes.raised("long", 0.0)
-    mutes.raised("long", 0.0)
+    mutes.raised("long", 0.0, 2.0, 4.0)
+    mutes.raised("long", 0.0, 2.0, 4.0)
     for n in range(3 * MAX_SENDERS):
-        mutes.raised(f"node {n}", 0.0)
+        mutes.raised(f"node {n}", 0.0, 2.0, 4.0)
     assert len(mutes.left(0.0)) == MAX_SENDERS
     assert mutes.muted("long", 3.9), "the one that is muted longest stays"
     for number in range(MAX_DIGESTS + 20):
-        node.hear(handover(number + 1, POISON, sender=number), 0.0)
-    report = node.guard().report(0.0)
+        node.hear(handover(number + 1, POISON, sender=number), float(number))
+    report = node.guard().report(float(number))
     assert report["count"] == MAX_DIGESTS + 20
     assert len(node.guard()._digests) == MAX_DIGESTS
     assert list(node.store.ids()) == []
 
 
-def test_a_frame_that_names_nobody_mutes_that_kind_of_message_of_its_component(node: Node) -> None:
+def test_a_frame_from_the_autopilots_port_mutes_that_kind_of_message(node: Node) -> None:
     class Service:
         """Does not bear a certain message."""
 
@@ -266,16 +328,16 @@ def test_a_frame_that_names_nobody_mutes_that_kind_of_message_of_its_component(n
     assert agent.telemetry.position is not None
     report = node.guard().report(1.0)
     assert (report["count"], report["frames_dropped"]) == (1, 1)
-    assert report["muted"] == {"component 1/1 (message 251)": 1.5}
+    assert report["muted"] == {"message 251 from the autopilot's port": 1.5}
 
 
 def test_the_ground_is_told_once_in_half_a_minute(node: Node) -> None:
     for sender in range(3, 8):
-        node.hear(handover(sender, POISON, sender), 0.0)
-    texts = [parse(frame).text for frame in to_vehicle(node.agent.step(1.0)) if frame.message_id == STATUSTEXT]
-    told = "RASS: a frame from node 3 hit a fault in this program and was dropped; please report"
+        node.hear(handover(sender, POISON, sender), 0.2 * sender)
+    texts = [parse(frame).text for frame in to_vehicle(node.agent.step(2.0)) if frame.message_id == STATUSTEXT]
+    told = "RASS: a frame hit a fault in this program and was dropped (Data from the neighbours); please report"
     assert "".join(texts) == told
-    assert node.guard().report(1.0)["last"]["sender"] == "node 7"
+    assert node.guard().report(2.0)["count"] == 5
 
 
 def test_damage_is_for_the_driver(node: Node) -> None:

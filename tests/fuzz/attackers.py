@@ -90,7 +90,7 @@ ALIASES = {
     "ids": "id",
 }  # fmt: skip
 #: Kinds of messages about the same things. Of transfers a node remembers most.
-FAMILIES = (
+FAMILIES: tuple[tuple[type, ...], ...] = (
     (Offer, Offer, Accept, Chunk, Sack),
     (Offer, Committed),
     (Data, Committed, LossNote, PassedOn, Words),
@@ -181,8 +181,7 @@ class Memory:
 
     def message(self, kind: type) -> Message:
         """One of a kind, rather a recent one."""
-        found = self.recent(self._kinds[kind])
-        assert found is not None
+        found: Message = self.recent(self._kinds[kind])
         return found
 
     def recent(self, things: Sequence[Any]) -> Any:
@@ -260,7 +259,7 @@ class Attacker:
             self._guise, self._victim, self._kind = self._name(), self._name(), self.memory.kind()
         before = [message for message in self.said if type(message) is self._kind]
         old = before and self.choices.random() < 0.5
-        message = self.memory.recent(before) if old else self.memory.message(self._kind)
+        message: Any = self.memory.recent(before) if old else self.memory.message(self._kind)
         if "sender" in message._fields and self.choices.random() < 0.8:
             message = message._replace(sender=self._guise)
         if "target" in message._fields and self.choices.random() < 0.8:
@@ -348,9 +347,10 @@ class Attacker:
             return value[: choices.randrange(len(value) + 1)] + choices.randbytes(choices.randrange(8))
         if not isinstance(value, tuple):
             return value
-        if hasattr(value, "_fields"):
-            at = choices.randrange(len(value))
-            return value._replace(**{value._fields[at]: self._other(value._fields[at], value[at])})
+        if hasattr(value, "_make"):
+            fields: dict[str, Any] = getattr(value, "_asdict")()  # noqa: B009
+            changed = choices.choice(list(fields))
+            return value._make([self._other(f, v) if f == changed else v for f, v in fields.items()])
         if not value:
             return value
         how, at = choices.random(), choices.randrange(len(value))

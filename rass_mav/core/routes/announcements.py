@@ -38,7 +38,7 @@ class Announcements:
         """All numbers up to this one are claimed on disk."""
         self._jumps_again = 0
         """From this turn on numbers may be left out."""
-        self._claim()
+        self.claim()
 
     def turn(self, requested: int | None) -> int | None:
         """The number to announce in this turn. None: the first one is not on disk yet.
@@ -51,7 +51,7 @@ class Announcements:
         if self._due == self._number:
             self._raise(requested)
         if not ANNOUNCEMENTS_CLAIMED // 2 <= (self._claimed - self._due) & 0xFFFF <= ANNOUNCEMENTS_CLAIMED:
-            self._claim()
+            self.claim()
         if self._durable is not None and not newer(self._due, self._durable):
             self._number = self._due
         return self._number
@@ -70,7 +70,8 @@ class Announcements:
         elif ahead or (self._period and self._turns % self._period == 0):
             self._due = following(number)
 
-    def _claim(self) -> None:
+    def claim(self) -> None:
+        """Claim numbers on disk, or those that are claimed once more, after the store has forgotten some changes."""
         # Not at each number: that would be a write each turn.
         self._claimed = (self._due + ANNOUNCEMENTS_CLAIMED) & 0xFFFF
         self._store.set_meta(_KEY, self._claimed)
