@@ -35,7 +35,8 @@ def rass_mav(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    shutil.copytree(ROOT / "rass_mav", source / "rass_mav", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("rass_mav", "firmware_params"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     pip = [sys.executable, "-m", "pip", "-q", "--disable-pip-version-check"]
     _run(*pip, "wheel", "--no-deps", "--no-index", "--no-build-isolation", "-w", str(directory), str(source))
     (wheel,) = directory.glob("rass_mav-*.whl")
@@ -113,6 +114,26 @@ def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> 
         assert (package / "page" / "static" / file).is_file()
     said = _run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path)
     assert json.loads(said)["steps"] == 5
+
+
+def test_vehicles_fly_with_the_script_that_comes_with_it(rass_mav: Path, tmp_path: Path) -> None:
+    """Without it, readings would be injected beside the autopilot."""
+    packages = tmp_path / "packages"
+    packages.mkdir()
+    found = importlib.util.find_spec("msgspec")
+    assert found is not None
+    assert found.origin is not None
+    (packages / "msgspec").symlink_to(Path(found.origin).parent)
+    copter = tmp_path / "arducopter"
+    copter.write_text("#!/bin/sh\n")
+    copter.chmod(0o755)
+    code = (
+        "import sys; sys.path.append(sys.argv[1]); from rass_mav.swarm.sitl.firmware import find_firmware; "
+        "print(find_firmware(sys.argv[2]).script)"
+    )
+    script = _run(str(rass_mav.with_name("python")), "-c", code, str(packages), str(copter), cwd=tmp_path).strip()
+    assert Path(script).is_relative_to(rass_mav.parents[1])
+    assert Path(script).read_bytes() == (ROOT / "firmware_params" / "rass_rad.lua").read_bytes()
 
 
 def test_what_needs_msgspec_says_so(rass_mav: Path, tmp_path: Path) -> None:

@@ -75,6 +75,8 @@ def _sitl(options: argparse.Namespace) -> int:
         sys.stderr.write(f"{HOW_TO_GET}. Flying with mock flight controllers instead.\n")
         firmware = find_firmware(mock=True)
         assert firmware is not None
+    if firmware.name == "arducopter" and firmware.script is None:
+        sys.stderr.write("rass_rad.lua is not among the installed files, so the readings are injected.\n")
     with (
         keeping(lambda: kept_files(options.record, options.keep)),
         progress_of_steps(scenario.steps, quiet=options.json) as show,

@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 from collections.abc import Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -65,9 +66,15 @@ def find_firmware(
 
 
 def _shipped_script() -> Path | None:
-    """The script in firmware_params/, if this is a checkout of the repository."""
+    """The script in firmware_params/ of a checkout, or among the files of the installed package."""
     path = Path(__file__).parents[3] / "firmware_params" / _SCRIPT
-    return path if path.is_file() else None
+    if path.is_file():
+        return path
+    try:
+        files = metadata.files("rass-mav") or ()
+    except metadata.PackageNotFoundError:
+        return None
+    return next((Path(str(file.locate())) for file in files if file.name == _SCRIPT), None)
 
 
 def prepare(
