@@ -129,7 +129,8 @@ def make_wheels(folder: Path) -> Path:
     source.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    shutil.copytree(ROOT / "rass_mav", source / "rass_mav", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("rass_mav", "firmware_params"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     pip = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(wheels)]
     run(*pip, "--no-build-isolation", str(source))
     run(*pip, "--no-binary", "pymavlink", "pymavlink", "termcolor", PYMAVLINK_FAST_INDEX="0")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import socket
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -300,6 +301,43 @@ def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
         assert [end.heard()[0].message_id for end in (companion, station)] == [HEARTBEAT, HEARTBEAT]
         assert air.places[1] == pytest.approx((20.0, 10.0, 5.0), abs=0.02)
         for end in (vehicle, truth, companion, station):
+            end.close()
+    finally:
+        air.close()
+
+
+def test_px4s_radio_is_a_link_of_its_own(tmp_path: Path) -> None:
+    """It repeats on it what others say to it, also its ground station. That is not on the air."""
+    near = replace(SCENARIO, radio=RadioSection(range_m=500))
+    order = FlightOrder(scenario=near, through=True, px4=True, readings=False, track=str(tmp_path / "track.csv"))
+    try:
+        air = FlightAir(order)
+    except LinkError as error:
+        pytest.skip(f"PX4's ports are in use here: {error}")
+    try:
+        ports = air.ports
+        assert ports.serial1 == [0, 14031, 14032]
+        assert ports.serial0 == ports.serial2 == [0, 14541, 14542]
+        radios = [End(14030 + node, system_id(node), 1) for node in (1, 2)]
+        base = End(ports.air[0], system_id(0), 191)
+        ends = [*radios, base]
+
+        def heard() -> list[list[tuple[int, int]]]:
+            for _ in range(3):
+                air.wires.poll(0.0)
+            return [[(frame.system_id, frame.message_id) for frame in end.heard()] for end in ends]
+
+        for end in ends:
+            end.say(companion_heartbeat())
+        heard()
+        first = system_id(1)
+        radios[0].say(autopilot_heartbeat())
+        assert heard() == [[], [(first, HEARTBEAT)], [(first, HEARTBEAT)]]
+        radios[0].tunnel()
+        assert heard() == [[], [(first, TUNNEL)], [(first, TUNNEL)]]
+        radios[0].put(FrameWriter(245, 190).message(companion_heartbeat()))
+        assert heard() == [[], [], []]
+        for end in ends:
             end.close()
     finally:
         air.close()

@@ -31,8 +31,9 @@ from rass_mav.swarm.neighbours import RangeGraph
 from rass_mav.swarm.scenario import system_id
 from rass_mav.swarm.sitl.scenario import FlightScenario, to_arena
 
-#: Base of the fixed ports of PX4's instances: for companions and ground stations; for true positions.
-PX4_API_PORT, PX4_TRUTH_PORT = 14540, 19410
+#: Base of the fixed ports of PX4's instances: for companions and ground stations; for true positions; for the radio. Of
+#: the links that PX4 opens in simulation, that one has the rate of a radio, 4000 bytes/s (it is meant for a camera).
+PX4_API_PORT, PX4_TRUTH_PORT, PX4_RADIO_PORT = 14540, 19410, 14030
 #: Columns of the track file: wall time in seconds; metres from the arena's centre and above the take-off position; the
 #: radiation there, without noise.
 TRACK = ("time", "node", "x", "y", "height", "level")
@@ -103,9 +104,11 @@ class FlightAir(Air[FlightFigures]):
         new = self.wires.new
         self._station = {node: new(self._hear_station, node) for node in vehicles}
         if order.px4:
-            # One port for everything that talks to the vehicle.
+            # One port for everything that is wired to the vehicle.
             self._serial0 = {node: new(self._hear_px4, node, PX4_API_PORT + node) for node in vehicles}
             self._serial1, self._serial2 = {}, self._serial0
+            if self._through:
+                self._serial1 = {node: new(self._hear_serial1, node, PX4_RADIO_PORT + node) for node in vehicles}
             for node in vehicles:
                 new(self._hear_truth, node, PX4_TRUTH_PORT + node)
         else:
@@ -160,13 +163,16 @@ class FlightAir(Air[FlightFigures]):
     # -- the cables ----------------------------------------------------------------------------------------------------
 
     def _hear_serial1(self, node: int, data: bytes) -> None:
-        """TELEM1: on the air, if it is the radio between the nodes. Other messages of an autopilot are telemetry."""
+        """TELEM1: on the air, if it is the radio between the nodes. Other messages of a vehicle are telemetry.
+
+        In simulation all ports of PX4 forward, so its ground station's messages come too. They are left out.
+        """
         if not self._through:
             return
         for raw, frame in whole_frames(data, self._serial1[node].reader):
             if frame.message_id == TUNNEL:
                 self._hear_node(node, raw)
-            else:
+            elif frame.system_id == system_id(node):
                 self.counted.telemetry += 1
                 self._put_on_air(node, raw)
 

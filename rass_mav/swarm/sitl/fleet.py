@@ -230,8 +230,6 @@ def run(
     need_mavsdk()
     if scenario.nodes > MAX_NODES:
         raise ConfigError(f"nodes: expected at most {MAX_NODES}, got {scenario.nodes}")
-    if through and firmware.name == "px4":
-        raise ConfigError("--through-autopilots: expected ArduCopter or the mock; PX4's simulator has no serial ports")
     for key in scenario.failures.of_robots:
         raise ConfigError(
             f"failures.{key}: not for flying vehicles, which support only failures.kill_every_s and kill_autopilots"
