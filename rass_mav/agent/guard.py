@@ -28,7 +28,7 @@ FIRST_MUTE_S, MOST_MUTE_S = 2.0, 30.0
 VITAL_MUTE_S, VITAL_MUTE_PER_DATUM_S = 0.1, 0.001
 #: After so long without a fault what is muted is forgotten, and each fault is logged in full again, seconds.
 SUSPECT_S = 60.0
-#: Kinds and senders remembered. When there are more, the one that would be forgotten next is forgotten.
+#: Kinds and senders remembered. When there are more, the one that is heard again first is forgotten.
 MAX_SENDERS = 64
 #: Frames that hit a fault, by digest. When there are more, the oldest is forgotten.
 MAX_DIGESTS = 256
@@ -243,8 +243,8 @@ class Mutes:
         last = senders.pop(sender, None)
         length = first_s if last is None else min(2.0 * last.length, most_s)
         if len(senders) >= MAX_SENDERS:
-            del senders[min(senders, key=lambda other: senders[other].forgotten)]
-        senders[sender] = _Mute(now + length, length, now + length + SUSPECT_S, logged)
+            del senders[min(senders, key=lambda other: senders[other].until)]
+        senders[sender] = _Mute(now + length, length, now + SUSPECT_S, logged)
 
     def left(self, now: float) -> dict[str, float]:
         """What is muted, each with the seconds that remain."""
