@@ -54,11 +54,6 @@ PURE = {
     "heapq", "itertools", "math", "operator", "random", "struct", "typing", "zlib",
 }  # fmt: skip
 
-#: Attributes of a class that does something. Data (`is_data`) have as many fields as they need.
-MOST_ATTRIBUTES = 20
-#: Whoever derives from these is data, and so is a frozen dataclass. A section is a part of a configuration file.
-DATA_BASES = {"NamedTuple", "Struct", "TypedDict", "Section"}
-
 
 def module(path: Path) -> str:
     parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
@@ -282,50 +277,3 @@ def test_the_driver_the_mock_swarm_and_the_custody_machine_have_the_same_gate() 
     assert VirtualSwarm.make_gate is test_custody_machine.Swarm.make_gate is CommitGate
     gates = {room(path) for path in FILES if "rass_mav.agent.commits.CommitGate" in named(path)}
     assert gates == {"app", "swarm"}
-
-
-def is_data(cls: ast.ClassDef) -> bool:
-    """Whether a class only holds fields for others: settings, messages, reports."""
-    frozen = any("dataclass" in ast.unparse(d) and "frozen=True" in ast.unparse(d) for d in cls.decorator_list)
-    return frozen or any(ast.unparse(base).split(".")[-1] in DATA_BASES for base in cls.bases)
-
-
-def attributes(cls: ast.ClassDef) -> set[str]:
-    """What an instance has of its own: its slots, the fields that its class annotates, what its methods assign."""
-    found = set()
-    for statement in cls.body:
-        if isinstance(statement, ast.AnnAssign):
-            found.add(ast.unparse(statement.target))
-        elif isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__slots__":
-            found |= set(ast.literal_eval(statement.value))
-    for node in ast.walk(cls):
-        match node:
-            case ast.Attribute(value=ast.Name(id="self"), attr=attribute, ctx=ast.Store()):
-                found.add(attribute)
-    return found
-
-
-def test_what_counts_as_an_attribute() -> None:
-    code = """
-class Node:
-    __slots__ = ("a",)
-    b: int = 0
-    CONSTANT = 1
-    def step(self):
-        self.c, self.d[0] = self.e = 1, 2
-        self.f += 1
-        self.g: int = 3
-        other.h = self.i
-"""
-    (cls,) = ast.parse(code).body
-    assert isinstance(cls, ast.ClassDef)
-    assert attributes(cls) == set("abcefg")
-
-
-def test_no_class_has_too_many_attributes() -> None:
-    def too_large(path: Path) -> dict[str, int]:
-        classes = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef) and not is_data(node)]
-        counted = {cls.name: len(attributes(cls)) for cls in classes}
-        return {name: count for name, count in counted.items() if count > MOST_ATTRIBUTES}
-
-    assert found_in(FILES, too_large) == {}

@@ -22,7 +22,7 @@ from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import decode, encode
-from rass_mav.wire.codec import FORMATS
+from rass_mav.wire.codec import FORMATS, VERSION
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.keys.test_words import SEVEN
@@ -58,7 +58,7 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
     message = decode(GOLDEN[name], 0.0)
     assert message is not None
     assert text[0].startswith(name.split("-")[0].capitalize())
-    assert f"type {FORMATS[type(message)].number}, version 2" in text[0]
+    assert f"type {FORMATS[type(message)].number}, version {VERSION}" in text[0]
     absent = {("chunk", "target"), ("passed", "backers")}
     absent |= {("data", f) for f in ("distance",) if getattr(message, f, None) is None}
     on_the_wire = [f for f in type(message)._fields if (name.split("-")[0], f) not in absent]
@@ -72,7 +72,7 @@ def test_every_golden_vector_is_explained_with_all_its_fields(name: str) -> None
 def test_every_example_of_what_is_beside_the_messages_is_explained(name: str) -> None:
     payload = EXAMPLES[name]
     head = next(explain_payload(payload))
-    assert head.startswith(f"{BESIDE[payload[1]]} (type {payload[1]}, version 2), ")
+    assert head.startswith(f"{BESIDE[payload[1]]} (type {payload[1]}, version {VERSION}), ")
     assert BESIDE[payload[1]].lower() == name.split("-")[0]
     with pytest.raises(UnreadableError):
         list(explain_payload(payload[:-1]))
@@ -89,20 +89,17 @@ def test_no_byte_is_left_out(name: str) -> None:
 
 
 def test_what_is_beside_the_messages_is_told_field_by_field() -> None:
-    found = list(explain_payload(EXAMPLES["challenge-both"]))
-    assert "      highest timestamp    16777216  (seen)" in found
-    assert "  nonce                    1122334455667788  (to be sent back)" in found
-    assert "    nonce                  99aabbccddeeff00" in found
     found = list(explain_payload(EXAMPLES["introduction-certificate"]))
     public = SEVEN.certificate.public.hex()
     assert [line.split()[-1] for line in found if line.startswith("    public key")] == [public]
+    found = list(explain_payload(EXAMPLES["introduction-proofs"]))
     assert "  place                    0a0b0c0d00000005  (the sender's last one)" in found
     assert "    tag                    0001020304050607" in found
     found = list(explain_payload(EXAMPLES["introduction-question"]))
     assert [line.split()[-1] for line in found if line.startswith("    node id")] == ["7", "8"]
     voucher = fields(explain_payload(EXAMPLES["voucher"]))
     assert voucher["first"] == "513  (serials of the statements: up to 514)"
-    assert (voucher["salt"], voucher["hash"]) == ("01020304", "3fba8eaaa09ca7aa")
+    assert (voucher["salt"], voucher["hash"]) == ("01020304", "1b1111bfc96b9071")
     anchor = fields(explain_payload(EXAMPLES["anchor"]))
     assert (anchor["first"].split()[0], anchor["anchor"]) == ("40", "a0a1a2a3a4a5a6a7")
     assert anchor["signature"].startswith(EXAMPLES["anchor"][-64:].hex())
@@ -121,10 +118,13 @@ def test_what_is_beside_the_messages_is_told_field_by_field() -> None:
 
 def test_tags_are_told_with_whom_they_are_for() -> None:
     answers = fields(explain_payload(EXAMPLES["data-answers-tagged"]))
-    assert answers["tag"] == "d6a91f1ca57aae4f  (for node 3)"
+    assert answers["tag"] == f"{EXAMPLES['data-answers-tagged'][-8:].hex()}  (for node 3)"
     assert fields(explain_payload(EXAMPLES["committed-tagged"]))["tag"] == answers["tag"]
     words = fields(explain_payload(EXAMPLES["words-tagged"]))
-    assert (words["place"].split()[0], words["tag"]) == ("00000005", "aa8cfddfdf199445  (for node 3)")
+    assert (words["place"].split()[0], words["tag"]) == (
+        "00000005",
+        f"{EXAMPLES['words-tagged'][-8:].hex()}  (for node 3)",
+    )
     told = [line for line in explain_payload(EXAMPLES["passed-on-tagged"]) if line.startswith("    tag")]
     assert [line.split("  (")[1] for line in told] == ["for node 3)", "for node 9)"]
 
@@ -263,9 +263,9 @@ def test_from_stdin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
         ([frame(ACCEPT).hex()[:-6]], "cut off"),
         (["fd00" + "80" + frame(ACCEPT).hex()[6:]], "incompatibility flags"),
         ([frame(ACCEPT).hex() + "00"], "no MAVLink frame"),
-        ([frame(b"\x2f").hex()], "type 15 is not known"),
-        (["--payload", "1402"], "version 1, ours is 2"),
-        (["--payload", "2402"], "truncated"),
+        ([frame(b"\x3f").hex()], "type 15 is not known"),
+        (["--payload", "1402"], f"version 1, ours is {VERSION}"),
+        (["--payload", "3402"], "truncated"),
     ],
 )
 def test_garbage_is_one_line_and_exit_code_1(given: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:

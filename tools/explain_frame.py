@@ -44,8 +44,7 @@ from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 from rass_mav.mavlink.tunnel import decode_tunnel
 from rass_mav.wire import decode
-from rass_mav.wire.challenge import CHALLENGE, Challenge, decode_challenge
-from rass_mav.wire.codec import ANSWERS, DISTANCE, MORE, MOTION, PROOF, TAG_BYTES, TAGS, VERSION
+from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MORE, MOTION, PROOF, TAG_BYTES, TAGS, VERSION
 from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS
 from rass_mav.wire.introduction import INTRODUCTION, Introduction, decode_introduction
 from rass_mav.wire.letters import LETTER, ROLL, Roll, decode_roll, enclosed
@@ -98,6 +97,7 @@ _BLOCKS = {
     DISTANCE: "a distant spare",
     MOTION: "motion",
     PROOF: "proof of the route",
+    KEY: "key of the beacon",
     TAGS: "tags of the answers",
 }
 _CERTIFICATE = struct.Struct("<HI32s64s")
@@ -283,21 +283,6 @@ def _tags(tags: list[tuple[str, str]]) -> Iterator[str]:
 # -- what nodes with keys say about links and keys ---------------------------------------------------------------------
 
 
-def _challenge(challenge: Challenge) -> Iterator[str]:
-    yield line("asked", len(challenge.asked), "streams that are challenged")
-    for (system, component, link), highest in challenge.asked:
-        yield "    Stream"
-        yield line("system id", system, depth=3)
-        yield line("component id", component, depth=3)
-        yield line("link id", link, depth=3)
-        yield line("highest timestamp", highest, "seen", depth=3)
-    if challenge.asked:
-        yield line("nonce", f"{challenge.nonce:016x}", "to be sent back")
-    yield line("answered", len(challenge.answered), "nonces that are sent back")
-    for nonce in challenge.answered:
-        yield line("nonce", f"{nonce:016x}", depth=2)
-
-
 def _introduction(m: Introduction) -> Iterator[str]:
     yield line("sender", m.sender)
     yield line("certificate", "yes" if m.certificate else "no")
@@ -314,7 +299,11 @@ def _introduction(m: Introduction) -> Iterator[str]:
     if m.asked:
         yield line("nonce", f"{m.nonce:016x}", "to be proved")
     if m.proofs:
-        yield line("place", f"{m.place:016x}", "the sender's last one")
+        place, beacon, key, next_end = m.whereabouts
+        yield line("place", f"{place:016x}", "the sender's last one")
+        yield line("beacon", beacon, "index of the sender's last one")
+        yield line("key", key, "of that beacon")
+        yield line("next end", next_end, "of the sender's next chain of keys")
     yield line("proofs", len(m.proofs))
     for node_id, tag in m.proofs:
         yield line("node id", node_id, depth=2)
@@ -388,7 +377,6 @@ _MORE_HEAD = bytes([VERSION << 4 | MORE])
 _UNCHECKED = "by the ground; not checked: that needs its public key"
 #: By the type in their second byte.
 _BESIDE = {
-    CHALLENGE: _Beside("Challenge", decode_challenge, _challenge),
     INTRODUCTION: _Beside("Introduction", decode_introduction, _introduction),
     VOUCHER: _Beside("Voucher", decode_word, _signed),
     ANCHOR: _Beside("Anchor", decode_word, _signed),

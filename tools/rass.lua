@@ -18,10 +18,10 @@ frame.prefs.port = Pref.uint("UDP port", 14600, "Port of the nodes' links; frame
 
 local TYPES = { "Beacon", "Data", "Offer", "Accept", "Chunk", "Sack", "Committed", "Receipt", "Loss note", "Put",
     "Query", "Passed on", "Words", "Given", "more", "Digest", [248] = "Roll", [249] = "Letter", [251] = "Ask",
-    [252] = "Anchor", [253] = "Voucher", [254] = "Introduction", [255] = "Challenge" }
+    [252] = "Anchor", [253] = "Voucher", [254] = "Introduction" }
 local BLOCKS = { [1] = "answers", [2] = "a distant spare", [3] = "motion", [4] = "proof of the route",
-    [5] = "tags of the answers" }
-local VERSION = 2
+    [5] = "tags of the answers", [6] = "key of the beacon" }
+local VERSION = 3
 local KINDS = {}
 for kind, name in pairs({ [0] = "bytes", [1] = "measurement", [2] = "file", [3] = "status" }) do
     KINDS[kind], KINDS[kind + 64] = name, name .. " with terms"
@@ -153,14 +153,12 @@ field("tag", ProtoField.bytes, "rass.tag", "Tag: who says it, not checked")
 field("place", ProtoField.uint64, "rass.place", "Place among the words of the sender", base.HEX)
 field("nonce", ProtoField.uint64, "rass.nonce", "Nonce", base.HEX)
 field("asked", ProtoField.uint8, "rass.asked", "Asked")
-field("answered", ProtoField.uint8, "rass.answered", "Nonces that are sent back")
-field("system_id", ProtoField.uint8, "rass.stream.system", "Stream: system id")
-field("component_id", ProtoField.uint8, "rass.stream.component", "Stream: component id")
-field("link_id", ProtoField.uint8, "rass.stream.link", "Stream: link id")
-field("highest", ProtoField.uint64, "rass.stream.highest", "Stream: highest timestamp seen")
 field("i_flags", ProtoField.uint8, "rass.introduction.flags", "Flags", base.HEX)
 field("i_certificate", ProtoField.bool, "rass.introduction.flags.certificate", "A certificate follows", 8, nil, 1)
 field("i_wanted", ProtoField.bool, "rass.introduction.flags.wanted", "Who is asked should send theirs", 8, nil, 2)
+field("beacon_index", ProtoField.uint32, "rass.introduction.beacon", "Index of the sender's last beacon")
+field("beacon_key", ProtoField.bytes, "rass.key", "Key of the beacon")
+field("next_end", ProtoField.bytes, "rass.introduction.next_end", "End of the next chain of keys")
 field("proofs", ProtoField.uint8, "rass.proofs", "Proofs")
 field("node_id", ProtoField.uint16, "rass.node_id", "Node id")
 field("node_serial", ProtoField.uint32, "rass.node_serial", "Serial of the node (0: a base)")
@@ -441,7 +439,7 @@ end
 
 -- What a block holds, by its kind; `last`: where it ends. Smaller ones than `SMALLEST` are of no use.
 local BLOCK = {}
-local SMALLEST = { [2] = 5, [3] = 8, [4] = 8 }
+local SMALLEST = { [2] = 5, [3] = 8, [4] = 8, [6] = 8 }
 
 BLOCK[1] = function(r, last)
     while r.at < last do
@@ -466,6 +464,8 @@ BLOCK[4] = function(r) r:bytes("proof", 8) end
 BLOCK[5] = function(r, last)
     while r.at + TAG_SIZE <= last do r:bytes("tag", TAG_SIZE) end
 end
+
+BLOCK[6] = function(r) r:bytes("beacon_key", 8) end
 
 -- What follows the fields of a beacon and the hand-overs of data, up to the end.
 local function blocks(r)
@@ -756,21 +756,6 @@ end
 
 local SIGNATURE = 64
 
-READ[255] = function(r)
-    local asked = r:number("asked", 1)
-    local answered = r:number("answered", 1)
-    if asked > 8 or answered > 5 then error(CUT, 0) end
-    times(r, asked, "Stream", function()
-        r:number("system_id", 1)
-        r:number("component_id", 1)
-        r:number("link_id", 1)
-        r:wide("highest", 6)
-    end)
-    if asked > 0 then r:wide("nonce", 8) end
-    for _ = 1, answered do r:wide("nonce", 8) end
-    return string.format("asks %d streams, answers %d", asked, answered)
-end
-
 READ[254] = function(r)
     local sender = r:number("sender", 2)
     local flags = r:need(1)
@@ -780,10 +765,7 @@ READ[254] = function(r)
     local shows = flags:uint() % 2 == 1
     local asked = r:number("asked", 1)
     local proofs = r:number("proofs", 1)
-    local most_asked, most_proofs = shows and 5 or 8, shows and 1 or 8
-    if sender == 65535 or asked > most_asked or proofs > most_proofs or (shows and asked > 0 and proofs > 0) then
-        error(CUT, 0)
-    end
+    if sender == 65535 or asked > (shows and 5 or 8) or proofs > (shows and 0 or 6) then error(CUT, 0) end
     if shows then
         r:branch("Certificate", function()
             r:number("node_id", 2)
@@ -798,6 +780,9 @@ READ[254] = function(r)
     end
     if proofs > 0 then
         r:wide("place", 8)
+        r:number("beacon_index", 4)
+        r:bytes("beacon_key", 8)
+        r:bytes("next_end", 8)
         times(r, proofs, "Proof", function()
             r:number("node_id", 2)
             r:bytes("tag", TAG_SIZE)

@@ -14,7 +14,9 @@ from collections.abc import Callable
 from struct import Struct
 from typing import Any, Protocol, TypeAlias
 
+from rass_mav.agent.beaconkeys import HeardKeys, OwnKeys, salt_of
 from rass_mav.agent.names import Intake, Names
+from rass_mav.core.messages import Beacon
 from rass_mav.core.store import Store
 from rass_mav.errors import ForgedError
 from rass_mav.keys.certificate import Certificate
@@ -26,8 +28,8 @@ from rass_mav.wire.introduction import (
     INTRODUCTION,
     MAX_ASKED,
     MAX_PROOFS,
-    PROOFS_BESIDE,
     Introduction,
+    Whereabouts,
     encode_introduction,
     proof_said,
 )
@@ -65,24 +67,27 @@ class Links(Protocol):
     def own(self) -> Stream:
         """The node's own stream."""
 
-    def prove(self, node_id: int, stream: Stream) -> None:
-        """A node has just proved itself to this one in a stream."""
+    @property
+    def index(self) -> int:
+        """Of the node's own last beacon, over all its lives."""
 
+    def begin_turn(self, number: int) -> int:
+        """The node makes a beacon with this number (16 bits). Returns its index."""
 
-class Unsigned:
-    """Where frames are not signed."""
+    def prove(self, node_id: int, stream: Stream, index: int) -> None:
+        """A node has just proved itself to this one in a stream, and the index of its last beacon."""
 
-    __slots__ = ()
-    own: Stream = (0, 0, 0)
+    def advance(self, node_id: int, index: int) -> None:
+        """A beacon of a node was verified."""
 
-    def prove(self, node_id: int, stream: Stream) -> None:
-        """It changes nothing."""
+    def forget(self, node_id: int) -> None:
+        """What a node has proved counts no more."""
 
 
 class Acquaintance:
     """Another node."""
 
-    __slots__ = ("ask_at", "bits", "certificate", "doubted", "heard", "pair", "place", "proved_by", "wait_s")
+    __slots__ = ("ask_at", "bits", "certificate", "doubted", "heard", "keys", "pair", "place", "proved_by", "wait_s")
 
     def __init__(self) -> None:
         self.heard = 0.0
@@ -94,6 +99,8 @@ class Acquaintance:
         """The highest place of its words, 64 bits; None: it has not proved where it is."""
         self.bits = 0
         """Bit i: the word at `place` - i was heard, or must not be any more."""
+        self.keys: HeardKeys | None = None
+        """Those of its beacons; None as `place`."""
         self.proved_by = -1
         """Which nonce of this node was in its last proof: an earlier one proves nothing more."""
         self.doubted = True
@@ -116,9 +123,10 @@ class Acquaintance:
         self.bits |= 1 << -ahead
         return True
 
-    def proves(self, place: int, nonce: int) -> None:
+    def proves(self, place: int, keys: HeardKeys, nonce: int) -> None:
         """It is there now, and this is the place of its last word. `nonce`: which one of this node shows it."""
         self.proved_by = nonce
+        self.keys = keys
         self.doubted = False
         self.wait_s = 0.0
         if self.place is None or self.place >> 32 != place >> 32 or place - self.place >= WINDOW:
@@ -130,8 +138,9 @@ class Acquaintances:
     """Those of one node. Time is an argument."""
 
     __slots__ = (
-        "_asks", "_intake", "_is_out", "_keys", "_known", "_names", "_nonces", "_questions", "_rng", "_sent",
-        "_sent_at", "_step", "_step_s", "_store", "_tokens", "_wanted", "forged", "links", "place", "stale",
+        "_asks", "_intake", "_is_out", "_keys", "_known", "_names", "_nonces", "_own_keys", "_questions", "_rng",
+        "_sent", "_sent_at", "_step", "_step_s", "_store", "_tokens", "_wanted", "forged", "links", "place", "stale",
+        "unproven",
     )  # fmt: skip
 
     def __init__(self, keys: NodeKeys, store: Store, rng: random.Random, step_s: float, is_out: IsOut) -> None:
@@ -145,8 +154,8 @@ class Acquaintances:
         """By node id."""
         self._names = Names()
         """Those that have not proved themselves."""
-        self.links: Links = Unsigned()
-        """The streams of frames."""
+        self.links: Links
+        """The streams of frames. Set before anything is heard or said."""
         self._asks: dict[int, None] = {}
         """Nodes to ask."""
         self._nonces: list[tuple[int, int]] = []
@@ -166,6 +175,9 @@ class Acquaintances:
         # A random start: nothing that was said in an earlier life has a place in this one.
         self.place = rng.getrandbits(32) << 32
         """Of this node's last word, 64 bits: its life, and a count."""
+        self._own_keys = OwnKeys(keys.secret, keys.certificate.node_id, store.life, rng.getrandbits(64))
+        self.unproven = 0
+        """Beacons that their sender has not made, as far as is known, or that came too late."""
         self.forged = 0
         """Certificates and proofs by somebody else than they say."""
         self.stale = 0
@@ -200,6 +212,25 @@ class Acquaintances:
             self._asks[node_id] = None
         return known
 
+    def believes(self, beacon: Beacon, now: float, stream: Stream) -> bool:
+        """Whether another node, which has proved itself, has made a beacon, and it is its last one."""
+        known = self.heard(beacon.sender, now, stream)
+        if known.keys is None:
+            return False
+        made = known.keys.verify(beacon.number, beacon.key, salt_of(beacon.sender, beacon.life))
+        if made:
+            self.links.advance(beacon.sender, known.keys.index)
+        else:
+            self.unproven += 1
+        if made is None or not known.keys.next_end:
+            # It may have started again, or it has begun another chain.
+            self.ask(beacon.sender, now)
+        return bool(made)
+
+    def shown(self, beacon: Beacon) -> Beacon:
+        """This node's own beacon, with its key."""
+        return beacon._replace(key=self._own_keys.key(self.links.begin_turn(beacon.number)))
+
     def _named(self, node_id: int, stream: Stream) -> Acquaintance:
         """A stream brings the name of a node that has not proved itself. The one that it has brought before is
         forgotten, unless another stream has brought it too."""
@@ -213,6 +244,7 @@ class Acquaintances:
 
     def _forget(self, node_id: int) -> None:
         del self._known[node_id]
+        self.links.forget(node_id)
         self._names.release(node_id)
         self._asks.pop(node_id, None)
         self._questions.pop(node_id, None)
@@ -248,7 +280,7 @@ class Acquaintances:
             self._on_question(introduction, now, stream)
         for node_id, tag in introduction.proofs:
             if node_id == own:
-                self._on_proof(sender, introduction.place, tag, stream)
+                self._on_proof(introduction, tag, stream)
 
     def _learn(self, packed: bytes, now: float, stream: Stream, *, needed: bool, late: bool = False) -> None:
         """A certificate. `needed`: even if no beacon of its node was heard. `late`: it has waited."""
@@ -281,6 +313,7 @@ class Acquaintances:
         known = Acquaintance()
         known.certificate, known.pair, known.heard = certificate, pair, now
         self._known[node_id] = known
+        self.links.forget(node_id)
         self.ask(node_id, now)
 
     def _on_question(self, introduction: Introduction, now: float, stream: Stream) -> None:
@@ -298,19 +331,20 @@ class Acquaintances:
             # It may have started again.
             self.ask(sender, now)
 
-    def _on_proof(self, sender: int, place: int, tag: bytes, stream: Stream) -> None:
+    def _on_proof(self, introduction: Introduction, tag: bytes, stream: Stream) -> None:
+        sender, whereabouts = introduction.sender, introduction.whereabouts
         known = self._known.get(sender)
         if known is None or known.pair is None:
             return
         for number, nonce in self._nonces:
-            if known.pair.made(INTRODUCTION, proof_said(nonce, place, stream), tag):
+            if known.pair.made(INTRODUCTION, proof_said(nonce, whereabouts, stream), tag):
                 # It may be repeated by somebody, when the node is not there any more.
                 if number > known.proved_by:
-                    known.proves(place, number)
+                    known.proves(whereabouts.place, HeardKeys(*whereabouts[1:]), number)
                     self._asks.pop(sender, None)
                     if sender in self._names:
                         self._has_proved(sender)
-                    self.links.prove(sender, stream)
+                    self.links.prove(sender, stream, whereabouts.beacon)
                 return
         self.forged += 1
 
@@ -325,8 +359,7 @@ class Acquaintances:
         while self._sent < MAX_SENT:
             certificate = self._shows_certificate(now)
             asked = self._to_ask(ASKED_BESIDE if certificate else MAX_ASKED)
-            room = 0 if certificate and asked else PROOFS_BESIDE if certificate else MAX_PROOFS
-            proofs = self._proofs(room)
+            proofs = self._proofs(0 if certificate else MAX_PROOFS)
             if not (certificate or asked or proofs):
                 break
             wants = any(self._known[node_id].pair is None for node_id in asked)
@@ -334,7 +367,8 @@ class Acquaintances:
                 self._has_asked(node_id, now)
             own = self._keys.certificate
             shown, nonce = own.pack() if certificate else b"", self._nonces[-1][1] if asked else 0
-            out.append(encode_introduction(Introduction(own.node_id, shown, asked, wants, nonce, self.place, proofs)))
+            where = self._whereabouts()
+            out.append(encode_introduction(Introduction(own.node_id, shown, asked, wants, nonce, where, proofs)))
             self._sent += 1
         return out
 
@@ -382,15 +416,24 @@ class Acquaintances:
                 continue
             nonces = self._questions[node_id]
             while nonces and len(proofs) < most:
-                said = proof_said(nonces.pop(next(iter(nonces))), self.place, self.links.own)
+                said = proof_said(nonces.pop(next(iter(nonces))), self._whereabouts(), self.links.own)
                 proofs.append((node_id, known.pair.tag(INTRODUCTION, said)))
             if not nonces:
                 del self._questions[node_id]
         return tuple(proofs)
 
+    def _whereabouts(self) -> Whereabouts:
+        index = self.links.index
+        return Whereabouts(self.place, index, self._own_keys.key(index), self._own_keys.next_end(index))
+
     def report(self) -> dict[str, Any]:
         """For `status`."""
-        return {"certificates": self.with_certificate, "forged": self.forged, "stale": self.stale}
+        return {
+            "certificates": self.with_certificate,
+            "forged": self.forged,
+            "stale": self.stale,
+            "beacons_refused": self.unproven,
+        }
 
 
 def _serial_key(node_id: int) -> str:

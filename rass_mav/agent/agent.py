@@ -155,11 +155,11 @@ class Agent:
         writer = FrameWriter(system_id, mavlink.component_id)
         signed = None
         if trust is not None:
-            signed = Signed(settings.node_id, trust.letters, writer, store, rng, settings.step_s, mavlink.payload_type)
+            signed = Signed(settings.node_id, trust.letters, writer, store, rng, mavlink.payload_type)
         self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, tags)
         if trust is not None and trust.word is not None:
             self.peers.word = Word(settings.node_id, trust.word, store, rng, self.node)
-        self.peers.overhears = self.node.overhears
+        self._fit_peers()
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
         self._said: list[Outgoing] = []
@@ -246,8 +246,14 @@ class Agent:
         self.answers.forget()
         if self.peers.word is not None:
             self.peers.word.node = self.node
-        self.peers.overhears = self.node.overhears
+        self._fit_peers()
         self._observe_again()
+
+    def _fit_peers(self) -> None:
+        """There is another node."""
+        self.peers.overhears = self.node.overhears
+        if self.peers.signed is not None:
+            self.node.number_beacons(self.peers.signed.timestamps.index)
 
     def _observe_again(self) -> None:
         if self.last_reading is not None:

@@ -10,7 +10,7 @@ from rass_mav.agent.agent import Agent
 from rass_mav.agent.duplicates import Duplicates
 from rass_mav.agent.floods import Flood
 from rass_mav.agent.outgoing import Outgoing
-from rass_mav.agent.streams import WINDOW
+from rass_mav.agent.timestamps import COUNT_BITS
 from rass_mav.link.airtime import Budget, Pacer, Queued
 from rass_mav.link.backlog import Backlog
 from rass_mav.mavlink.frames import Frame, timestamp_of
@@ -19,8 +19,6 @@ from rass_mav.mavlink.reader import FrameReader
 
 #: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
 MOST_RADIO_STATUS, WATCH_S = 30, 10.0
-#: A frame that was overtaken by more timestamps than this is signed again: hearers take it only within a window.
-MOST_OVERTAKEN = WINDOW // 2
 _WARNING = 4
 # Their names in `status`, in the order of `Urgency`.
 _KINDS = ("vehicle", "beacons", "answers", "data", "chunks")
@@ -139,7 +137,8 @@ class Lane:
         signed = self.agent.peers.signed
         if queued is None or signed is None or (timestamp := timestamp_of(queued.frame)) is None:
             return queued
-        if timestamp < self._newest - MOST_OVERTAKEN:
+        if timestamp >> COUNT_BITS < self._newest >> COUNT_BITS:
+            # A beacon has overtaken it: hearers would soon refuse it as late.
             frame = signed.timestamps.sign_again(queued.frame)
             self.duplicates.said(frame, now)
             queued = queued._replace(frame=frame)

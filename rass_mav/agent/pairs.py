@@ -124,6 +124,13 @@ class PairTags(NoTags):
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
+    def meet(self, node_id: int, now: float, stream: Stream) -> None:
+        self.acquaintances.heard(node_id, now, stream)
+        self.acquaintances.ask(node_id, now)
+
+    def shown(self, beacon: Beacon) -> Beacon:
+        return self.acquaintances.shown(beacon)
+
     def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
         if not is_introduction(payload):
             return False
@@ -135,9 +142,8 @@ class PairTags(NoTags):
         if (
             type(message) is Beacon
             and message.sender != self._own
-            and self.acquaintances.heard(message.sender, now, stream).place is None
+            and not self.acquaintances.believes(message, now, stream)
         ):
-            # Its answers would not be believed yet: what is handed over to it would be sent again.
             return None
         heard = believed(message, payload, self._own, self)
         giver = giver_of(heard)

@@ -9,9 +9,10 @@ from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
 from rass_mav.agent.signed import Signed
+from rass_mav.agent.streams import Verdict
 from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.agent.word import Word
-from rass_mav.core.messages import BROADCAST, Message, Urgency
+from rass_mav.core.messages import BROADCAST, Beacon, Message, Urgency
 from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
@@ -21,8 +22,9 @@ from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel, tunnel_from_datagram
-from rass_mav.wire import decode, is_overheard, target_of
+from rass_mav.wire import beacon_sender, decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
+from rass_mav.wire.introduction import is_introduction
 from rass_mav.wire.word import is_word
 
 log = logging.getLogger(__name__)
@@ -144,10 +146,18 @@ class Peers:
         return stream if self.signed is None else self.signed.streams.bringer(stream)
 
     def _admits(self, stream: Stream, timestamp: int, opened: Opened, now: float) -> bool:
-        """Whether a frame is new, and the node may look at it."""
-        return self.signed is None or self.signed.admit(
-            stream, timestamp, opened[3] if opened[2] == self._payload_type else b"", now
-        )
+        """Whether a frame is new, and the node may look at it. Introductions are, since they show that themselves."""
+        if self.signed is None:
+            return True
+        payload = opened[3] if opened[2] == self._payload_type else b""
+        if is_introduction(payload):
+            return True
+        verdict = self.signed.admit(stream, timestamp, payload, now)
+        if verdict is Verdict.STRANGE or verdict is Verdict.LATE:
+            sender = beacon_sender(payload)
+            if sender is not None and sender != self._node_id:
+                self.tags.meet(sender, now, stream)
+        return verdict is Verdict.NEW
 
     def message(self, opened: Opened, now: float, stream: Stream = (0, 0, 0)) -> Message | None:
         """The message in a frame that is open, and new. `stream`: whose it is, if it is signed."""
@@ -205,6 +215,7 @@ class Peers:
 
     def frames_of_turn(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
         """The frames of a turn: with keys, what shows that bases are heard, and asks for it, is among them."""
+        messages = [self.tags.shown(message) if type(message) is Beacon else message for message in messages]
         if self.word is None:
             return self.frames(messages, store, now)
         payloads, messages = self.word.turn(messages)
@@ -212,13 +223,13 @@ class Peers:
         return self._claimed(about) + self.frames(messages, store, now)
 
     def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
-        """The frames in which this node asks strange streams and nodes, and answers them, and those about a change of
-        the link key. Call it in each step."""
+        """The frames in which this node asks others who they are, and answers them, and those about a change of the
+        link key. Call it in each step."""
         signed = self.signed
         if signed is None:
             return []
         rolls, letters = signed.letters.due(now, pace.turn_s, pace.items)
-        payloads = signed.streams.due(now) + rolls + self.tags.introductions(now)
+        payloads = rolls + self.tags.introductions(now)
         out = frames_about_links(payloads, self.writer, self._payload_type)
         return self._claimed(out + frames_about_links(letters, self.writer, self._payload_type, Urgency.DATA))
 

@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from rass_mav.agent.streams import Streams
+from rass_mav.agent.streams import Streams, Verdict
 from rass_mav.agent.timestamps import Timestamps
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter, Stream
@@ -25,20 +25,18 @@ class Signed:
     __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
 
     def __init__(
-        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, rng: random.Random, step_s: float,
-        payload_type: int,
-    ) -> None:  # fmt: skip
+        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, rng: random.Random, payload_type: int
+    ) -> None:
         """:param letters: bring the key, and later ones.
         :param writer: its TUNNEL messages are signed from now on.
-        :param rng: draws nonces.
-        :param step_s: length of a step, seconds.
+        :param rng: draws where its beacons begin.
         :param payload_type: of the swarm's TUNNEL messages.
         """
         writer.tunnel_flags = FLAG_SIGNED
         self.key = key = letters.signing
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
-        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0))
-        self.streams = Streams(node_id, writer, self.timestamps, rng, step_s)
+        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), rng.getrandbits(15))
+        self.streams = Streams(node_id, writer, self.timestamps)
         self.letters = letters
         self._payload_type = payload_type
         self._checks: list[SignatureCheck] = []
@@ -54,18 +52,16 @@ class Signed:
         """Sign with another link key from now on, and take no frames of the old one any more."""
         self.key = key
         self.timestamps.use(key)
-        self.streams.forget()
         for check in self._checks:
             check.key = key
 
-    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> bool:
-        """As `Streams.admit`. What is about keys is taken here."""
-        if not self.streams.admit(stream, timestamp, payload, now):
-            return False
-        if not is_about_keys(payload):
-            return True
+    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> Verdict | None:
+        """As `Streams.admit`. None: it was new, and about keys; it is taken here."""
+        verdict = self.streams.admit(stream, timestamp, payload, now)
+        if verdict is not Verdict.NEW or not is_about_keys(payload):
+            return verdict
         self.letters.hear(self.streams.bringer(stream), payload, now)
-        return False
+        return None
 
     def _hear_other_key(self, frame: bytes) -> None:
         opened = tunnel_from_datagram(frame)

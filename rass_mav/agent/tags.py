@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rass_mav.core.fingerprints import Fingerprints
-from rass_mav.core.messages import Message
+from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import Stream
 from rass_mav.wire import encode
@@ -37,6 +37,13 @@ class NoTags:
     def proves(self, message: Message) -> bool:
         """Whether nobody but its sender can have said a message that is `believed`."""
         return False
+
+    def meet(self, node_id: int, now: float, stream: Stream) -> None:
+        """A beacon in the name of a node was heard in a stream in which it has not proved itself, or not lately."""
+
+    def shown(self, beacon: Beacon) -> Beacon:
+        """This node's own beacon as it leaves."""
+        return beacon
 
     def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
         """Take a TUNNEL payload that only introduces another node. False: it is something else."""

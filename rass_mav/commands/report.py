@@ -125,8 +125,8 @@ def _signatures(s: dict[str, Any], streams: dict[str, Any]) -> Iterator[str]:
     unsigned, forged = (sum(link[key] for link in s["links"]) for key in ("unsigned", "forged"))
     refused = streams["refused"]
     yield (
-        f"signatures: {streams['known']} streams known, {streams['strange']} not; refused {unsigned} frames without "
-        f"one, {forged} with a wrong one, {refused['again'] + refused['late']} that came again or late"
+        f"signatures: {streams['known']} streams known; refused {unsigned} frames without one, {forged} with a wrong "
+        f"one, {refused['strange']} of other streams, {refused['again'] + refused['late']} that came again or late"
     )
     for twin in streams["twins"]:
         yield (

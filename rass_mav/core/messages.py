@@ -151,6 +151,8 @@ class Beacon(NamedTuple):
     """Where the sender is and how it moves, 64 bits (`rass_mav.core.routes.contacts`); 0: not told."""
     proof: bytes = b""
     """What shows that the sender has heard of its route, 8 bytes; the agent adds and checks it. Empty: none."""
+    key: bytes = b""
+    """What shows that the sender itself has made this beacon, 8 bytes; the agent adds and checks it. Empty: none."""
 
 
 BEACON_BASE = 1

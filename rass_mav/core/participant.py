@@ -112,6 +112,10 @@ class Participant(ABC):
         self.holdings = self._take_up(now)
         """What is held here."""
 
+    def number_beacons(self, last: int) -> None:
+        """The next beacon has the number after `last` (16 bits)."""
+        self._beacon_number = last & 0xFFFF
+
     @abstractmethod
     def _take_up(self, now: float) -> Holdings:
         """Load what the store holds, and create what this kind of participant does with it."""

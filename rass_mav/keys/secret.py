@@ -34,6 +34,7 @@ class Purpose(bytes, Enum):
     LETTER = b"rass letter"
     LETTER_KEY = b"rass letter key"
     AUTOPILOT = b"rass autopilot"
+    BEACONS = b"rass beacon keys"
 
 
 class Secret:

@@ -40,7 +40,6 @@ from rass_mav.swarm.radio import Radio
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.swarm.wires import Wires
 from rass_mav.wire import decode
-from rass_mav.wire.challenge import is_challenge
 from rass_mav.wire.introduction import is_introduction
 from rass_mav.wire.letters import is_about_keys
 from rass_mav.wire.word import is_word
@@ -202,7 +201,7 @@ class Air(ABC, Generic[F]):
             counted.malformed += 1
             return
         payload = fields[5]
-        if is_challenge(payload) or is_introduction(payload) or is_about_keys(payload) or is_word(payload):
+        if is_introduction(payload) or is_about_keys(payload) or is_word(payload):
             return
         try:
             message = decode(fields[5], 0.0)

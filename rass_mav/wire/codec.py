@@ -55,7 +55,7 @@ from rass_mav.errors import MalformedError
 #: Bytes of a TUNNEL payload.
 MAX_TUNNEL = 128
 #: Major version of the format, the high four bits of the first byte.
-VERSION = 2
+VERSION = 3
 
 BEACON, DATA, OFFER, ACCEPT, CHUNK, SACK, COMMITTED, RECEIPT, LOSS_NOTE, PUT, QUERY, PASSED_ON, WORDS = range(1, 14)
 GIVEN = 14
@@ -83,6 +83,10 @@ _MOVES = struct.Struct("<Q")
 PROOF = 4
 #: Its bytes.
 PROOF_BYTES = 8
+#: The block of a beacon with the sender's key for it.
+KEY = 6
+#: Its bytes.
+KEY_BYTES = 8
 _TO = struct.Struct("<BHHB")
 _DATUM = struct.Struct("<IHIIIBBIB")
 _DISTANCE = struct.Struct("<HHB")
@@ -197,11 +201,13 @@ _OVERHEARD = frozenset(bytes([_head(number)]) for number in (DATA, OFFER, ACCEPT
 
 
 def _encode_beacon(m: Beacon, now: float, tags: Tags | None = None) -> list[bytes]:
-    rest = _BEACON.pack(_BEACON_HEAD, *m[:-3])
+    rest = _BEACON.pack(_BEACON_HEAD, *m[:-4])
     if m.moves:
         rest += _BLOCK.pack(MOTION, _MOVES.size) + _MOVES.pack(m.moves)
     if m.proof:
         rest += _BLOCK.pack(PROOF, PROOF_BYTES) + m.proof
+    if m.key:
+        rest += _BLOCK.pack(KEY, KEY_BYTES) + m.key
     if m.answers:
         rest += _encode_answers(m.answers, MAX_TUNNEL - len(rest) - _NUMBER.size, tags)[0]
     return [rest[:_SEAL] + _NUMBER.pack(crc32(rest)) + rest[_SEAL:]]
@@ -452,7 +458,7 @@ def _decode_beacon(p: bytes, now: float) -> Beacon:
         raise MalformedError("a beacon from everybody")
     blocks = _decode_blocks(rest, _BEACON.size, fields[0]) if len(rest) > _BEACON.size else _NO_BLOCKS
     # What `Beacon._make` does, without its checks: most frames that a node hears are beacons.
-    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves, blocks.proof))
+    return tuple.__new__(Beacon, (*fields, blocks.answers, blocks.moves, blocks.proof, blocks.key))
 
 
 class _Blocks(NamedTuple):
@@ -461,6 +467,7 @@ class _Blocks(NamedTuple):
     """How a distant spare keeps away."""
     moves: int = 0
     proof: bytes = b""
+    key: bytes = b""
 
 
 _NO_BLOCKS = _Blocks()
@@ -468,7 +475,7 @@ _NO_BLOCKS = _Blocks()
 
 def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
     """The blocks from `at` to the end. Unknown ones are ignored."""
-    answers, distance, moves, proof = _NO_BLOCKS
+    answers, distance, moves, proof, key = _NO_BLOCKS
     while at < len(p):
         kind, size = _BLOCK.unpack_from(p, at)
         at += _BLOCK.size
@@ -482,8 +489,10 @@ def _decode_blocks(p: bytes, at: int, sender: int) -> _Blocks:
             (moves,) = _MOVES.unpack_from(p, at)
         elif kind == PROOF and size >= PROOF_BYTES:
             proof = p[at : at + PROOF_BYTES]
+        elif kind == KEY and size >= KEY_BYTES:
+            key = p[at : at + KEY_BYTES]
         at += size
-    return _Blocks(answers, distance, moves, proof)
+    return _Blocks(answers, distance, moves, proof, key)
 
 
 def _decode_answers(block: bytes, sender: int) -> tuple[Committed, ...]:

@@ -11,23 +11,37 @@ from typing import NamedTuple
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import MalformedError
 
-from .codec import MORE, TAG_BYTES, VERSION
+from .codec import KEY_BYTES, MORE, TAG_BYTES, VERSION
 
 #: The type, in the second byte.
 INTRODUCTION = 254
 #: Bytes of a certificate. What is in it is no matter of the wire.
 CERTIFICATE_BYTES = 102
 #: Nodes that are asked, and proofs, in one introduction without a certificate.
-MAX_ASKED, MAX_PROOFS = 8, 8
-#: The same beside a certificate.
-ASKED_BESIDE, PROOFS_BESIDE = 5, 1
+MAX_ASKED, MAX_PROOFS = 8, 6
+#: Nodes that are asked beside a certificate. There are no proofs beside it.
+ASKED_BESIDE = 5
 
 _HEAD = bytes((VERSION << 4 | MORE, INTRODUCTION))
 _FIELDS = struct.Struct("<HBBB")
 _NONCE = struct.Struct("<Q")
 _ID = struct.Struct("<H")
+_WHEREABOUTS = struct.Struct(f"<QI{KEY_BYTES}s{KEY_BYTES}s")
 _PROOF = struct.Struct(f"<H{TAG_BYTES}s")
 _CERTIFICATE, _WANTS = 1, 2
+
+
+class Whereabouts(NamedTuple):
+    """Where the sender of a proof is: what it says from now on is newer."""
+
+    place: int = 0
+    """Its last place among its words, 64 bits."""
+    beacon: int = 0
+    """The index of its last beacon, over all its lives, 32 bits."""
+    key: bytes = bytes(KEY_BYTES)
+    """The key of that beacon."""
+    next_end: bytes = bytes(KEY_BYTES)
+    """The end of its next chain of keys."""
 
 
 class Introduction(NamedTuple):
@@ -43,10 +57,10 @@ class Introduction(NamedTuple):
     """Whether they should send their certificates too."""
     nonce: int = 0
     """What their proofs should contain, 64 bits. Without a meaning if nobody is asked."""
-    place: int = 0
-    """The sender's last place among its words, 64 bits. Without a meaning if there is no proof."""
+    whereabouts: Whereabouts = Whereabouts()
+    """Without a meaning if there is no proof."""
     proofs: tuple[tuple[int, bytes], ...] = ()
-    """For other nodes, by node id: the tag of the other's nonce, of `place`, and of the sender's stream."""
+    """For other nodes, by node id: the tag of the other's nonce, of the whereabouts, and of the sender's stream."""
 
 
 def is_introduction(payload: bytes) -> bool:
@@ -54,9 +68,9 @@ def is_introduction(payload: bytes) -> bool:
     return payload[:2] == _HEAD
 
 
-def proof_said(nonce: int, place: int, stream: tuple[int, int, int]) -> bytes:
+def proof_said(nonce: int, whereabouts: Whereabouts, stream: tuple[int, int, int]) -> bytes:
     """What the tag of a proof covers. `stream`: the sender's, in which the proof travels."""
-    return _NONCE.pack(nonce) + _NONCE.pack(place) + bytes(stream)
+    return _NONCE.pack(nonce) + _WHEREABOUTS.pack(*whereabouts) + bytes(stream)
 
 
 def encode_introduction(m: Introduction) -> bytes:
@@ -69,16 +83,13 @@ def encode_introduction(m: Introduction) -> bytes:
         parts.append(_NONCE.pack(m.nonce))
         parts += map(_ID.pack, m.asked)
     if m.proofs:
-        parts.append(_NONCE.pack(m.place))
+        parts.append(_WHEREABOUTS.pack(*m.whereabouts))
         parts += (_PROOF.pack(*proof) for proof in m.proofs)
     return b"".join(parts)
 
 
 def _fits(certificate: bool, asked: int, proofs: int) -> bool:
-    if not certificate:
-        return asked <= MAX_ASKED and proofs <= MAX_PROOFS
-    # One or the other.
-    return asked <= ASKED_BESIDE and proofs <= PROOFS_BESIDE and not (asked and proofs)
+    return asked <= (ASKED_BESIDE if certificate else MAX_ASKED) and proofs <= (0 if certificate else MAX_PROOFS)
 
 
 def decode_introduction(payload: bytes) -> Introduction:
@@ -94,7 +105,7 @@ def decode_introduction(payload: bytes) -> Introduction:
             if len(certificate) != CERTIFICATE_BYTES:
                 raise MalformedError("truncated certificate")
             at += CERTIFICATE_BYTES
-        nonce = place = 0
+        nonce, whereabouts = 0, Whereabouts()
         ids: list[int] = []
         told: list[tuple[int, bytes]] = []
         if asked:
@@ -103,9 +114,9 @@ def decode_introduction(payload: bytes) -> Introduction:
             ids += (_ID.unpack_from(payload, at + i * _ID.size)[0] for i in range(asked))
             at += asked * _ID.size
         if proofs:
-            (place,) = _NONCE.unpack_from(payload, at)
-            at += _NONCE.size
+            whereabouts = Whereabouts._make(_WHEREABOUTS.unpack_from(payload, at))
+            at += _WHEREABOUTS.size
             told += (_PROOF.unpack_from(payload, at + i * _PROOF.size) for i in range(proofs))
     except struct.error as error:
         raise MalformedError(f"truncated introduction: {error}") from None
-    return Introduction(sender, certificate, tuple(ids), bool(flags & _WANTS), nonce, place, tuple(told))
+    return Introduction(sender, certificate, tuple(ids), bool(flags & _WANTS), nonce, whereabouts, tuple(told))

@@ -12,7 +12,6 @@ from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.tags import OPEN
 from rass_mav.agent.trust import Trust
 from rass_mav.config.loading import convert
 from rass_mav.core.seals import NoSeals
@@ -30,9 +29,9 @@ STRANGERS = Ground(Secret(bytes(32)))
 STRANGERS_KEY = STRANGERS.link.key.reveal()
 
 
-def links_alone(letters: Letters) -> Trust:
-    """Frames are signed. What is said in them is as without keys."""
-    return Trust(letters, lambda *_: OPEN, lambda _: NoSeals(), None)
+def links_alone(keyring: Keyring, letters: Letters) -> Trust:
+    """Frames and beacons are signed, and answers. Data are not sealed, and bases are believed."""
+    return Trust(letters, partial(PairTags, keyring.own, letters.is_out), lambda _: NoSeals(), None)
 
 
 def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:
@@ -41,19 +40,16 @@ def keyring_in(ground: Ground, node_id: int, *, base: bool) -> Keyring:
 
 def agent_with_keys(
     node_id: int, store: Store | None = None, *, base: bool = False, life: int = 0, now: float = 0.0,
-    ground: Ground = GROUND, letters: Letters | None = None, words: bool = False, **sections: Any,
+    ground: Ground = GROUND, letters: Letters | None = None, **sections: Any,
 ) -> Agent:  # fmt: skip
-    """`life`: another one has other random numbers. `letters`: None: those of a node that has just started. `words`: it
-    proves its own to others, and doubts theirs."""
+    """`life`: another one has other random numbers. `letters`: None: those of a node that has just started."""
     raw: dict[str, Any] = {"node_id": node_id, "base": base, "step_s": 1.0, "forward": "immediate"}
     raw |= {name: sections.get(name, {}) for name in SECTIONS}
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{life}")
-    keyring = keyring_in(ground, node_id, base=base)
-    trust = links_alone(Letters(keyring, random.Random(node_id), 1.0) if letters is None else letters)
-    if words:
-        trust = trust._replace(tags=partial(PairTags, keyring.own, trust.letters.is_out))
+    keyring = keyring_in(ground, node_id, base=base) if letters is None else letters._keyring
+    trust = links_alone(keyring, Letters(keyring, random.Random(node_id), 1.0) if letters is None else letters)
     return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, trust=trust)
 
 
@@ -98,11 +94,8 @@ class Crew:
     def restart(self, position: int, **changed: Any) -> None:
         """An agent starts again, on the same store and with no memory."""
         old = self.agents[position]
-        life = int(self.now) + 1
-        self.agents[position] = agent_with_keys(
-            old.settings.node_id, base=old.settings.base, life=life, now=self.now,
-            words=isinstance(old.peers.tags, PairTags), **{"store": old.store, **changed},
-        )  # fmt: skip
+        changed = {"store": old.store, "life": int(self.now) + 1, **changed}
+        self.agents[position] = agent_with_keys(old.settings.node_id, base=old.settings.base, now=self.now, **changed)
 
     def hears(self, position: int) -> set[int]:
         """The node ids that an agent has as neighbours."""

@@ -37,8 +37,10 @@ def member(
     raw["mavlink"] = {"system_id": node_id, **raw["mavlink"]}
     store = MemoryStore(1000 + node_id) if store is None else store
     rng = random.Random(f"{node_id}:{now}")
-    letters = Letters(keyring_in(GROUND, node_id, base=base), random.Random(node_id), 1.0)
-    trust = links_alone(letters)._replace(word=BASE_WORD if base else DRONE_WORD)
+    keyring = keyring_in(GROUND, node_id, base=base)
+    trust = links_alone(keyring, Letters(keyring, random.Random(node_id), 1.0))._replace(
+        word=BASE_WORD if base else DRONE_WORD
+    )
     return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, trust=trust)
 
 

@@ -1,5 +1,5 @@
-"""One captured drone that sends under any number of names, in any number of streams that answer challenges: those who
-have proved themselves stay, whoever comes finds a place, and what is remembered is bounded."""
+"""One captured drone that sends under any number of names, in any number of streams: those who have proved themselves
+stay, whoever comes finds a place, and what is remembered is bounded."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ from rass_mav.agent import names, streams
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.names import MAX_LATE, Intake, Names
 from rass_mav.agent.pairs import PairTags
-from rass_mav.agent.peers import open_datagram
 from rass_mav.core.messages import Beacon, Message
-from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FrameWriter, Stream
 from rass_mav.mavlink.signing import Signer
 from rass_mav.wire import encode
-from rass_mav.wire.challenge import Challenge, decode_challenge, encode_challenge, is_challenge
 from rass_mav.wire.introduction import Introduction, encode_introduction
 from tests.wire.samples import SAMPLES
 
@@ -36,24 +33,9 @@ class Crowd:
 
     def __init__(self, seed: int) -> None:
         self.rng = random.Random(seed)
-        self.nonces: list[int] = []
-        self._read = 0
         self._sent = 0
         self.streams: list[Stream] = []
         """Those in which it has sent lately, the latest last."""
-
-    def overhear(self, recorded: list[bytes]) -> None:
-        """It answers every challenge in every stream, whether that was asked or not."""
-        for frame in recorded[self._read :]:
-            opened = open_datagram(frame)
-            if opened is not None and is_challenge(opened[3]):
-                try:
-                    challenge = decode_challenge(opened[3])
-                except MalformedError:
-                    continue
-                if challenge.asked:
-                    self.nonces = [*self.nonces, challenge.nonce][-5:]
-        self._read = len(recorded)
 
     def new_stream(self) -> Stream:
         self.streams.append(cast(Stream, tuple(self.rng.randbytes(3))))
@@ -69,10 +51,10 @@ class Crowd:
         return BEACON._replace(sender=node_id, life=life, number=self.rng.getrandbits(16))
 
     def turn(self, count: int) -> Iterator[bytes]:
-        """Half of the frames are answers in streams old and new, half are beacons with names in them."""
+        """Half of the frames are beacons, and half introductions, in streams old and new."""
         for i in range(count // 2):
             stream = self.new_stream() if i % 2 or not self.streams else self.rng.choice(self.streams)
-            yield self.frame(stream, encode_challenge(Challenge((), 0, tuple(self.nonces))))
+            yield self.frame(stream, b"x")
             [beacon] = encode(self.invented(), 0.0)
             yield self.frame(self.rng.choice(self.streams), beacon)
             introduction = Introduction(self.rng.randrange(1000, 65000), self.rng.randbytes(102), (1,), True, 7)
@@ -80,7 +62,7 @@ class Crowd:
 
 
 def crew_of(count: int) -> Crew:
-    crew = Crew(*(agent_with_keys(node_id, base=node_id == 1, words=True) for node_id in range(1, count + 1)))
+    crew = Crew(*(agent_with_keys(node_id, base=node_id == 1) for node_id in range(1, count + 1)))
     crew.steps(10)
     assert all(len(crew.hears(position)) == count - 1 for position in range(count))
     return crew
@@ -98,15 +80,14 @@ def turn(crew: Crew, crowd: Crowd, frames: int) -> None:
                     agent.peer_bytes(frame, crew.now)
         else:
             crew.say(crew.agents.index(one), one.step(crew.now))
-        crowd.overhear(crew.recorded)
 
 
 def check_bounds(agent: Agent) -> None:
     signed, tags = agent.peers.signed, agent.peers.tags
     assert signed is not None
     assert isinstance(tags, PairTags)
-    assert len(signed.streams) <= streams.MAX_STRANGE + streams.MAX_UNPROVEN + len(signed.streams._proven)
     known = tags.acquaintances
+    assert len(signed.streams) <= len(known) - len(known._names)
     assert known._names.disagreement() == ""
     assert all(id in known._known for id in known._names._streams)
     assert known._asks.keys() | known._questions.keys() <= known._known.keys()
@@ -120,7 +101,7 @@ def test_neighbours_stay_and_a_newcomer_is_known_while_a_crowd_sends(seed: int) 
     for _ in range(10):
         turn(crew, crowd, 300)
         assert all(len(crew.hears(position)) == 2 for position in range(3))
-    crew.agents.append(agent_with_keys(4, words=True, now=crew.now))
+    crew.agents.append(agent_with_keys(4, now=crew.now))
     for _ in range(60):
         turn(crew, crowd, 300)
         for position in range(3):
@@ -165,44 +146,37 @@ def test_a_stream_holds_one_name_and_takes_none_from_another(brought: list[tuple
         assert not names.disagreement()
 
 
-ANY_STREAM = st.tuples(st.integers(20, 40), st.just(191), st.just(0))
-DONE = st.sampled_from(["frame", "answer", "prove", "wait"])
-
-
 @settings(deadline=None, max_examples=100)
-@given(st.lists(st.tuples(DONE, ANY_STREAM, st.integers(50, 53)), max_size=120))
-def test_each_stream_has_one_rank_and_no_rank_takes_places_of_another(done: list[tuple[str, Stream, int]]) -> None:
-    """Four nodes prove themselves in any streams, and the others are invented."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streams, "MAX_STRANGE", 3)
-        patch.setattr(streams, "MAX_UNPROVEN", 3)
-        signed = agent_with_keys(1).peers.signed
-        assert signed is not None
-        table, now, proven = signed.streams, 0.0, dict[int, Stream]()
-        for timestamp, (what, stream, node_id) in enumerate(done, 1):
-            state = table._table.get(stream)
-            if what == "wait":
-                now += 1.0
-                table.due(now)
-            elif what == "frame":
-                table.admit(stream, 2 * timestamp, b"", now)
-            elif what == "answer":
-                table.admit(stream, 2 * timestamp, b"", now)
-                table.due(now)
-                state = table._table.get(stream)
-                answer = Challenge((), 0, (state.nonce or 0 if state is not None else 0,))
-                table.admit(stream, 2 * timestamp + 1, encode_challenge(answer), now)
-            elif what == "prove" and state is not None and state.known:
-                table.prove(node_id, stream)
-                proven[node_id] = stream
-            ranks = [set(table._new), set(table._unproven), set(table._proven)]
-            assert set().union(*ranks) == table._table.keys()
-            assert sum(map(len, ranks)) == len(table)
-            assert len(ranks[0]) <= 3
-            assert len(ranks[1]) <= 3
-            assert ranks[2] == set(proven.values()), "nobody else's frames change that"
-            assert not any(table._table[one].known for one in table._new)
-            assert table._asks.keys() | table._answers.keys() <= table._table.keys()
+@given(st.lists(st.tuples(st.integers(2, 6), st.integers(0, 5), st.integers(0, 2**32 - 1), st.booleans()), max_size=80))
+def test_each_node_has_one_stream_and_nobody_else_moves_it(done: list[tuple[int, int, int, bool]]) -> None:
+    """Five nodes prove themselves in any of six streams, or are forgotten."""
+    signed = agent_with_keys(1).peers.signed
+    assert signed is not None
+    table, proven = signed.streams, dict[int, tuple[Stream, int]]()
+    for node_id, number, index, proves in done:
+        stream = (20, 191, number)
+        table.admit(stream, index << 16, b"", 0.0)
+        if proves:
+            table.prove(node_id, stream, index)
+            proven[node_id] = stream, index
+        else:
+            table.forget(node_id)
+            proven.pop(node_id, None)
+        held = {id: (stream, one.nodes[id]) for stream, one in table._proven.items() for id in one.nodes}
+        assert held == proven
+        assert len(table) == len({stream for stream, _ in proven.values()})
+
+
+def test_what_is_remembered_of_a_stream_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "MAX_REMEMBERED", 10)
+    signed = agent_with_keys(1).peers.signed
+    assert signed is not None
+    table, stream = signed.streams, (20, 191, 0)
+    table.prove(2, stream, 5)
+    for at in range(100):
+        assert table.admit(stream, (5 << 16) + at, b"", 0.0) is streams.Verdict.NEW
+        assert table.admit(stream, (5 << 16) + at, b"", 0.0) is streams.Verdict.AGAIN
+        assert len(table._proven[stream].recent) + len(table._proven[stream].before) <= 20
 
 
 def test_streams_that_are_too_many_push_each_other_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,12 +82,27 @@ class Voice:
         self.own = stream_of(node_id)
         self.proved: list[tuple[int, Stream]] = []
         """The nodes that have proved themselves to this one, and in which streams."""
+        self.index = 0
+        self.advanced: list[tuple[int, int]] = []
         self.tags.use(self)
 
-    def prove(self, node_id: int, stream: Stream) -> None:
+    def prove(self, node_id: int, stream: Stream, index: int) -> None:
         self.proved.append((node_id, stream))
 
+    def advance(self, node_id: int, index: int) -> None:
+        self.advanced.append((node_id, index))
+
+    def forget(self, node_id: int) -> None:
+        self.proved = [one for one in self.proved if one[0] != node_id]
+
+    def begin_turn(self, number: int) -> int:
+        self.index += number - self.index & 0xFFFF
+        return self.index
+
     def says(self, message: Message, now: float = 0.0) -> bytes:
+        if isinstance(message, Beacon) and message.sender == self.id:
+            own = message._replace(life=self.store.life, number=self.index + 1 & 0xFFFF)
+            message = self.tags.shown(own)
         [payload] = self.tags.encoded(message, self.store, now)
         assert len(payload) <= MAX_TUNNEL
         return payload
@@ -259,7 +274,8 @@ def test_a_captured_drone_cannot_speak_for_another() -> None:
     for message in [*carriers((answer(),)), *words()]:
         heard = giver.believes(captured.says(message))
         assert heard is None or not getattr(heard, "answers", ()), message
-    assert giver.unbelieved()["forged"] == len(carriers((answer(),))) + len(words())
+    assert giver.unbelieved()["forged"] == len(carriers((answer(),))) - 1 + len(words())
+    assert giver.tags.report()["beacons_refused"] == 1
     # In its own name it may say that it has what it was given.
     giver.says(Data(GIVER, CAPTURED, (Handover(78, D),)))
     assert giver.believes(captured.says(answer(number=78, sender=CAPTURED)))
@@ -285,7 +301,7 @@ def test_what_it_handed_over_in_the_name_of_another_ends_no_custody() -> None:
 @pytest.mark.parametrize("base", [False, True])
 def test_a_node_confirms_what_it_has_and_nothing_else(base: bool) -> None:
     """Somebody else was first to hand over a datum under the giver's number, with another content."""
-    node = agent_with_keys(TAKER, base=base, words=True).node
+    node = agent_with_keys(TAKER, base=base).node
     first, second = (node.receive(offered(datum), 1.0) for datum in (twin(D), D))
     assert first == [answer(twin(D))]
     assert second == [Committed(TAKER, GIVER, (), (77,))], "it keeps its own"
@@ -307,7 +323,7 @@ def test_what_was_overheard_is_confirmed_as_what_it_is() -> None:
     datum = make_datum(DatumId(GIVER, 0xCAFE, 9), 0, 0.0, bytes(200))
     true, false = twin(datum), twin(datum, seed=2)
     size = len(true.payload)
-    node = agent_with_keys(TAKER, words=True).node
+    node = agent_with_keys(TAKER).node
 
     def offer(sender: int, target: int) -> Offer:
         return Offer(sender, target, 77, true.id, 0, 0.0, 0, true.crc, size, 123)
@@ -457,7 +473,7 @@ def test_old_introductions_bring_back_no_old_place() -> None:
 
 
 def test_data_of_any_size_are_handed_over_whoever_starts_again() -> None:
-    crew = Crew(agent_with_keys(BASE, base=True, words=True), agent_with_keys(GIVER, words=True))
+    crew = Crew(agent_with_keys(BASE, base=True), agent_with_keys(GIVER))
     for restarted in (None, 0, 1, 1, 0):
         if restarted is not None:
             crew.restart(restarted)
@@ -503,7 +519,7 @@ def test_a_certificate_of_another_mission_or_with_a_wrong_signature_is_counted_a
     for packed in (keys_of(TAKER, ground=STRANGER).certificate.pack(), bytes(altered)):
         giver.hears(Introduction(TAKER, packed, asked=(GIVER,), nonce=1), 1.0)
     assert giver.tags.report() | {"not_believed": 0} == {
-        "certificates": 0, "forged": 2, "stale": 0, "not_believed": 0,
+        "certificates": 0, "forged": 2, "stale": 0, "beacons_refused": 0, "not_believed": 0,
     }  # fmt: skip
 
 

@@ -282,7 +282,8 @@ def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> Non
     for sequence in range(MAX_APART + 10):
         lie = forged_by(7, DatumId(8, 77, sequence))
         answers = base.node.receive(handed(7, BASE, lie, sequence + 1), 1.0)
-        assert [answer.committed for answer in answers if isinstance(answer, Committed)] == [((sequence + 1, lie.crc),)]
+        said = [answer.committed for answer in answers if isinstance(answer, Committed)]
+        assert said == [((sequence + 1, base.peers.tags.prints.of(lie)),)]
     assert len(list(base.store.apart())) == MAX_APART
     assert base.store.counters()["forged"] == MAX_APART + 10
 

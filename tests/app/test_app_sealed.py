@@ -75,9 +75,10 @@ def test_only_the_ground_reads_what_drones_with_keys_create(tmp_path: Path, tidy
     assert {entry["id"]: entry["ttl_s"] for entry in listed if "ttl_s" in entry} == {photo_id: 86400}
     assert command(tmp_path, "get", "-c", "n1.db", photo_id).returncode == 1
     assert command(tmp_path, "ls", "n1.db", "--keys", f"mission/{drone_file(3)}").returncode == 2
-    done = json.loads(command(tmp_path, "export", "n1.db", "--format", "csv", "-o", "out.csv", "--json").stdout)
-    assert done["data"] == 0
-    assert done["sealed"] >= len(listed)
+    nothing = command(tmp_path, "export", "n1.db", "--format", "csv", "-o", "out.csv")
+    assert nothing.returncode == 1
+    assert b"sealed" in nothing.stderr
+    assert not (tmp_path / "out.csv").exists()
     report = json.loads(command(tmp_path, "report", "n1.db", "--json").stdout)
     assert report["arrived"] >= 7
     for node in (base, middle, far):

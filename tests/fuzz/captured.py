@@ -264,13 +264,11 @@ class _Talk:
         assert peers.word is not None
         assert isinstance(peers.tags, PairTags)
         heard = peers.signed.streams
-        assert heard._new.keys() | heard._unproven.keys() | heard._proven.keys() >= heard._table.keys()
-        assert len(heard._new) <= streams.MAX_STRANGE
-        assert len(heard._unproven) <= streams.MAX_UNPROVEN
-        assert len(heard._proven) <= streams.MAX_PROVEN
+        assert all(one.nodes for one in heard._proven.values())
+        assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard._proven.values())
         assert len(peers.signed.streams.twins) <= streams.MAX_TWINS
-        assert len(peers.signed.streams._nonces) <= streams.MAX_NONCES
         known = peers.tags.acquaintances
+        assert heard._of.keys() <= known._known.keys()
         assert len(known) - len(known._names) <= acquaintances.MAX_KNOWN
         assert not known._names.disagreement()
         assert len(known._intake) <= names.MAX_LATE

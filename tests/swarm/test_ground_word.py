@@ -55,7 +55,12 @@ def test_a_captured_drone_that_lies_about_bases_costs_nothing(made: int, kind: s
     assert summary["routing"]["loops"] == 0
     found = counts(world)
     if kind != "request-forger":
-        assert found["routes_refused"] > 30 or found["waiting"] > 40, "it was there"
+        assert found["routes_refused"] + beacons_refused(world) > 30 or found["waiting"] > 40, "it was there"
+
+
+def beacons_refused(world: World) -> int:
+    reports = [agent.peers.tags.report() for agent in world.agents]
+    return sum(report["beacons_refused"] for report in reports if report is not None)
 
 
 def spread(*keys: str) -> tuple[float, Counter[int], list[int]]:

@@ -72,6 +72,12 @@ SAMPLES: dict[str, Message] = {
     "beacon-proof": AGAIN._replace(
         number=516, moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW), proof=bytes(range(0xA0, 0xA8))
     ),
+    "beacon-key": AGAIN._replace(
+        number=517,
+        moves=pack(Motion(45.0001, -72.9998, 3.0, -1.5, NOW - 2.0), NOW),
+        proof=bytes(range(0xA0, 0xA8)),
+        key=bytes(range(0xB0, 0xB8)),
+    ),
     "beacon-answers": AGAIN._replace(
         answers=(Committed(3, 2, ((0x01020304, HELLO.crc),), ()), Committed(3, 9, ((0x01020305, WORLD.crc),), ()))
     ),
@@ -162,6 +168,7 @@ def _with_answers(message: Data | Beacon, told: tuple[tuple[int, list[tuple[int,
     return message._replace(answers=tuple([Committed(message.sender, to, tuple(a), tuple(b)) for to, a, b in told]))
 
 
+elements = st.sampled_from([b"", bytes(8), b"\xff" * 8]) | st.binary(min_size=8, max_size=8)
 by_type: dict[type, st.SearchStrategy[Message]] = {
     Beacon: st.builds(
         _with_answers,
@@ -185,7 +192,8 @@ by_type: dict[type, st.SearchStrategy[Message]] = {
             u16,
             st.just(()),
             st.integers(0, (1 << 64) - 1),
-            st.sampled_from([b"", bytes(8), b"\xff" * 8]) | st.binary(min_size=8, max_size=8),
+            elements,
+            elements,
         ),
         # So many fit.
         answers(2, 1),

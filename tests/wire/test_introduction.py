@@ -16,8 +16,8 @@ from rass_mav.wire.introduction import (
     CERTIFICATE_BYTES,
     MAX_ASKED,
     MAX_PROOFS,
-    PROOFS_BESIDE,
     Introduction,
+    Whereabouts,
     decode_introduction,
     encode_introduction,
     is_introduction,
@@ -26,26 +26,27 @@ from tests.keys.test_words import SEVEN
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
 NONCE = 0x1122334455667788
-PLACE = 0x0A0B0C0D00000005
+WHERE = Whereabouts(0x0A0B0C0D00000005, 70004, bytes(range(0xB0, 0xB8)), bytes(range(0xC0, 0xC8)))
 SAMPLES = {
     "introduction-question": Introduction(3, asked=(7, 8), wants=True, nonce=NONCE),
-    "introduction-proofs": Introduction(7, place=PLACE, proofs=((3, bytes(range(8))), (8, bytes(8)))),
-    "introduction-certificate": Introduction(7, SEVEN.certificate.pack(), place=PLACE, proofs=((3, bytes(range(8))),)),
+    "introduction-proofs": Introduction(7, whereabouts=WHERE, proofs=((3, bytes(range(8))), (8, bytes(8)))),
+    "introduction-certificate": Introduction(7, SEVEN.certificate.pack(), asked=(3,), nonce=NONCE),
 }
 
 ids = st.integers(0, 65534)
 numbers = st.integers(0, 2**64 - 1)
+keys = st.binary(min_size=8, max_size=8)
+wheres = st.builds(Whereabouts, numbers, st.integers(0, 2**32 - 1), keys, keys)
 
 
 @st.composite
 def introductions(draw: st.DrawFn) -> Introduction:
     certificate = draw(st.just(b"") | st.binary(min_size=CERTIFICATE_BYTES, max_size=CERTIFICATE_BYTES))
     asked = tuple(draw(st.lists(ids, max_size=ASKED_BESIDE if certificate else MAX_ASKED)))
-    most = 0 if certificate and asked else PROOFS_BESIDE if certificate else MAX_PROOFS
-    proofs = tuple(draw(st.lists(st.tuples(ids, st.binary(min_size=8, max_size=8)), max_size=most)))
+    proofs = tuple(draw(st.lists(st.tuples(ids, keys), max_size=0 if certificate else MAX_PROOFS)))
     return Introduction(
         draw(ids), certificate, asked, draw(st.booleans()), draw(numbers) if asked else 0,
-        draw(numbers) if proofs else 0, proofs,
+        draw(wheres) if proofs else Whereabouts(), proofs,
     )  # fmt: skip
 
 
@@ -84,7 +85,7 @@ def test_an_introduction_that_is_cut_off_is_malformed(introduction: Introduction
 
 def test_too_much_is_not_sent() -> None:
     with pytest.raises(ValueError, match="too much"):
-        encode_introduction(Introduction(1, bytes(CERTIFICATE_BYTES), asked=(2,), proofs=((3, bytes(8)),)))
+        encode_introduction(Introduction(1, bytes(CERTIFICATE_BYTES), proofs=((3, bytes(8)),)))
 
 
 def test_a_node_without_keys_does_not_know_introductions() -> None:

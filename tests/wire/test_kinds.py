@@ -18,7 +18,7 @@ from rass_mav.swarm.air_server import AirOrder
 from rass_mav.swarm.mock_air import MockAir
 from rass_mav.swarm.scenario import Scenario
 from rass_mav.wire import encode
-from rass_mav.wire.codec import FORMATS
+from rass_mav.wire.codec import FORMATS, MORE_HEAD
 from tests.core.build import make_node, make_replica
 from tools import explain_frame
 
@@ -100,7 +100,7 @@ def test_the_page_and_the_code_have_the_same_kinds_of_payloads_and_blocks() -> N
     assert on_the_page == BESIDE.keys() | {number for number in TITLES if number > 15}
     # Whatever a module of the wire takes for its own.
     doors = [getattr(module, name) for module in modules() for name in vars(module) if name.startswith("is_")]
-    taken = {second for second in range(256) if any(door(bytes((0x2F, second, *bytes(126)))) for door in doors)}
+    taken = {second for second in range(256) if any(door(MORE_HEAD + bytes((second, *bytes(126)))) for door in doors)}
     assert taken == BESIDE.keys()
     shown = {type_of(payload) for payload in examples().values()}
     assert shown == BESIDE.keys() | TITLES.keys()

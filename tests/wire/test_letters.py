@@ -23,8 +23,8 @@ from rass_mav.keys.letters import (
 )
 from rass_mav.keys.secret import Purpose, Secret
 from rass_mav.wire import MAX_TUNNEL, decode
-from rass_mav.wire.challenge import is_challenge
 from rass_mav.wire.codec import ForeignError
+from rass_mav.wire.introduction import is_introduction
 from rass_mav.wire.letters import (
     MAX_NAMED,
     Roll,
@@ -100,12 +100,12 @@ def test_what_is_cut_off_is_malformed(payload: str, length: int) -> None:
             Letter.unpack(enclosed(whole[:length])) if is_letter(whole) else decode_roll(whole[:length])
 
 
-def test_a_node_without_keys_does_not_know_them_and_they_are_no_challenges() -> None:
+def test_a_node_without_keys_does_not_know_them_and_they_are_no_introductions() -> None:
     for payload in SAMPLES.values():
         with pytest.raises(ForeignError):
             decode(payload, 0.0)
-        assert not is_challenge(payload)
-    for payload in (b"\x2f\x10", b"\x2f", b"", b"\x3f\xf9", b"\x1f\xf8"):
+        assert not is_introduction(payload)
+    for payload in (b"\x3f\x10", b"\x3f", b"", b"\x2f\xf9", b"\x1f\xf8"):
         assert not is_about_keys(payload)
 
 

@@ -11,7 +11,6 @@ from rass_mav.core.messages import NO_ROUTE, Beacon, Committed, Data, LossNote, 
 from rass_mav.core.routes.neighbours import is_base
 from rass_mav.core.seals import NO_SEALS
 from rass_mav.mavlink.frames import Stream
-from rass_mav.wire.challenge import Challenge
 
 
 class Disguised(NamedTuple):
@@ -59,9 +58,6 @@ class Attacker:
         if isinstance(message, Beacon) and (message.sender in self.beacons or len(self.beacons) < MAX_REMEMBERED):
             self.beacons[message.sender] = message
         return ()
-
-    def overhear_challenge(self, challenge: Challenge) -> None:
-        """If captured: a nearby node asks whether streams are there."""
 
     def turn(self, now: float) -> Iterable[Said]:
         """Once a step, after the turns of the honest nodes. Returns what it sends."""

@@ -12,7 +12,7 @@ from rass_mav.agent.peers import Opened, Peers, open_datagram
 from rass_mav.agent.signed import Signed
 from rass_mav.agent.tags import OPEN
 from rass_mav.agent.word import Word
-from rass_mav.core.messages import Beacon, Message
+from rass_mav.core.messages import NO_ROUTE, Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
@@ -20,7 +20,6 @@ from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
 from rass_mav.swarm.scenario import HostileSection
 from rass_mav.wire import decode
-from rass_mav.wire.challenge import decode_challenge, is_challenge
 
 from .attacker import Attacker, Disguised, Said
 from .kinds import KINDS
@@ -47,9 +46,10 @@ class _Member:
         self._key: SigningKey | None = None
         self._timestamp = 0
         """Of the last frame in other streams than its own."""
+        self._has_beaconed = False
         if trust is not None:
             self._key = trust.letters.signing
-            signed = Signed(attacker.id, trust.letters, self._writer, self._store, attacker.rng, step_s, payload_type)
+            signed = Signed(attacker.id, trust.letters, self._writer, self._store, attacker.rng, payload_type)
             tags = trust.tags(self._store, attacker.rng, step_s)
             attacker.seals = trust.seals(self._store)
         self._pace = Pace(step_s, 0, keeps=False)
@@ -67,15 +67,22 @@ class _Member:
             if isinstance(message, Disguised):
                 yield from self._disguised(message, now)
                 continue
-            if self._peers.word is not None and isinstance(message, Beacon):
-                # With a better proof than that of the beacon it imitates, if it can.
-                message = self._peers.word.routes.shown(message)
+            if isinstance(message, Beacon):
+                message = self._shown(message)
             for payload in self._payloads(message, now):
                 if self.left <= 0:
                     return
                 self.left -= 1
                 for outgoing in frames_about_links([payload], self._writer, self._payload_type):
                     yield self._peers.leaving(outgoing).frame
+
+    def _shown(self, beacon: Beacon) -> Beacon:
+        """With a better proof than that of the beacon it imitates, if it can, and its own key if it is its own."""
+        peers = self._peers
+        if beacon.sender == self.attacker.id and peers.signed is not None:
+            self._has_beaconed = True
+            beacon = peers.tags.shown(beacon._replace(number=peers.signed.timestamps.index + 1 & 0xFFFF))
+        return beacon if peers.word is None else peers.word.routes.shown(beacon)
 
     def _disguised(self, disguised: Disguised, now: float) -> Iterator[bytes]:
         """Without keys streams mean nothing."""
@@ -98,11 +105,14 @@ class _Member:
         attacker.timestamp = int.from_bytes(frame[-12:-6], "little") if signed else 0
         if self.section.captured:
             self._peers.heard(frame, opened, now)
-            if is_challenge(opened[3]):
-                self.attacker.overhear_challenge(decode_challenge(opened[3]))
 
     def answers(self, now: float) -> Iterator[bytes]:
-        """If captured: answer them."""
+        """If captured: answer them, and send a beacon if none was sent since the last turn: frames of a drone that has
+        not introduced itself are not heard."""
+        if self.section.captured and not self._has_beaconed:
+            own = Beacon(self.attacker.id, self._store.life, 0, 0, 0, 0, 0, NO_ROUTE, 0, 0, 0, 0, 0, 0, 0)
+            yield from self.frames([own], now)
+        self._has_beaconed = False
         outgoings = self._peers.about_links(now, self._pace)
         if self._peers.word is not None:
             self._peers.word.released()

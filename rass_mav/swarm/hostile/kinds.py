@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from rass_mav.agent.timestamps import MOST_SKIPPED
 from rass_mav.core.datum import Datum, DatumId, Fate, make_datum
 from rass_mav.core.messages import (
     BEACON_BASE,
@@ -28,7 +27,6 @@ from rass_mav.core.news.notes import PROVEN_NOTES_IN_FRAME, REASONS
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.mavlink.frames import Stream
 from rass_mav.mavlink.signing import MAX_TIMESTAMP
-from rass_mav.wire.challenge import MAX_ANSWERED, Challenge, encode_challenge
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import CERTIFICATE_BYTES, Introduction, encode_introduction
 from rass_mav.wire.word import Anchor, Ask, Voucher, body_of, encode_ask
@@ -36,6 +34,8 @@ from rass_mav.wire.word import Anchor, Ask, Voucher, body_of, encode_ask
 from .attacker import MAX_REMEMBERED, Attacker, Disguised, Said
 
 _AHEAD = 30000
+#: A timestamp that no node reaches.
+_FAR_AHEAD = 1 << 47
 
 
 class Sinkhole(Attacker):
@@ -278,19 +278,13 @@ class Blamer(Attacker):
 
 
 class Crowd(Attacker):
-    """Sends as a crowd of nodes that do not exist: each has a stream of its own, a beacon, and a false certificate, and
-    answers all challenges that the attacker has heard."""
+    """Sends as a crowd of nodes that do not exist: each has a stream of its own, a beacon, and a false certificate."""
 
     EACH_TURN = 60
     KEPT = 400
 
     def begin(self) -> None:
-        self._nonces: deque[int] = deque(maxlen=MAX_ANSWERED)
         self._members: deque[tuple[Stream, Beacon]] = deque(maxlen=self.KEPT)
-
-    def overhear_challenge(self, challenge: Challenge) -> None:
-        if challenge.asked and challenge.nonce not in self._nonces:
-            self._nonces.append(challenge.nonce)
 
     def turn(self, now: float) -> Iterable[Said]:
         rng, drones = self.rng, self.nodes()
@@ -300,7 +294,6 @@ class Crowd(Attacker):
                 stream = (rng.randrange(256), rng.randrange(256), rng.randrange(256))
                 self._members.append((stream, self.beacon(rng.choice(drones), sender=id, life=life)))
             stream, beacon = rng.choice(self._members) if i % 2 == 0 else self._members[-1]
-            yield Disguised(stream, encode_challenge(Challenge((), 0, tuple(self._nonces))))
             yield Disguised(stream, beacon._replace(number=rng.getrandbits(16)))
             asked = (rng.choice(drones).sender,)
             introduction = Introduction(
@@ -404,7 +397,7 @@ class TimestampJumper(Attacker):
         if self.stream in self._streams or len(self._streams) >= MAX_REMEMBERED:
             return ()
         self._streams[self.stream] = None
-        return [Disguised(self.stream, b"", MOST_SKIPPED + i) for i in range(4)]
+        return [Disguised(self.stream, b"", _FAR_AHEAD + i) for i in range(4)]
 
 
 class TimestampSquatter(TimestampJumper):
@@ -418,33 +411,29 @@ class TimestampSquatter(TimestampJumper):
 
 
 class TimestampOvertaker(TimestampSquatter):
-    """Sends a timestamp more than the window ahead after each frame that it overhears. After each challenge that it
-    overhears, it sends one as far ahead as an owner follows, and then one farther, in each stream around it."""
+    """Sends timestamps a little ahead, some beacons ahead, and too many beacons ahead, after each frame that it
+    overhears. In each turn it sends one much farther ahead, and then one still farther, in each stream around it."""
 
-    LEADS = (40,)
-    _asked = False
-
-    def overhear_challenge(self, challenge: Challenge) -> None:
-        self._asked = True
+    LEADS = (40, 3 << 16, 60 << 16, 70 << 16)
 
     def turn(self, now: float) -> Iterable[Said]:
-        asked, self._asked = self._asked, False
-        for stream in self._streams if asked else ():
-            yield Disguised(stream, b"", MOST_SKIPPED - 1)
-            yield Disguised(stream, b"", MOST_SKIPPED + 1)
+        for stream in self._streams:
+            yield Disguised(stream, b"", _FAR_AHEAD - 1)
+            yield Disguised(stream, b"", _FAR_AHEAD + 1)
 
 
 class Shadower(Attacker):
-    """After each beacon that it overhears, sends a later one in the same node's name, without a route."""
+    """After each beacon that it overhears, sends another one with this number, for those who have missed it, and a
+    later one, in the same node's name and without a route."""
 
-    LEAD = 31
+    LEADS: tuple[int, ...] = (0, 31)
 
     def overhear(self, message: Message, payload: bytes, now: float) -> Iterable[Said]:
         super().overhear(message, payload, now)
         if not isinstance(message, Beacon):
             return ()
-        later = message._replace(number=(message.number + self.LEAD) & 0xFFFF, answers=())
-        return (self.shadow(later),)
+        again = message._replace(answers=())
+        return [self.shadow(again._replace(number=(again.number + lead) & 0xFFFF)) for lead in self.LEADS]
 
     def shadow(self, later: Beacon) -> Said:
         """What it sends after a beacon, if this is the same one with a later number."""
@@ -461,7 +450,7 @@ class TurnShadower(Shadower):
 class FitnessShadower(Shadower):
     """The same, with the worst fitness, one number ahead, and in the node's own stream."""
 
-    LEAD = 1
+    LEADS = (0, 1)
 
     def shadow(self, later: Beacon) -> Said:
         unfit = later._replace(potential=0xFFFFFFFF if self.costs else 0, free=0, risk=0xFFFF)
