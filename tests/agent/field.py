@@ -42,6 +42,8 @@ class Field:
                 if self.fix or frame.message_id != GLOBAL_POSITION_INT:
                     self.drone.vehicle_bytes(raw, self.now)
         for id, agent in self.agents.items():
+            if id not in (DRONE, BASE):
+                agent.reading(1e6, self.now)  # the worst risk, and something to measure
             frames = agent.step(self.now)
             if id == DRONE:
                 messages = [parse(frame) for frame in to_vehicle(frames) if frame.message_id == STATUSTEXT]
