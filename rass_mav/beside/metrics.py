@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import socket
 import socketserver
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from threading import Event
@@ -28,7 +31,7 @@ LATE_STEPS = 5
 LATE_S = 5.0
 #: The status is asked for again when it is older, seconds.
 FRESH_S = 1.0
-#: Clients at a time, and how long one may take for its request, seconds.
+#: Clients at a time, and how long one may take for its whole request, and to take the answer, seconds.
 MOST_CLIENTS = 8
 REQUEST_S = 5.0
 #: Seconds until an address that could not be used is tried again: at first, and at most; and between two looks at the
@@ -91,6 +94,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
 
     def do_GET(self) -> None:
+        self.server.has_asked(self.request)
         path = self.path.partition("?")[0]
         if path == "/healthz":
             illness = self.server.node.illness()
@@ -126,21 +130,58 @@ class _Server(socketserver.ThreadingTCPServer):
         self.node = node
         self.registry = CollectorRegistry()
         self._places = threading.BoundedSemaphore(MOST_CLIENTS)
+        self._lock = threading.Lock()
+        self._unasked: dict[socket.socket, float] = {}
+        """Clients whose request is not complete, and until when it must be; the oldest first."""
         super().__init__(address, _Handler)
         self.registry.register(_Figures(node))
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Clients that hang take places, and no more: others are cut off until these have timed out."""
-        if self._places.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
+        """If there is no place, the client makes way that has waited longest without a whole request; if all have
+        asked, it is the new one."""
+        if not self._places.acquire(blocking=False):
+            self._cut_oldest(math.inf)
+            # The thread of the one that was cut ends at once.
+            if not self._places.acquire(timeout=_LOOK_S):
+                self.shutdown_request(request)
+                return
+        with self._lock:
+            self._unasked[request] = time.monotonic() + REQUEST_S
+        super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._places.release()
+
+    def has_asked(self, request: socket.socket) -> None:
+        """Its request is complete. Raises `ConnectionError` if it was cut off meanwhile."""
+        with self._lock:
+            if self._unasked.pop(request, None) is None:
+                raise ConnectionAbortedError("the client took too long")
+
+    def shutdown_request(self, request: Any) -> None:
+        """It is over, whether it has asked or not."""
+        with self._lock:
+            self._unasked.pop(request, None)
+        super().shutdown_request(request)
+
+    def cut_late(self) -> None:
+        """Cut off the clients whose requests are not complete in time."""
+        while self._cut_oldest(time.monotonic()):
+            pass
+
+    def _cut_oldest(self, now: float) -> bool:
+        """Whether there was one that must be complete before `now`. Its thread sees the end and closes it."""
+        with self._lock:
+            oldest = next(iter(self._unasked), None)
+            if oldest is None or self._unasked[oldest] > now:
+                return False
+            del self._unasked[oldest]
+            with suppress(OSError):  # it is gone already
+                oldest.shutdown(socket.SHUT_RDWR)
+            return True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that goes away or takes too long is no fault; anything else is."""
@@ -179,3 +220,4 @@ class Metrics:
                 self._listens = "{}:{}".format(*server.server_address[:2])
                 while not stopping.is_set():
                     server.handle_request()
+                    server.cut_late()

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import json
 import re
+import select
 import signal
 import socket
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
 
 from rass_mav.app.companion import Companion
 from rass_mav.app.config import RunConfig
+from rass_mav.app.outlets import MetricsSection
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from tests.app.app_nodes import RunningNode, Tidy, command, line_of
@@ -28,7 +32,8 @@ pytest.importorskip("prometheus_client", reason="prometheus-client is not instal
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from rass_mav.beside.metrics import MOST_CLIENTS, Node
+from rass_mav.beside import metrics
+from rass_mav.beside.metrics import MOST_CLIENTS, Metrics, Node
 
 METRICS = {"listen": "127.0.0.1:0"}
 
@@ -129,6 +134,61 @@ def test_clients_that_hang_cost_a_bounded_amount(tmp_path: Path, tidy: Tidy) -> 
     assert node.signal(signal.SIGTERM) == 0
 
 
+@contextmanager
+def serving(socket: Path) -> Iterator[tuple[str, int]]:
+    """Where it serves the pages of whatever answers on that socket."""
+    pages, stopping = Metrics(MetricsSection(**METRICS), socket, socket), Event()
+    thread = threading.Thread(target=pages.run, args=[stopping])
+    thread.start()
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while (listens := pages.report()["listen"]) is None:
+            assert time.monotonic() < deadline, pages.report()
+        host, port = listens.split(":")
+        yield host, int(port)
+    finally:
+        stopping.set()
+        thread.join()
+
+
+def test_clients_that_ask_slowly_make_way(tmp_path: Path) -> None:
+    with serving(tmp_path / "n.sock") as (host, port), ExitStack() as stack:
+        for _ in range(3 * MOST_CLIENTS):
+            client = stack.enter_context(socket.create_connection((host, port), PATIENCE_S))
+            client.sendall(b"GET /healthz HTTP/1.0\r\nA:")
+        code, text = get(f"{host}:{port}", "/healthz")
+        assert (code, "no running node" in text) == (503, True)
+
+
+def test_a_client_that_has_asked_keeps_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked, answers = Event(), Event()
+    with answering(Path("n.sock"), asked, answers, step_s=1.0, step_age_s=0.0), ExitStack() as stack:
+        host, port = stack.enter_context(serving(Path("n.sock")))
+        first = stack.enter_context(socket.create_connection((host, port), PATIENCE_S))
+        first.sendall(b"GET /healthz HTTP/1.0\r\n\r\n")
+        assert asked.wait(PATIENCE_S)
+        others = [stack.enter_context(socket.create_connection((host, port), PATIENCE_S)) for _ in range(MOST_CLIENTS)]
+        assert others[0].recv(1) == b""
+        answers.set()
+        assert first.makefile("rb").read().endswith(b"ok\n")
+
+
+def test_a_request_has_one_deadline_however_often_something_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metrics, "REQUEST_S", 0.05)
+    with serving(tmp_path / "n.sock") as (host, port), socket.create_connection((host, port)) as client:
+        client.sendall(b"GET /healthz HTTP/1.0\r\nA:")
+        for _ in range(2000):
+            ended, _, _ = select.select([client], [], [], 0.01)
+            if ended:
+                break
+            with suppress(OSError):  # it ends just now
+                client.sendall(b"a")
+        assert ended, "it has been let in for 400 times its time"
+
+
 def test_an_address_in_use_is_shown_and_tried_again(tmp_path: Path, tidy: Tidy) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
@@ -140,8 +200,8 @@ def test_an_address_in_use_is_shown_and_tried_again(tmp_path: Path, tidy: Tidy) 
 
 
 @contextmanager
-def answering(path: Path, **status: Any) -> Iterator[None]:
-    """A node that has only this to say."""
+def answering(path: Path, asked: Event | None = None, answers: Event | None = None, **status: Any) -> Iterator[None]:
+    """A node that has only this to say, when `answers` is set."""
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))
         listening.listen()
@@ -150,6 +210,9 @@ def answering(path: Path, **status: Any) -> Iterator[None]:
             client, _ = listening.accept()
             with client, client.makefile("rwb") as file:
                 file.readline()
+                if asked is not None:
+                    asked.set()
+                assert answers is None or answers.wait(PATIENCE_S)
                 file.write(json.dumps({"ok": True, "status": status}).encode() + b"\n")
 
         thread = threading.Thread(target=answer)
