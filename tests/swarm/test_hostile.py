@@ -107,6 +107,18 @@ def test_thieves_that_stay_are_found_out_and_nobody_else_is_suspected(kind: str,
 
 
 @pytest.mark.no_cover
+@pytest.mark.parametrize("made", extents(160, 450))
+def test_a_new_name_is_given_little_before_it_has_delivered(made: int) -> None:
+    """A thief that has a new name every 20 steps has no past."""
+    world = swarm("name-changer", f"data.until_step={made}", end=10**6)
+    world.run(made + 40)
+    summary = world.statistics.summary()
+    assert summary["created"] == 2.4 * made
+    assert summary["lost"]["overflow"] == 0
+    assert summary["delivered"] >= 0.9 * summary["created"]
+
+
+@pytest.mark.no_cover
 @pytest.mark.parametrize("world", ["hostile", "islands", "field-sik-64k"])
 def test_among_honest_nodes_nobody_is_suspected(world: str) -> None:
     swarm = World(load_scenario(world))

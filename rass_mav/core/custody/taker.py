@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from rass_mav.core.datum import DatumId
+from rass_mav.core.messages import NO_ROUTE
 
 #: Each datum that is judged makes those judged before count for this much less.
 FADE = 1 / 12
@@ -27,6 +28,8 @@ DOUBTED = 0.5
 MOST_DOUBLINGS = 3
 #: A doubted neighbour may have twice as many data with each one that arrives. With this many it is doubted no more.
 TRUSTED = 16
+#: So many data a neighbour may have that has not delivered any yet, if others like it did not deliver: names are free.
+NEW = 1
 #: The most givers for each neighbour that a node remembers.
 MAX_GIVERS = 8
 
@@ -48,8 +51,8 @@ class Taker:
     """One neighbour."""
 
     __slots__ = (
-        "clock", "doubted", "doubted_for_others", "doubted_since", "failed", "givers", "late", "open", "real",
-        "rests_until", "sample", "unknown", "window",
+        "clock", "doubted", "doubted_for_others", "doubted_since", "failed", "givers", "hops", "late", "new", "open",
+        "real", "rests_until", "sample", "unknown", "window",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -67,6 +70,10 @@ class Taker:
         """Samples that arrived soon by another neighbour,"""
         self.unknown = 0.0
         """and those that did not; older ones count less."""
+        self.new = True
+        """Whether it has delivered nothing yet."""
+        self.hops = NO_ROUTE
+        """How far from a base it was when it was last heard."""
         self.doubted = False
         self.doubted_for_others = False
         """While it is doubted: whether it delivered the node's own data."""

@@ -21,6 +21,9 @@ Blame must hit the right one:
   which are no junk, is not doubted for others'.
 - But a neighbour may deliver what the node has created, and drop all else. So samples of what it did not deliver are
   handed over to another neighbour. If they arrive soon, they were no junk, and it is judged by others' data.
+- Names are free, so one that drops data may come back under a new one. So a node also counts what all neighbours
+  deliver that have delivered nothing before, together. If that is too little, a new one is given a datum, and no more
+  until this one has arrived, as long as another neighbour delivers.
 - A late confirmation takes back the blame, for all may be slow. But it does not if the neighbour is doubted by then,
   nor for others' data if it delivers the node's own in time: those that had the datum before have probably sent it
   again, by another way. For the same reason the node's own data show how long data usually take.
@@ -39,7 +42,7 @@ from rass_mav.core.routes.neighbours import Neighbour
 from rass_mav.core.routes.table import RoutingTable
 from rass_mav.core.shares import greediest
 
-from .taker import DOUBTED, MAX_GIVERS, MOST_DOUBLINGS, Given, Taker
+from .taker import DOUBTED, MAX_GIVERS, MOST_DOUBLINGS, NEW, Given, Taker
 
 #: A datum is overdue this many turns after it was taken, and as many more for each hop between its taker and the base,
 JUDGED_TURNS = 20
@@ -115,7 +118,9 @@ class NoTakers:
 class Takers(NoTakers):
     """What one node knows of those that take data from it."""
 
-    __slots__ = ("_arrives", "_by_own", "_deviation", "_gap", "_heard", "_of", "_takers", "_takes", "_turn")
+    __slots__ = (
+        "_arrives", "_by_own", "_deviation", "_gap", "_heard", "_new", "_of", "_takers", "_takes", "_turn", "_wary",
+    )  # fmt: skip
 
     def __init__(self, arrives: Callable[[Pair], bool]) -> None:
         """`arrives`: whether any datum of an (origin, epoch) has arrived."""
@@ -130,6 +135,10 @@ class Takers(NoTakers):
         """The turn in which news of arrivals came last."""
         self._gap = 0
         """Turns without a route."""
+        self._new = Taker()
+        """What all those delivered, together, that had delivered nothing before."""
+        self._wary = False
+        """Whether they deliver too little, and another neighbour with a route has delivered."""
         self._takes = 0.0
         """The usual time from a hand-over to its confirmation, turns,"""
         self._deviation = 0.0
@@ -149,10 +158,10 @@ class Takers(NoTakers):
             self._drop_given()
 
     def _drop_taker(self) -> None:
-        """Too many neighbours are remembered: forget one that is not doubted, if there is any, the longest unused."""
+        """Too many neighbours are remembered: forget one that has delivered nothing, if there is any; of these one that
+        is not doubted, if there is any; and of these the longest unused."""
         takers = self._takers
-        gone = next((to for to, taker in takers.items() if not taker.doubted), next(iter(takers)))
-        taker = takers.pop(gone)
+        taker = takers.pop(min(takers, key=lambda to: (not takers[to].new, takers[to].doubted)))
         for id in (*taker.open, *taker.late):
             del self._of[id]
 
@@ -206,6 +215,9 @@ class Takers(NoTakers):
             # It has probably arrived by another way.
             return
         taker.count(given.giver, good=1.0, bad=-1.0 if late else 0.0)
+        if taker.new:
+            self._new.count(None, good=1.0, bad=-1.0 if late else 0.0)
+            taker.new = late
         if taker.doubted:
             taker.delivered(given)
 
@@ -224,6 +236,8 @@ class Takers(NoTakers):
             # Another taker did not deliver it either: the cause may be the datum.
             return
         taker.count(given.giver, bad=1.0)
+        if taker.new:
+            self._new.count(None, bad=1.0)
         if taker.doubted:
             taker.dropped(given, self._turn, LONGEST_REST)
         elif taker.delivers < DOUBTED:
@@ -248,11 +262,18 @@ class Takers(NoTakers):
             self._gap = 0
         ticks = not self._gap and self._turn - self._heard < NEWS_TURNS
         self.doubting = False
+        self._wary = self._new.delivers <= FINE and any(
+            not (taker.new or taker.doubted) and (neighbour := neighbours.get(to)) and neighbour.beacon.hops != NO_ROUTE
+            for to, taker in self._takers.items()
+        )
         for to, taker in self._takers.items():
             neighbour = neighbours.get(to)
-            if neighbour is None:
+            if neighbour is not None:
+                taker.hops = neighbour.beacon.hops
+            elif not taker.new:
                 continue
-            hops = neighbour.beacon.hops
+            # What a new one had when it left becomes overdue all the same.
+            hops = taker.hops
             if ticks and hops != NO_ROUTE:
                 taker.clock += 1
                 before = taker.clock - self._wait(hops)
@@ -262,13 +283,15 @@ class Takers(NoTakers):
                         break
                     taker.late[id] = taker.open.pop(id)
                     self._judge(id, taker, given)
+            if neighbour is None:
+                continue
             p = taker.delivers
             taker.sample = None
             if taker.late and not taker.doubted and taker.of_others < DOUBTED:
                 others = [id for id, given in taker.late.items() if given.giver is not None]
                 # A node may have copies of only some.
                 taker.sample = others[self._turn // SAMPLE_TURNS % len(others)] if others else None
-            neighbour.doubted = taker.doubted
+            neighbour.doubted = taker.doubted or self._may_have(taker) == 0
             self.doubting |= taker.doubted
             neighbour.odds = 1.0 if p > FINE and not taker.doubted else 1.0 / max(p, LEAST)
 
@@ -291,19 +314,29 @@ class Takers(NoTakers):
             return False
         taker = self._takers[to]
         if not taker.doubted:
-            return id == taker.sample
+            return id == taker.sample or (self._wary and taker.new and id in taker.late)
         given = taker.open.get(id)
         return given is None or given.since < taker.doubted_since
 
     def allowance(self, neighbour: int) -> int | None:
         taker = self._takers.get(neighbour)
         if taker is None or not taker.doubted:
-            return None
+            return self._may_have(taker)
         if self._turn < taker.rests_until:
             return 0
         # Where it is the only way to a base there is no news until it delivers something, so nothing is judged.
         recent = sum(given.turn > self._turn - LONGEST_REST for given in taker.open.values())
         return max(0, taker.window - recent)
+
+    def _may_have(self, taker: Taker | None) -> int | None:
+        """How many more data a neighbour may be given that is not doubted; None: any number. One that has delivered
+        nothing yet may have few, if others like it did not deliver."""
+        if not self._wary or not (taker is None or taker.new):
+            return None
+        if taker is None:
+            return NEW
+        since = self._turn - LONGEST_REST
+        return max(0, NEW - sum(given.turn > since for given in (*taker.open.values(), *taker.late.values())))
 
     def probes(self, neighbours: Iterable[Neighbour]) -> Iterator[int]:
         for neighbour in neighbours:

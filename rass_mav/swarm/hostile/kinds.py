@@ -479,6 +479,21 @@ class LossLiar(NumberSquatter):
                 yield LossNote(self.id, node.sender, tuple(entries))
 
 
+class NameChanger(Sinkhole):
+    """A sinkhole that has a new name, and so no past, every few steps."""
+
+    STEPS = 20
+
+    def begin(self) -> None:
+        self._turns = 0
+
+    def turn(self, now: float) -> Iterable[Said]:
+        if self._turns % self.STEPS == 0:
+            self.id = self.rng.randrange(1000, 65000)
+        self._turns += 1
+        return super().turn(now)
+
+
 #: By the names that `hostile: [{kind: ...}]` uses.
 KINDS: dict[str, type[Attacker]] = {
     "sinkhole": Sinkhole,
@@ -508,6 +523,7 @@ KINDS: dict[str, type[Attacker]] = {
     "turn-shadower": TurnShadower,
     "fitness-shadower": FitnessShadower,
     "loss-liar": LossLiar,
+    "name-changer": NameChanger,
 }
 
 
