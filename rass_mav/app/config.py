@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import field, replace
@@ -326,8 +327,45 @@ class RunConfig(Section):
         return told + ([] if self.metrics is None else self.metrics.remarks())
 
 
-def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
-    """Read and check a configuration. `assignments`: `key.path=value`; they override the file.
+def home_of(path: str | Path, root: Path = Path("/")) -> Path:
+    """The folder from which the relative paths of a configuration start: its own; that of its service's data,
+    /var/lib/NAME, for /etc/NAME/node.yaml. `root`: the folder with `etc` and `var`."""
+    file = Path(os.path.abspath(path))
+    data = root / "var/lib" / file.parent.name
+    if file == root / "etc" / file.parent.name / "node.yaml" and data.is_dir():
+        return data
+    return Path() if Path(path).parent == Path() else file.parent
+
+
+def settled(config: RunConfig, home: Path) -> RunConfig:
+    """The configuration with all its relative paths below `home`."""
+
+    def at(path: str | None) -> str | None:
+        return str(home / path) if path else path
+
+    default = None
+    with suppress(ConfigError):
+        default = f"rass-{config.node_id}.db"
+    told, page, watch = config.on_arrival, config.page, config.watch
+    if told is not None and "/" in told.command[0]:
+        told = replace(told, command=(str(home / told.command[0]), *told.command[1:]))
+    return replace(
+        config,
+        store=replace(config.store, path=at(default if config.store.path is None else config.store.path)),
+        control=replace(config.control, socket=at(config.control.socket)),
+        sensor=replace(config.sensor, path=at(config.sensor.path)),
+        keys=None if config.keys is None else replace(config.keys, file=str(home / config.keys.file)),
+        watch=None if watch is None else replace(watch, folder=str(home / watch.folder)),
+        page=None if page is None else replace(page, token_file=at(page.token_file), tiles=at(page.tiles)),
+        on_arrival=told,
+    )
+
+
+def load_config(
+    path: str | Path, assignments: Iterable[str] = (), *, root: Path = Path("/"), settle: bool = True
+) -> RunConfig:
+    """Read and check a configuration. `assignments`: `key.path=value`; they override the file. `settle`: relative
+    paths start from `home_of` the file; False: they are left as they are. `root`: as for `home_of`.
 
     Raises `ConfigError` with all mistakes. Each names the file and the key.
     """
@@ -336,10 +374,25 @@ def load_config(path: str | Path, assignments: Iterable[str] = ()) -> RunConfig:
     set_keys(raw, assignments, mistakes)
     config = build_with(raw, RunConfig, mistakes)
     if config is not None:
+        home = home_of(path, root) if settle else Path()
+        before, config = config, config if home == Path() else settled(config, home)
         config.look_over(mistakes)
+        if mistakes.sound("store.path", "node.id", "mavlink.system_id"):
+            _look_for_old_store(before.store_path, config.store_path, mistakes)
     mistakes.check()
     assert config is not None
     return config
+
+
+def _look_for_old_store(old: Path, new: Path, mistakes: Mistakes) -> None:
+    """Relative paths started from the caller's folder once. A node must not begin another store beside that one."""
+    if old.exists() and not new.exists():
+        mistakes.add(
+            "store.path",
+            f"there is a store {old.absolute()}, and none at {new}: relative paths now start from the folder of the "
+            f"configuration. Move it there with all files beside it ({old.stem}.*), or give store.path as "
+            f"{old.absolute()}",
+        )
 
 
 def filled_in(config: RunConfig) -> RunConfig:

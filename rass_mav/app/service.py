@@ -18,7 +18,7 @@ from typing import NamedTuple
 from rass_mav.errors import ConfigError, ServiceError, why
 from rass_mav.link.address import parse_serial, parse_vehicle_url
 
-from .config import RunConfig
+from .config import RunConfig, settled
 
 TEMPLATES = Path(__file__).parent / "systemd"
 #: How long one of systemd's programs may take, seconds. A start waits until the node is ready.
@@ -87,13 +87,22 @@ def check_name(what: str, name: str) -> str:
 
 
 def plan_install(
-    config: RunConfig, text: str, *, name: str, user: str, groups: Sequence[str], python: str, program: Sequence[str]
+    config: RunConfig,
+    text: str,
+    *,
+    name: str,
+    user: str,
+    groups: Sequence[str],
+    python: str,
+    program: Sequence[str],
+    folder: Path = Path(),
 ) -> Plan:
     """The plan to install a node as a service.
 
     :param config: the node's configuration, already checked. `text`: the contents of its file.
     :param name: name of the service. Its data are in /var/lib/NAME, its configuration is /etc/NAME/node.yaml.
     :param user: the user that runs the node; created if it does not exist. `groups`: the groups that it joins.
+    :param folder: the folder of the configuration, where its file of keys is.
     :param python: the interpreter that has rass_mav. `program`: all paths of the program, including targets of links.
     """
     for what, each in (("--name", name), ("--user", user), *(("--group", group) for group in groups)):
@@ -122,7 +131,7 @@ def plan_install(
     keys = None
     if config.keys is not None and Path(config.keys.file).name == config.keys.file:
         # A path that is not absolute starts from the service's own folder.
-        keys = PlannedKeys(Path(config.keys.file), f"{own}/{config.keys.file}")
+        keys = PlannedKeys(folder / config.keys.file, f"{own}/{config.keys.file}")
     commands = (
         ("systemd-sysusers", f"{name}.conf"),
         *([] if keys is None else [("chown", "-h", f"{user}:", keys.path)]),
@@ -215,10 +224,10 @@ def keys_to_copy(config: RunConfig, plan: Plan, root: Path | None, *, replace: b
         if there.exists():
             return None
         raise ServiceError(
-            f"keys.file: there is no {config.keys.file} here or in {own}: run this where the drone's file of keys is, "
-            "under its plain name"
+            f"keys.file: there is no {config.keys.file} beside the configuration or in {own}: put the drone's file "
+            "of keys there, under its plain name"
         )
-    config.open_keys()
+    settled(config, plan.keys.source.parent).open_keys()
     content = plan.keys.source.read_text(encoding="utf-8")
     if not replace and there.exists() and there.read_text(encoding="utf-8", errors="replace") != content:
         raise ServiceError(f"{there}: exists with other contents: remove one of the two files, or use --replace")

@@ -226,10 +226,8 @@ def _applied(options: argparse.Namespace, found: Comparison) -> list[Row]:
 
 def _config(path: str) -> RunConfig:
     from rass_mav.app.config import load_config
-    from rass_mav.doctor.checkup import as_the_service
-    from rass_mav.doctor.service import name_of
 
-    config = as_the_service(load_config(path), path, name_of(path))
+    config = load_config(path)
     if config.autopilot.url is None:
         raise ConfigError(f"{path}: autopilot.url: missing, expected the autopilot's address")
     return config

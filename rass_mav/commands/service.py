@@ -63,13 +63,20 @@ def _install(options: argparse.Namespace) -> int:
     from rass_mav.app.service import check_reachable, check_visible, keys_to_copy, plan_install
 
     start_logging(options.verbose)
-    config = load_config(options.config)
+    config = load_config(options.config, settle=False)  # in the service they start from its own folder
     with os_errors_as(ConfigError, options.config):
         text = Path(options.config).read_text(encoding="utf-8")
     groups = options.group if options.group is not None else [GROUP]
     program = (sys.executable, os.path.realpath(sys.executable), sys.prefix, str(Path(rass_mav.__file__).parent))
     plan = plan_install(
-        config, text, name=options.name, user=options.user, groups=groups, python=sys.executable, program=program
+        config,
+        text,
+        name=options.name,
+        user=options.user,
+        groups=groups,
+        python=sys.executable,
+        program=program,
+        folder=Path(options.config).parent,
     )
     if not options.show:
         check_visible(config, program)

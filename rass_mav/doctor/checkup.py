@@ -5,12 +5,9 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from rass_mav.app.config import RunConfig, filled_in, load_config
-from rass_mav.app.service import config_path, place
+from rass_mav.app.config import RunConfig, load_config
 from rass_mav.errors import ConfigError
 
 from . import computer, keys, neighbours, network, node, ports, service, storage, vehicle, watch
@@ -66,7 +63,6 @@ def check_up(path: str) -> Report:
             service.service(name),
         ]
         return Report(path, None, False, tuple(findings))
-    config = as_the_service(config, path, name)
     findings += [
         computer.packages(computer.needed_packages(config)),
         passed("configuration", f"{path} is valid (node {config.node_id}, {config.node.role})"),
@@ -105,20 +101,3 @@ def _seen(config: RunConfig, evidence: Evidence, path: str) -> list[Finding]:
         neighbours.signatures(evidence),
     ]
     return [finding for finding in found if finding is not None]
-
-
-def as_the_service(config: RunConfig, path: str, name: str, root: Path = Path("/")) -> RunConfig:
-    """The configuration as the service `name` reads it: relative paths start from the service's own folder.
-
-    `path`: the configuration's. Any other configuration than the service's is returned unchanged.
-    """
-    home = place(root, f"/var/lib/{name}")
-    if Path(path).absolute() != place(root, config_path(name)) or not home.is_dir():
-        return config
-    config = filled_in(config)
-    return replace(
-        config,
-        keys=None if config.keys is None else replace(config.keys, file=str(home / config.keys.file)),
-        store=replace(config.store, path=str(home / config.store_path)),
-        control=replace(config.control, socket=str(home / config.socket_path)),
-    )

@@ -390,9 +390,66 @@ def test_names_that_follow_from_others(tmp_path: Path) -> None:
     path.write_text("mavlink: {system_id: 9}\nlinks: [{broadcast: '10.0.0.255:14600'}]\n")
     config = load_config(path)
     assert config.node_id == 9
-    assert str(config.store_path) == "rass-9.db"
-    assert str(config.socket_path) == "rass-9.sock"
+    assert config.store_path == tmp_path / "rass-9.db"
+    assert config.socket_path == tmp_path / "rass-9.sock"
     assert load_config(path, ["store.path=/var/lib/rass/node.db"]).socket_path == Path("/var/lib/rass/node.sock")
+
+
+PATHS = """
+node: {id: 7, role: base}
+store: {path: data/n7.db}
+sensor: {type: log, path: a.LOG}
+keys: {file: ground.keys}
+watch: {folder: photos}
+page: {token_file: token, tiles: map.mbtiles}
+on_arrival: {command: [./tell, x]}
+"""
+
+
+def test_relative_paths_start_from_the_folder_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the caller is: `ls` must find the store that `run` has."""
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf/node.yaml").write_text(PATHS)
+    here = tmp_path / "conf"
+    for folder, name in ((tmp_path, "conf/node.yaml"), (Path("/"), str(here / "node.yaml")), (here, "node.yaml")):
+        monkeypatch.chdir(folder)
+        config = load_config(name)
+        assert config.keys is not None
+        assert config.watch is not None
+        assert config.page is not None
+        assert config.on_arrival is not None
+        paths = (
+            config.store_path, config.socket_path, config.sensor.path, config.keys.file, config.watch.folder,
+            config.page.token_file, config.page.tiles, config.on_arrival.command[0],
+        )  # fmt: skip
+        assert [os.path.abspath(str(path)) for path in paths] == [
+            str(here / name)
+            for name in ("data/n7.db", "data/n7.sock", "a.LOG", "ground.keys", "photos", "token", "map.mbtiles", "tell")
+        ]
+    (here / "node.yaml").write_text("node: {id: 7, role: base}\non_arrival: {command: [tell]}\n")
+    monkeypatch.chdir(tmp_path)
+    config = load_config("conf/node.yaml")
+    assert (config.store_path, config.socket_path) == (here / "rass-7.db", here / "rass-7.sock")
+    assert config.on_arrival is not None
+    assert config.on_arrival.command == ("tell",), "a command without a folder is found in PATH"
+
+
+def test_a_store_at_the_old_place_is_not_silently_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths started from the caller's folder once."""
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf/node.yaml").write_text("node: {id: 7, role: base}\n")
+    (tmp_path / "rass-7.db").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError) as caught:
+        load_config("conf/node.yaml")
+    assert caught.value.lines() == [
+        f"conf/node.yaml: store.path: there is a store {tmp_path}/rass-7.db, and none at {tmp_path}/conf/rass-7.db: "
+        "relative paths now start from the folder of the configuration. Move it there with all files beside it "
+        f"(rass-7.*), or give store.path as {tmp_path}/rass-7.db"
+    ]
+    load_config("conf/node.yaml", [f"store.path={tmp_path}/rass-7.db"])
+    (tmp_path / "conf/rass-7.db").touch()
+    load_config("conf/node.yaml")
 
 
 def test_what_print_shows_is_the_same_configuration(tmp_path: Path) -> None:

@@ -387,10 +387,10 @@ def test_keys_that_the_node_would_not_find_or_not_use(
     assert "others on this computer may use it" in capsys.readouterr().err
     Path("drone-7.keys").rename("elsewhere.keys")
     assert main(["service", "install", keyed, "--root", str(card)]) == 1
-    assert capsys.readouterr().err.startswith("keys.file: there is no drone-7.keys here or in ")
+    assert capsys.readouterr().err.startswith("keys.file: there is no drone-7.keys beside the configuration or in ")
     Path(keyed).write_text(f"{CONFIG}keys: {{file: m/ground.keys}}\n")
     assert main(["service", "install", keyed, "--root", str(card)]) == 1
-    assert capsys.readouterr().err.startswith("keys.file: there is no m/ground.keys here or in ")
+    assert capsys.readouterr().err.startswith("keys.file: there is no m/ground.keys beside the configuration or in ")
     assert below(card) == set()
 
 

@@ -16,7 +16,6 @@ from rass_mav.app.config import RunConfig, load_config
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.doctor import computer, network, ports, service, storage
-from rass_mav.doctor.checkup import as_the_service
 from rass_mav.doctor.finding import Finding
 from rass_mav.errors import ServiceError
 from rass_mav.link.settings import LinkSection, PeerSection
@@ -277,13 +276,11 @@ def test_the_services_configuration_has_its_store_in_the_services_folder(tmp_pat
     file = tmp_path / "etc/second/node.yaml"
     file.parent.mkdir(parents=True)
     file.write_text("node: {id: 7, role: base}\n")
-    config = load_config(file)
-    assert as_the_service(config, str(file), "second", tmp_path).store_path == Path("rass-7.db")
+    assert load_config(file, root=tmp_path).store_path == file.parent / "rass-7.db"
     home = tmp_path / "var/lib/second"
     home.mkdir(parents=True)
-    found = as_the_service(config, str(file), "second", tmp_path)
+    found = load_config(file, root=tmp_path)
     assert (found.store_path, found.socket_path) == (home / "rass-7.db", home / "rass-7.sock")
-    assert as_the_service(config, "drone.yaml", "second", tmp_path) is config
 
 
 def test_which_service_reads_a_configuration() -> None:

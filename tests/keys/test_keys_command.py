@@ -22,7 +22,6 @@ from rass_mav.app.config import RunConfig, load_config
 from rass_mav.app.service import check_visible
 from rass_mav.config.loading import to_plain
 from rass_mav.doctor import watch
-from rass_mav.doctor.checkup import as_the_service
 from rass_mav.errors import ConfigError, ServiceError
 from rass_mav.keys.autopilot import autopilot_key, autopilot_passphrase
 from rass_mav.keys.files import read_ground, read_keys
@@ -415,11 +414,11 @@ def test_a_service_finds_its_keys_in_its_own_folder(tmp_path: Path) -> None:
     home, etc = tmp_path / "var/lib/rass-mav", tmp_path / "etc/rass-mav"
     home.mkdir(parents=True)
     etc.mkdir(parents=True)
-    loaded = load_config(tmp_path / config(tmp_path, keys={"file": "drone-7.keys"}))
-    moved = as_the_service(loaded, str(etc / "node.yaml"), "rass-mav", tmp_path)
+    (tmp_path / config(tmp_path, keys={"file": "drone-7.keys"})).rename(etc / "node.yaml")
+    moved = load_config(etc / "node.yaml", root=tmp_path)
     assert moved.keys is not None
     assert moved.keys.file == str(home / "drone-7.keys")
-    loaded = load_config(tmp_path / config(tmp_path, keys={"file": "/tmp/drone-7.keys"}))
+    loaded = load_config(tmp_path / config(tmp_path, keys={"file": "/tmp/drone-7.keys"}), settle=False)
     with pytest.raises(ServiceError, match=r"^keys\.file: the service has its own /tmp"):
         check_visible(loaded, ())
 
