@@ -65,6 +65,7 @@ def report_lines(report: dict[str, Any]) -> Iterator[str]:
     yield line
     if report["apart"]:
         yield f"WARNING: {report['apart']} data have an id of another: two drones with one id, or forged data"
+    yield from report["off_map"]
     yield HEADER
     for drone in report["drones"]:
         yield clean(_drone_line(drone))

@@ -135,7 +135,9 @@ def page(report: dict[str, Any], drawing: Drawing, store: str, remarks: Iterable
     ]
     if delay["p50"] is not None:
         body.append(f"<p>Half of the data arrived within {span(delay['p50'])}, 95 % within {span(delay['p95'])}.</p>")
-    body += ["<h2>Map</h2>", *_map(drawing), "<h2>Drones</h2>", _drones(report["drones"])]
+    body += ["<h2>Map</h2>", *_map(drawing)]
+    body += [f"<p>{line}</p>" for line in report["off_map"]]
+    body += ["<h2>Drones</h2>", _drones(report["drones"])]
     body += [
         "<h2>Lost, by reason</h2>",
         _losses(report["drones"]),

@@ -23,8 +23,8 @@ MOST_RANGES = 100
 MOST_NAMED = 100
 #: A drone of which nothing newer than this has arrived counts as silent, seconds; the page marks it then too.
 SILENT_S = 180.0
-#: Silent drones that are named in the sentence about them, at most.
-MOST_SILENT = 8
+#: Drones that are named in a sentence about several, at most.
+MOST_NAMES = 8
 #: How finely it is known when numbers were created, seconds.
 _SPAN_S = 10.0
 #: Delays that are kept to find the median and the 95th percentile of all.
@@ -361,6 +361,7 @@ class Report:
             "apart": self.apart,
             "silent_after_s": SILENT_S,
             "silent": self.silent(now),
+            "off_map": self.off_map(),
             "delay_s": {"p50": _rounded(self.delay(0.5)), "p95": _rounded(self.delay(0.95))},
             "drones": drones,
         }
@@ -376,6 +377,26 @@ class Report:
             if (heard := drone.heard) is None
             else {"drone": drone.id, "age_s": _age(heard, now), "utc": iso(heard.utc)}
             for drone in found
+        ]
+
+    def off_map(self) -> list[str]:
+        """Who has no place on a map, and why, as a sentence for each reason: bases first."""
+        found: dict[tuple[str, str], list[int]] = {}
+        for drone in self.listed:
+            if drone.placed is None:
+                kind = "Base" if self.is_base(drone.id) else "Drone"
+                if drone.heard is None:
+                    reason = "nothing has arrived from there"
+                elif kind == "Base":
+                    reason = "no position is known (no autopilot reports one)"
+                else:
+                    reason = "no position on Earth has arrived"
+                found.setdefault((kind, reason), []).append(drone.id)
+        return [
+            f"{kind}{'s' if len(ids) > 1 else ''} {', '.join(map(str, ids[:MOST_NAMES]))}"
+            + (f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else "")
+            + f" {'are' if len(ids) > 1 else 'is'} not on the map: {reason}."
+            for (kind, reason), ids in sorted(found.items())
         ]
 
     def _plain(self, drone: Drone, bound: AtMost | None, now: float) -> dict[str, Any]:
@@ -444,9 +465,9 @@ def silence(report: dict[str, Any]) -> str:
         if one["age_s"] is None
         else f"drone {one['drone']}, "
         + (f"for {span(one['age_s'] - since)}" if since else f"last heard {span(one['age_s'])} ago")
-        for one in silent[:MOST_SILENT]
+        for one in silent[:MOST_NAMES]
     ]
-    more = f"; and {len(silent) - MOST_SILENT} more" if len(silent) > MOST_SILENT else ""
+    more = f"; and {len(silent) - MOST_NAMES} more" if len(silent) > MOST_NAMES else ""
     said = f"SILENT: {start}{'; '.join(names)}{more}. What they created since then is not in these figures."
     if bases and min(bases) > report["silent_after_s"]:
         said += f" The base itself wrote last {span(min(bases))} ago."

@@ -223,6 +223,7 @@ class Mission:
             },
             "lost": dict(lost),
             "unheard": self._unheard(),
+            "off_map": self.report.off_map(),
             "apart": self.report.apart,
             "unlisted": self.unlisted,
             "thinned": self.readings.every,

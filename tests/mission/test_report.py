@@ -340,3 +340,37 @@ def test_the_command_tells_people_and_scripts(base: Base, capsys: pytest.Capture
     [seven] = plain["drones"]
     assert (seven["at_risk"], seven["status"]["battery"], seven["status"]["link_key"]) == (2, 61, 2)
     assert seven["heard"]["utc"] == "2026-11-22T09:59:59.000Z"
+
+
+class TestOffMap:
+    """What the map leaves out is told in words, and a base first of all: many have no autopilot, so no position."""
+
+    BASE = "Base 1 is not on the map: no position is known (no autopilot reports one)."
+
+    def test_a_base_without_a_position(self, base: Base, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        base.arrive(base.measurement(2, 0, HERE), status(base, 1, 0, QUIET._replace(base=True)))
+        assert self.BASE in told(base, capsys).splitlines()
+        assert json.loads(told(base, capsys, "--json"))["off_map"] == [self.BASE]
+        told(base, capsys, "--html", str(tmp_path / "report.html"))
+        text = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert 0 < text.find("<h2>Map</h2>") < text.find(self.BASE) < text.find("<h2>Drones</h2>")
+
+    def test_where_everybody_has_a_place_nothing_is_said(self, base: Base, capsys: pytest.CaptureFixture[str]) -> None:
+        base.arrive(base.measurement(2, 0, HERE), status(base, 1, 0, QUIET._replace(base=True, place=(47.0, 8.0))))
+        assert json.loads(told(base, capsys, "--json"))["off_map"] == []
+        assert "not on the map" not in told(base, capsys)
+
+    def test_a_place_that_was_known_once_is_on_the_map(self, base: Base, capsys: pytest.CaptureFixture[str]) -> None:
+        at = QUIET._replace(base=True, place=(47.0, 8.0))
+        base.arrive(status(base, 1, 0, at, age_s=90.0), status(base, 1, 1, at._replace(place=None)))
+        assert json.loads(told(base, capsys, "--json"))["off_map"] == []
+
+    def test_others_without_a_place(self, base: Base, capsys: pytest.CaptureFixture[str]) -> None:
+        base.arrive(
+            status(base, 2, 0, QUIET._replace(neighbours={99: 0.5}, hops=1, next_hop=99)),
+            *(base.measurement(id, 0, HERE._replace(latitude=None, longitude=None)) for id in range(3, 33)),
+        )
+        assert json.loads(told(base, capsys, "--json"))["off_map"] == [
+            "Base 99 is not on the map: nothing has arrived from there.",
+            "Drones 2, 3, 4, 5, 6, 7, 8, 9 and 23 more are not on the map: no position on Earth has arrived.",
+        ]

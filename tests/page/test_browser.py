@@ -22,7 +22,7 @@ from rass_mav.wire.measurement import Measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.app.app_nodes import ROOT
 from tests.environment import unmeasured
-from tests.mission.missions import HERE
+from tests.mission.missions import HERE, Base
 from tests.patience import PATIENCE_S
 
 from .flights import Flight
@@ -243,6 +243,22 @@ def test_a_drone_that_only_others_hear(browser: Browser, flight: Flight) -> None
         flight.base.arrive(flight.base.measurement(40, 0, HERE))
         expect(row).not_to_contain_text("no data")
         expect(row).to_have_count(1)
+
+
+def test_a_base_without_a_position_is_told_beside_the_map(browser: Browser, tmp_path: Path) -> None:
+    base = Base(tmp_path / "rass-1.db")
+    said = NodeStatus(0, 0, 0, None, 0.0, 0, None, None, {7: 0.9}, {}, base=True)
+    base.arrive(base.measurement(7, 0, HERE), base.datum(1, 0, Kind.STATUS, encode_status(said)))
+    with served(base.path) as url, opened(browser, url) as page:
+        expect(page.locator("#n-arrived")).to_have_text("2")
+        assert page.locator(".mark").count() == 1
+        expect(page.locator("#remarks")).to_be_visible()
+        expect(page.locator("#remarks")).to_contain_text("Base 1 is not on the map: no position is known")
+        shoot(page, "browser-no-place")
+        base.arrive(base.datum(1, 1, Kind.STATUS, encode_status(said._replace(place=(47.377, 8.541)))))
+        expect(page.locator(".mark")).to_have_count(2)
+        expect(page.locator("#remarks")).to_be_hidden()
+    base.close()
 
 
 def test_hostile_names_are_text(browser: Browser, tmp_path: Path) -> None:

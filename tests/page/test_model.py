@@ -103,6 +103,7 @@ def test_its_figures_are_those_of_the_report(flight: Flight) -> None:
     shown = mission.snapshot()
     assert shown["totals"] == {name: report[name] for name in ("created", "arrived", "missing", "lost")}
     assert shown["delay_s"] == report["delay_s"]
+    assert shown["off_map"] == report["off_map"]
     for figures, drone in zip(shown["drones"], report["drones"], strict=True):
         for name in ("drone", "created", "arrived", "missing", "lost", "at_risk"):
             assert figures[name] == drone[name]

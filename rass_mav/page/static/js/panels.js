@@ -98,6 +98,7 @@ export function showRemarks({ frame }) {
   const remarks = [...frame.remarks];
   if (frame.apart) remarks.push(`${frame.apart} data have an id of another: two drones with one id, or forged data.`);
   if (frame.unlisted) remarks.push(`${frame.unlisted} data of further drones are not shown: so many ids are probably forged.`);
+  remarks.push(...frame.off_map);
   if (frame.thinned > 1) remarks.push(`Earlier times show one of ${frame.thinned} readings.`);
   const list = by("remarks");
   list.hidden = remarks.length === 0;
