@@ -176,6 +176,7 @@ class ControlServer:
         self._started = driver.now()
         self._server: asyncio.Server | None = None
         self._clients: set[_Client] = set()
+        self._turn = asyncio.Lock()
 
     async def start(self) -> None:
         """Start listening. Raises `ControlError` if another node listens there, or the file cannot be created."""
@@ -237,10 +238,14 @@ class ControlServer:
             except ValueError:
                 await client.say({"ok": False, "error": f"a request has at most {MAX_LINE} bytes"})
                 return
-            if not line.endswith(b"\n"):
+            # One that had to make way while its line arrived is not carried out: others wait for their turn.
+            if not line.endswith(b"\n") or client not in self._clients:
                 return
             client.answered = True
             try:
+                # One request at most in each round of the loop, of each client in turn, so that steps are not late.
+                async with self._turn:
+                    await asyncio.sleep(0)
                 await client.say({"ok": True, **await self._answer(line, client)})
             except StoreDamagedError as error:
                 self._driver.fail(error)

@@ -9,7 +9,7 @@ import os
 import select
 import socket
 import stat
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -41,10 +41,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @asynccontextmanager
-async def listening(store: Store | None = None, executor: Executor | None = None) -> AsyncIterator[ControlServer]:
+async def listening(
+    store: Store | None = None, executor: Executor | None = None, around: Callable[[], dict[str, Any]] = dict
+) -> AsyncIterator[ControlServer]:
     link = LoopbackHub().endpoint("node")
     async with running(link, store or MemoryStore(1), settings(1, base=True), executor=executor) as driver:
-        server = ControlServer(driver, PATH, Files(driver, Spool(Path("spool")), 1 << 15, ThreadPoolExecutor(1)))
+        files = Files(driver, Spool(Path("spool")), 1 << 15, ThreadPoolExecutor(1))
+        server = ControlServer(driver, PATH, files, around)
         await server.start()
         try:
             yield server
@@ -242,6 +245,38 @@ def _done(fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
     future: Future[Any] = Future()
     future.set_result(fn(*args, **kwargs))
     return future
+
+
+def test_each_round_of_the_node_answers_one_request_at_most() -> None:
+    async def scenario() -> None:
+        rounds = 0
+        counted = asyncio.Event()
+        answered: list[int] = []
+
+        def count() -> None:
+            nonlocal rounds
+            rounds += 1
+            if not counted.is_set():
+                asyncio.get_running_loop().call_soon(count)
+
+        def around() -> dict[str, Any]:
+            answered.append(rounds)
+            return {}
+
+        async with listening(around=around) as server:
+            clients = [await Client.connect() for _ in range(MAX_CLIENTS)]
+            while len(server._clients) < MAX_CLIENTS:
+                await asyncio.sleep(0)
+            count()
+            for client in clients:
+                client.writer.write(b'{"command": "status"}\n' * 20)
+            assert all([(await client.answer())["ok"] for client in clients for _ in range(20)])
+            counted.set()
+            assert len(set(answered)) == len(answered) == 20 * MAX_CLIENTS
+            for client in clients:
+                client.close()
+
+    run(scenario)
 
 
 def test_names_that_are_none_are_refused_briefly() -> None:
