@@ -18,7 +18,7 @@ from rass_mav.wire import beacon_sender
 #: A frame may have been overtaken by so many beacons of its sender.
 LATE = 1
 #: Frames of one stream between two beacons that are remembered, to know them again.
-MAX_REMEMBERED = 4096
+MAX_REMEMBERED = 1024
 #: Other nodes with this node's system and component id that are remembered.
 MAX_TWINS = 16
 
