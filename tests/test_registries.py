@@ -123,7 +123,7 @@ def config(tmp_path: Path, text: str) -> RunConfig:
     return load_config(path)
 
 
-DRONE = "node: {id: 1}\nlinks: [{multicast: '239.0.0.1:14600'}]\n"
+DRONE = "node: {id: 1}\nlinks: [{multicast: '239.0.0.1:14601'}]\n"
 POLICY = """
 from rass_mav.policy.fitness import FitnessPolicy
 from rass_mav.policy.settings import PolicyKind

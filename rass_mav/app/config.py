@@ -254,7 +254,7 @@ class RunConfig(Section):
                 if url is not None and (parsed := parse_vehicle_url(url)).mode == "udpin":
                     yield key, url, parsed.address
         for index, link in enumerate(self.links):
-            if link.type != "udp":
+            if "multicast" not in link.kind.keys:
                 continue
             with suppress(ConfigError):
                 yield f"links[{index}].listen", link.listen, parse_address(link.listen, any_port=True)

@@ -19,6 +19,7 @@ from rass_mav.doctor import neighbours, node, vehicle
 from rass_mav.doctor.finding import Finding
 from rass_mav.doctor.trial import try_out
 from rass_mav.doctor.watch import Ear, Evidence
+from rass_mav.wire.codec import VERSION
 from tests.app.app_nodes import free_ports
 
 Change = Callable[[Any], None]
@@ -235,11 +236,11 @@ def other(node_id: int, version: int, age_s: float = 1.0) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("others", "level", "said", "remedy"),
     [
-        ([], "pass", "only version 2", ""),
-        ([other(4, 1)], "warn", "node 4 uses version 1, this one 2", "on node 4 "),
-        ([other(4, 3)], "warn", "node 4 uses version 3", "on node 7 "),
-        ([other(4, 1), other(5, 3), other(9, 3)], "warn", "node 9 uses version 3", "on node 4, 7 "),
-        ([other(4, 1, 121.0)], "pass", "only version 2", ""),
+        ([], "pass", f"only version {VERSION}", ""),
+        ([other(4, 1)], "warn", f"node 4 uses version 1, this one {VERSION}", "on node 4 "),
+        ([other(4, 4)], "warn", "node 4 uses version 4", "on node 7 "),
+        ([other(4, 1), other(5, 4), other(9, 4)], "warn", "node 9 uses version 4", "on node 4, 7 "),
+        ([other(4, 1, 121.0)], "pass", f"only version {VERSION}", ""),
     ],
 )
 def test_who_has_to_be_updated(

@@ -112,7 +112,7 @@ def entries(store: Store) -> Iterator[Entry]:
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize("mirror", [False, True], ids=["one copy", "mirrored"])
-@pytest.mark.parametrize("runs", extents(1, 20))
+@pytest.mark.parametrize("runs", extents(3, 20))
 def test_what_a_drone_alone_had_is_what_is_lost_with_it(
     runs: int, mirror: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
