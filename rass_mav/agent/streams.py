@@ -127,7 +127,10 @@ class Streams:
         if proven is None:
             return Verdict.STRANGE
         index = timestamp >> COUNT_BITS
-        if not any(-LATE <= index - last <= MOST_AHEAD for last in proven.nodes.values()):
+        for last in proven.nodes.values():
+            if -LATE <= index - last <= MOST_AHEAD:
+                break
+        else:
             return Verdict.LATE if index < max(proven.nodes.values()) else Verdict.STRANGE
         # By its contents: two frames with one timestamp are two frames.
         mark = hash((timestamp, payload))
