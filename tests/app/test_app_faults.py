@@ -6,6 +6,7 @@ import asyncio
 import signal
 import socket
 import sys
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -171,17 +172,24 @@ def test_a_process_whose_policy_has_a_fault_goes_on(tmp_path: Path) -> None:
     try:
         node.start()
         base.until(Beacon)
-        base.say(Beacon(1, 5, 0, BEACON_BASE, 1, 5, 0, 0, 0, 0, 0, UNBOUNDED_FREE, 77, POTENTIAL_BASE, 0))
+        own = Beacon(1, 5, 0, BEACON_BASE, 1, 5, 0, 0, 0, 0, 0, UNBOUNDED_FREE, 77, POTENTIAL_BASE, 0)
+        base.say(own)
         base.hand_over(9, 100, 12)
         base.until(Committed, 100)
-        for _ in range(3):
+        beacons = count(1)
+
+        def has_dropped() -> bool:
+            # On a busy machine the base would be gone before the policy is asked.
+            base.say(own._replace(number=next(beacons)))
             base.hand_over(8, 101, 13)
-        node.until(lambda: node.status()["faults"]["frames_dropped"] >= 2)
+            return bool(node.status()["faults"]["frames_dropped"] >= 2)
+
+        node.until(has_dropped)
         faults = node.status()["faults"]
-        assert (faults["count"], faults["last"]["sender"].partition(" ")[0]) == (1, "Data")
+        assert faults["last"]["sender"].partition(" ")[0] == "Data"
         # Not the node in whose name it came.
         assert faults["muted"].keys() <= {faults["last"]["sender"]}
-        assert node.status()["ledger"]["faults"] == 1
+        assert node.status()["ledger"]["faults"] == faults["count"] >= 1
         while 102 not in numbers(base.heard):
             # It may be muted yet.
             base.hand_over(9, 102, 14)
