@@ -72,8 +72,9 @@ MOST_STEPS, MOST_DEEDS, MOST_IN_A_ROW = 40, 8, 8
 TENDED = (0.0, 0.03, 0.3, 0.7)
 #: What is remembered of each field, and of each kind of message.
 REMEMBERED = 48
-#: More than anybody says because of one frame.
-ENDLESS = 4000
+#: Frames heard in one moment: more are answers to answers without end. In world 4285 several large data go from node to
+#: node in one moment, which are 4,119 for all who hear them, and then it is quiet.
+ENDLESS = 20_000
 #: Sizes of data: they fit a frame, or come in chunks.
 SIZES = (1, 20, 97, 98, 246, 400, 1500)
 #: Fields with the same meaning have the same pool.
