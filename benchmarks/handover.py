@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rass_mav.agent.trust import Trust
+    from rass_mav.trust.trust import Trust
 
 SIDES = {"drone": 1, "base": 2}
 STEP_S = 0.01

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from benchmarks import handover, node
 
 if TYPE_CHECKING:
-    from rass_mav.agent.trust import Trust
+    from rass_mav.trust.trust import Trust
 
 NODES = 49
 WARM_STEPS = 60
@@ -36,13 +36,13 @@ KINDS = ("open", "keys")
 
 def trusts(directory: Path) -> dict[str, Trust]:
     """What their keys do for the two nodes of `benchmarks.handover`; the drone's data are sealed."""
-    from rass_mav.agent.trust import trust_of
     from rass_mav.core.datum import make_datum
     from rass_mav.core.seals import SEALED
-    from rass_mav.keys.identity import Ground
-    from rass_mav.keys.keyring import Keyring
-    from rass_mav.keys.sealing import Sealer
-    from rass_mav.keys.secret import Secret
+    from rass_mav.trust.keys.identity import Ground
+    from rass_mav.trust.keys.keyring import Keyring
+    from rass_mav.trust.keys.sealing import Sealer
+    from rass_mav.trust.keys.secret import Secret
+    from rass_mav.trust.trust import trust_of
 
     drone, base = handover.SIDES["drone"], handover.SIDES["base"]
     ground = Ground(Secret(bytes(range(32))), serials={drone: 1})
@@ -74,8 +74,8 @@ def hand_overs(rounds: int, data: int) -> dict[str, dict[str, float]]:
 
 def robot_steps(rounds: int) -> dict[str, float]:
     """Robot-steps a second by kind, of the fastest round."""
-    from rass_mav.swarm.catalogue import load_scenario
-    from rass_mav.swarm.world import World
+    from rass_mav.lab.swarm.catalogue import load_scenario
+    from rass_mav.lab.swarm.world import World
 
     worlds = {kind: World(load_scenario("demo", {"nodes": NODES, "keys": kind == "keys"})) for kind in KINDS}
     for world in worlds.values():
@@ -91,7 +91,7 @@ def robot_steps(rounds: int) -> dict[str, float]:
 
 def starts(rounds: int, settle_s: float) -> dict[str, dict[str, float]]:
     """Medians by kind of a node's start, ms, and its memory, MiB, as in `benchmarks.node`."""
-    from rass_mav.keys import folder
+    from rass_mav.trust.keys import folder
 
     found: dict[str, list[dict[str, float]]] = {kind: [] for kind in KINDS}
     # The first round only compiles and fills the disk's cache.

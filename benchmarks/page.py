@@ -39,14 +39,14 @@ from typing import Any
 
 from rass_mav.core.datum import Datum, DatumId, Fate, Kind, make_datum
 from rass_mav.core.messages import NO_ROUTE, Beacon, Data, Handover
+from rass_mav.ground.archive import Archive
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.mission.archive import Archive
 from rass_mav.wire import encode
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
 from tests.app.app_nodes import RunningNode, environment, free_ports
-from tests.mission.missions import EPOCH, Base
-from tests.page.flights import dose, place
+from tests.ground.missions import EPOCH, Base
+from tests.ground.page.flights import dose, place
 
 BASE_ID = 1
 #: Of so many data one is missing, and of so many one is reported lost.

@@ -20,10 +20,10 @@ from itertools import islice, pairwise
 from typing import Any
 
 from rass_mav.core.datum import DatumId, Kind
-from rass_mav.swarm.catalogue import load_scenario
-from rass_mav.swarm.medium.capacity import one_hop_bytes_s
-from rass_mav.swarm.scenario import Scenario
-from rass_mav.swarm.world import World
+from rass_mav.lab.medium.capacity import one_hop_bytes_s
+from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.world import World
 
 PART_BYTES = 32 * 1024
 #: Hops that cannot use the air at the same time.

@@ -26,15 +26,15 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from rass_mav.agent.peers import open_datagram
-from rass_mav.agent.vouchers import MAX_ANSWERS
 from rass_mav.core.datum import Datum, DatumId, Fate
 from rass_mav.core.news.receipts import DENIAL_TURNS, Receipts
 from rass_mav.core.node import Node
 from rass_mav.core.observer import Observer
-from rass_mav.swarm.catalogue import load_scenario
-from rass_mav.swarm.scenario import Scenario
-from rass_mav.swarm.statistics import percentile
-from rass_mav.swarm.world import World
+from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.statistics import percentile
+from rass_mav.lab.swarm.world import World
+from rass_mav.trust.vouchers import MAX_ANSWERS
 from rass_mav.wire.codec import DIGEST, DIGEST_BYTES, MAX_TUNNEL, MORE
 from rass_mav.wire.word import ASK, VOUCHER
 

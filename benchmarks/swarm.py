@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from rass_mav.swarm.world import World
+    from rass_mav.lab.swarm.world import World
 
 SMALL, LARGE = 100, 1000
 #: One copy, one hop a step, no receipts: the paper's node. `benchmarks.policies` compares the other variants with it.
@@ -70,7 +70,7 @@ def variants() -> dict[str, Variant]:
 
 def _islands(count: int) -> dict[str, Any]:
     """`count` grids of 100 nodes, each with a base in its corner; bases have the lowest ids."""
-    from rass_mav.swarm.topology import grid
+    from rass_mav.lab.swarm.topology import grid
 
     one = grid(SMALL, 20.0)
     spots = [[(x + 40.0 * i, y) for x, y in one] for i in range(count)]
@@ -85,9 +85,9 @@ def _islands(count: int) -> dict[str, Any]:
 
 
 def _mean_hops(options: dict[str, Any]) -> float:
-    from rass_mav.swarm.catalogue import load_scenario
-    from rass_mav.swarm.neighbours import RangeGraph
-    from rass_mav.swarm.topology import grid
+    from rass_mav.lab.swarm.catalogue import load_scenario
+    from rass_mav.lab.swarm.neighbours import RangeGraph
+    from rass_mav.lab.swarm.topology import grid
 
     scenario = load_scenario("demo", options)
     graph = RangeGraph(grid(scenario.nodes, scenario.arena), scenario.radio.range_m)
@@ -99,8 +99,8 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
     """A process with one swarm. It receives a number of steps, runs them, and returns processor seconds, and how many
     frames have reached nodes, collided ones too."""
     from rass_mav.commands.common import start_logging
-    from rass_mav.swarm.catalogue import load_scenario
-    from rass_mav.swarm.world import World
+    from rass_mav.lab.swarm.catalogue import load_scenario
+    from rass_mav.lab.swarm.world import World
 
     start_logging(0, "error")
     scenario = load_scenario("demo", options)
@@ -123,7 +123,7 @@ def _swarm(pipe: Connection, options: dict[str, Any], warm_up: int) -> None:
 
 
 def _reached(world: World) -> int:
-    from rass_mav.swarm.medium.base import Medium
+    from rass_mav.lab.medium.base import Medium
 
     tally = world.air.tally
     collided = tally.collided if isinstance(tally, Medium) else 0

@@ -18,13 +18,13 @@ if __name__ == "__main__":
     # As a script, the top of the checkout is not on the path.
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from rass_mav.agent.chains import LENGTH, hashed
-from rass_mav.agent.vouchers import hash_of
-from rass_mav.agent.word import MAX_VERIFIED
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.secret import Secret
-from rass_mav.keys.word import GroundWord
+from rass_mav.trust.chains import LENGTH, hashed
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.keys.word import GroundWord
+from rass_mav.trust.vouchers import hash_of
+from rass_mav.trust.word import MAX_VERIFIED
 from rass_mav.wire.word import Anchor, body_of
 
 

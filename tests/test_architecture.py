@@ -12,7 +12,7 @@ import pytest
 
 from rass_mav.agent.commits import CommitGate
 from rass_mav.core.messages import KINDS
-from rass_mav.swarm.virtual import VirtualSwarm
+from rass_mav.lab.swarm.virtual import VirtualSwarm
 
 from .core import test_custody_machine
 
@@ -23,17 +23,17 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MAY_IMPORT: dict[str, set[str]] = {"config": set(), "core": {"config"}}
 for _room in ("policy", "wire", "mavlink", "link", "store", "sensor"):
     MAY_IMPORT[_room] = {"config", "core"}
-MAY_IMPORT["keys"] = {"config"}
 MAY_IMPORT["params"] = {"core", "mavlink", "link"}
-MAY_IMPORT["agent"] = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor", "keys"}
-MAY_IMPORT["app"] = MAY_IMPORT["base"] = MAY_IMPORT["agent"] | {"agent"}
+MAY_IMPORT["trust"] = {"config", "core", "mavlink", "wire"}
+_BELOW = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor", "trust"}
+MAY_IMPORT["agent"] = _BELOW | {"station"}
+MAY_IMPORT["station"] = _BELOW | {"agent"}
+MAY_IMPORT["app"] = _BELOW | {"agent", "station"}
 MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
-MAY_IMPORT["mission"] = MAY_IMPORT["app"] | {"app"}
-MAY_IMPORT["page"] = MAY_IMPORT["mission"] | {"mission"}
-MAY_IMPORT["beside"] = MAY_IMPORT["page"] | {"page"}
-MAY_IMPORT["swarm"] = MAY_IMPORT["mission"] | {"mission"}
-MAY_IMPORT["replay"] = MAY_IMPORT["experiment"] = MAY_IMPORT["swarm"] | {"swarm"}
-MAY_IMPORT["commands"] = set(MAY_IMPORT) - {"commands"}
+#: The two wings that no drone needs: what flies imports neither.
+MAY_IMPORT["ground"] = MAY_IMPORT["app"] | {"app"}
+MAY_IMPORT["lab"] = MAY_IMPORT["ground"] | {"ground"}
+MAY_IMPORT["commands"] = set(MAY_IMPORT)
 
 #: The same inside core, for its modules and its sub-rooms. The ground floor is what all of core may import.
 GROUND_FLOOR = {
@@ -203,7 +203,7 @@ def test_nobody_in_core_below_the_node_knows_it() -> None:
     assert found_in((path for path in CORE if path.name != "node.py"), mentions) == {}
 
 
-@pytest.mark.parametrize(("package", "own"), [("pymavlink", "mavlink"), ("aiohttp", "page"), ("nacl", "keys")])
+@pytest.mark.parametrize(("package", "own"), [("pymavlink", "mavlink"), ("aiohttp", "ground"), ("nacl", "trust")])
 def test_a_package_is_imported_in_one_room_only(package: str, own: str) -> None:
     def users(path: Path) -> list[str]:
         return [m for m in imports(path) if m.split(".")[0] == package]
@@ -216,12 +216,13 @@ def test_mavutil_is_never_imported() -> None:
 
 
 def test_keys_are_drawn_and_files_of_keys_touched_in_one_place_each() -> None:
-    """All else in the room is pure: no clock, no chance, no file."""
-    pure = {path.name: imports(path) for path in FILES if room(path) == "keys" and path.stem not in ("files", "folder")}
+    """All else that is about them is pure: no clock, no chance, no file."""
+    about = [path for path in FILES if "trust/keys" in path.as_posix()]
+    pure = {path.name: imports(path) for path in about if path.stem not in ("files", "folder")}
     world = {"os", "io", "pathlib", "time", "datetime", "random", "secrets", "socket", "subprocess", "threading"}
     assert {file: found & world for file, found in pure.items() if found & world} == {}
-    drawing = {name(path) for path in FILES if room(path) == "keys" and "secrets" in imports(path)}
-    assert drawing == {"keys/folder.py"}
+    drawing = {name(path) for path in about if "secrets" in imports(path)}
+    assert drawing == {"trust/keys/folder.py"}
 
 
 def called(call: ast.Call) -> str | None:
@@ -269,11 +270,11 @@ def test_what_a_message_rests_on_is_said_in_core_and_asked_in_one_place() -> Non
 def test_who_carries_messages_does_not_ask_of_which_kind_they_are() -> None:
     """But for the beacon: whoever says one is a neighbour."""
     kinds = {f"rass_mav.core.messages.{kind.__name__}" for kind in KINDS} - {"rass_mav.core.messages.Beacon"}
-    carriers = [path for path in FILES if room(path) in ("agent", "app", "link", "store")]
+    carriers = [path for path in FILES if room(path) in ("agent", "trust", "station", "app", "link", "store")]
     assert found_in(carriers, lambda path: named(path) & kinds) == {}
 
 
 def test_the_driver_the_mock_swarm_and_the_custody_machine_have_the_same_gate() -> None:
     assert VirtualSwarm.make_gate is test_custody_machine.Swarm.make_gate is CommitGate
     gates = {room(path) for path in FILES if "rass_mav.agent.commits.CommitGate" in named(path)}
-    assert gates == {"app", "swarm"}
+    assert gates == {"app", "lab"}

@@ -19,10 +19,10 @@ import pytest
 
 from rass_mav.cli import build_parser, main
 from rass_mav.commands.common import LINE_EVERY_S, ProgressLines, help_alone, listed
+from rass_mav.lab.swarm.catalogue import shipped
+from rass_mav.lab.swarm.mobility import TOPOLOGIES
+from rass_mav.lab.swarm.reach import reachable
 from rass_mav.policy.settings import kinds
-from rass_mav.swarm.catalogue import shipped
-from rass_mav.swarm.mobility import TOPOLOGIES
-from rass_mav.swarm.reach import reachable
 
 Capture = pytest.CaptureFixture[str]
 WRONG = "node: {id: 1, rolle: base}\npolicy: {alpha: ten}\nlinks: [{peers: [{address: 'a:1'}]}]\n"
@@ -265,7 +265,7 @@ def test_an_interrupted_swarm_says_what_is_kept(
     words: list[str], kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("rass_mav.swarm.world.World.step", interrupt)
+    monkeypatch.setattr("rass_mav.lab.swarm.world.World.step", interrupt)
     assert main([*words, "--json"]) == 130
     said = capsys.readouterr()
     assert said.err == f"interrupted: {kept}\n"
@@ -275,7 +275,7 @@ def test_an_interrupted_swarm_says_what_is_kept(
 def test_an_interrupted_experiment_says_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    from rass_mav.experiment import runner
+    from rass_mav.lab.experiment import runner
 
     monkeypatch.chdir(tmp_path)
     execute: Any = vars(runner)["execute"]

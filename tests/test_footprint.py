@@ -80,7 +80,7 @@ def test_a_node_does_not_load_sensors_that_it_does_not_have(loaded: set[str]) ->
 
 
 def test_a_node_does_not_load_the_mock_swarm(loaded: set[str]) -> None:
-    assert not [name for name in loaded if name.startswith("rass_mav.swarm")]
+    assert not [name for name in loaded if name.startswith("rass_mav.lab")]
     assert "rass_mav.app.driver" in loaded
 
 

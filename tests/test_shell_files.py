@@ -17,8 +17,8 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.commands.completion import DIRECTORY, FILES, MANUAL
+from rass_mav.lab.swarm.catalogue import shipped
 from rass_mav.policy.settings import kinds
-from rass_mav.swarm.catalogue import shipped
 
 PATIENCE_S = 60.0
 

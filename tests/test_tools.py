@@ -25,7 +25,7 @@ from rass_mav.wire import decode, encode
 from rass_mav.wire.codec import FORMATS, VERSION
 from rass_mav.wire.measurement import Measurement, encode_measurement
 from rass_mav.wire.nodestatus import NodeStatus, encode_status
-from tests.keys.test_words import SEVEN
+from tests.trust.test_words import SEVEN
 from tests.wire.kinds import beside, examples, type_of
 from tools import emulated_pi
 from tools.explain_frame import UnreadableError, explain_frames, explain_payload, from_hex, main

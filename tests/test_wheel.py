@@ -109,9 +109,9 @@ def test_the_files_that_go_with_it_are_in_it(rass_mav: Path, tmp_path: Path) -> 
     assert (share / "man" / "man1" / "rass-mav.1").is_file()
     assert (share / "bash-completion" / "completions" / "rass-mav").is_file()
     (package,) = rass_mav.parents[1].glob("lib/python*/site-packages/rass_mav")
-    static = ROOT / "rass_mav" / "page" / "static"
+    static = ROOT / "rass_mav" / "ground" / "page" / "static"
     for file in (path.relative_to(static) for path in static.rglob("*") if path.is_file()):
-        assert (package / "page" / "static" / file).is_file()
+        assert (package / "ground" / "page" / "static" / file).is_file()
     said = _run(str(rass_mav), "swarm", "five-drones", "--steps", "5", "--json", cwd=tmp_path)
     assert json.loads(said)["steps"] == 5
 
@@ -128,7 +128,7 @@ def test_vehicles_fly_with_the_script_that_comes_with_it(rass_mav: Path, tmp_pat
     copter.write_text("#!/bin/sh\n")
     copter.chmod(0o755)
     code = (
-        "import sys; sys.path.append(sys.argv[1]); from rass_mav.swarm.sitl.firmware import find_firmware; "
+        "import sys; sys.path.append(sys.argv[1]); from rass_mav.lab.sitl.firmware import find_firmware; "
         "print(find_firmware(sys.argv[2]).script)"
     )
     script = _run(str(rass_mav.with_name("python")), "-c", code, str(packages), str(copter), cwd=tmp_path).strip()

@@ -31,10 +31,10 @@ from rass_mav.core.news.checksums import make_receipt
 from rass_mav.core.news.marks import pack_marks
 from rass_mav.core.seals import SEALED
 from rass_mav.core.terms import TERMS
-from rass_mav.keys.letters import Letter
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.signing import Signer
+from rass_mav.trust.keys.letters import Letter
 from rass_mav.wire import decode, encode
 from rass_mav.wire.codec import VERSION
 from rass_mav.wire.introduction import Introduction

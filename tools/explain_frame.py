@@ -36,13 +36,13 @@ from rass_mav.core.routes.contacts import UNIT_DEGREES, unpack
 from rass_mav.core.seals import SEALED
 from rass_mav.core.terms import MOST_PRIORITY, TERMS, parted
 from rass_mav.errors import MalformedError
-from rass_mav.keys.letters import Letter
-from rass_mav.keys.sealing import SEAL_SIZE
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS, common
 from rass_mav.mavlink.frames import FLAG_SIGNED, MAGIC_V1, MAGIC_V2, TUNNEL_ID
 from rass_mav.mavlink.signing import SIGNATURE_SIZE
 from rass_mav.mavlink.tunnel import decode_tunnel
+from rass_mav.trust.keys.letters import Letter
+from rass_mav.trust.keys.sealing import SEAL_SIZE
 from rass_mav.wire import decode
 from rass_mav.wire.codec import ANSWERS, DISTANCE, KEY, MORE, MOTION, PROOF, TAG_BYTES, TAGS, VERSION
 from rass_mav.wire.codec import FORMATS as FORMATS_OF_OURS

@@ -10,20 +10,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rass_mav.agent.answers import Answers
-from rass_mav.agent.ground import Ground
 from rass_mav.agent.guard import Guard, Unguarded
-from rass_mav.agent.heartbeats import Heartbeats
 from rass_mav.agent.outgoing import Outgoing, Way, aside
-from rass_mav.agent.parameters import recall
 from rass_mav.agent.peers import Peers, head_of, open_datagram
-from rass_mav.agent.reports import Reports
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.signed import Signed
-from rass_mav.agent.statuses import Statuses
-from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.agent.turns import Turns
-from rass_mav.agent.vouchers import Held
-from rass_mav.agent.word import Word
 from rass_mav.core.datum import DatumId, Kind
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.core.node import Node
@@ -39,10 +30,19 @@ from rass_mav.mavlink.frames import Frame, FrameWriter
 from rass_mav.mavlink.messages import HEARTBEAT, TUNNEL, companion_heartbeat, statustext
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Accuracy, LocalPosition, Position, Reading, Telemetry
+from rass_mav.station.ground import Ground
+from rass_mav.station.heartbeats import Heartbeats
+from rass_mav.station.parameters import recall
+from rass_mav.station.reports import Reports
+from rass_mav.station.statuses import Statuses
+from rass_mav.trust.signed import Signed
+from rass_mav.trust.tags import OPEN, NoTags
+from rass_mav.trust.vouchers import Held
+from rass_mav.trust.word import Word
 from rass_mav.wire.measurement import Measurement, encode_measurement
 
 if TYPE_CHECKING:
-    from rass_mav.agent.trust import Trust
+    from rass_mav.trust.trust import Trust
 
 log = logging.getLogger(__name__)
 

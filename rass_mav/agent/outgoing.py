@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
-from rass_mav.agent.tags import OPEN, NoTags
 from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
+from rass_mav.trust.tags import OPEN, NoTags
 
 
 class Way(IntEnum):

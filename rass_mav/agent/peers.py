@@ -8,10 +8,6 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
-from rass_mav.agent.signed import Signed
-from rass_mav.agent.streams import Verdict
-from rass_mav.agent.tags import OPEN, NoTags
-from rass_mav.agent.word import Word
 from rass_mav.core.messages import BROADCAST, Beacon, Message, Urgency
 from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
@@ -22,6 +18,10 @@ from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel, tunnel_from_datagram
+from rass_mav.trust.signed import Signed
+from rass_mav.trust.streams import Verdict
+from rass_mav.trust.tags import OPEN, NoTags
+from rass_mav.trust.word import Word
 from rass_mav.wire import beacon_sender, decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
 from rass_mav.wire.introduction import is_introduction

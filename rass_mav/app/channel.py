@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from rass_mav.agent.lane import Lane
 from rass_mav.agent.outgoing import Outgoing
+from rass_mav.app.linkqueue import Lane
 from rass_mav.link.base import Link
 
 

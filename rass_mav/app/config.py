@@ -9,15 +9,14 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.settings import AgentSettings, DataSettings, GroundSettings
 from rass_mav.config.bounds import Count, NodeId, NonNegative, Positive
+from rass_mav.config.keys import KeysSection, check_package
 from rass_mav.config.loading import read_yaml, set_keys
 from rass_mav.config.sections import Meta, Mistakes, Section
 from rass_mav.config.typed import build_with
 from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
 from rass_mav.errors import ConfigError, KeysError
-from rass_mav.keys.settings import KeysSection, check_package
 from rass_mav.link.address import parse_address, parse_multicast, parse_vehicle_url
 from rass_mav.link.base import Address
 from rass_mav.link.interface import ANY_ADDRESS
@@ -25,12 +24,13 @@ from rass_mav.link.settings import LinkSection
 from rass_mav.mavlink.settings import MavlinkSettings
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.sensor.settings import SensorSettings
+from rass_mav.station.ground import VALUE_NAMES
 from rass_mav.store.settings import StoreSettings
 
 from .outlets import MetricsSection, OnArrivalSection, PageSection, PostgresSection
 
 if TYPE_CHECKING:
-    from rass_mav.keys.keyring import Keyring
+    from rass_mav.trust.keys.keyring import Keyring
 
 #: Messages that telemetry needs and an autopilot does not always send unasked, with the seconds between two.
 DEFAULT_MESSAGES = {"GLOBAL_POSITION_INT": 1.0, "LOCAL_POSITION_NED": 1.0, "GPS_RAW_INT": 1.0, "SYSTEM_TIME": 5.0}
@@ -185,7 +185,7 @@ class RunConfig(Section):
         if self.keys is None:
             return None
         check_package()
-        from rass_mav.keys.keyring import load_keyring  # with PyNaCl, which a node without keys does not need
+        from rass_mav.trust.keys.keyring import load_keyring  # with PyNaCl, which a node without keys does not need
 
         return load_keyring(self.keys.file, self.node_id, base=self.base)
 
@@ -211,7 +211,7 @@ class RunConfig(Section):
         if self.autopilot.signing:
             self._look_over_signing(mistakes)
         if not self.autopilot.messages.keys() <= DEFAULT_MESSAGES.keys():
-            from rass_mav.agent.rates import message_ids  # with all message definitions, which a client does not need
+            from rass_mav.station.rates import message_ids  # with all message definitions, which a client does not need
 
             with mistakes.gathering("autopilot.messages"):
                 message_ids(self.autopilot.messages)

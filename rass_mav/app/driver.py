@@ -19,10 +19,10 @@ from functools import partial
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.commits import MAX_WAITING
-from rass_mav.agent.duplicates import Duplicates
-from rass_mav.agent.lane import Lane, set_pace
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.turns import jitter
+from rass_mav.app.duplicates import Duplicates
+from rass_mav.app.linkqueue import Lane, set_pace
 from rass_mav.core.datum import DatumId
 from rass_mav.core.terms import USUAL, Terms
 from rass_mav.errors import StoreError, StoreFullError

@@ -16,7 +16,7 @@ from rass_mav.wire.measurement import MOST_MEASUREMENT_BYTES
 
 from .config import RunConfig
 
-#: What keys add to a datum, bytes: `keys.sealing.SEAL_SIZE`, which needs PyNaCl.
+#: What keys add to a datum, bytes: `trust.keys.sealing.SEAL_SIZE`, which needs PyNaCl.
 SEALED_BYTES = 16
 
 

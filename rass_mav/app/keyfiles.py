@@ -8,12 +8,12 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from pathlib import Path
 
-from rass_mav.agent.letters import Letters
 from rass_mav.errors import KeysError, MalformedError, why
-from rass_mav.keys.files import write_over
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.letters import letters_in, letters_text
 from rass_mav.mavlink.frames import Frame
+from rass_mav.trust.keys.files import write_over
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.letters import letters_in, letters_text
+from rass_mav.trust.letters import Letters
 
 log = logging.getLogger(__name__)
 

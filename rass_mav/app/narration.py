@@ -11,9 +11,9 @@ from typing import Generic, TypeVar
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.floods import Allowance
-from rass_mav.agent.rates import SILENT_S
 from rass_mav.core.routes.neighbours import is_base
 from rass_mav.mavlink.frames import Frame
+from rass_mav.station.rates import SILENT_S
 
 #: Lines about the same thing in this many seconds, at most.
 MOST_CHANGES, WITHIN_S = 4, 60.0

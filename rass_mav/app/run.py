@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.copies import Copies
-from rass_mav.agent.rates import MessageRates, message_ids
-from rass_mav.agent.shortages import Shortages
-from rass_mav.agent.version import VersionQuestion
+from rass_mav.config.keys import AboutKeys, in_words
 from rass_mav.errors import ControlError, StoreCopiedError, StoreDamagedError
-from rass_mav.keys.settings import AboutKeys, in_words
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.base import Link
 from rass_mav.link.vehicle import VehiclePort
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.sensor.base import Sensor
+from rass_mav.station.copies import Copies
+from rass_mav.station.rates import MessageRates, message_ids
+from rass_mav.station.shortages import Shortages
+from rass_mav.station.version import VersionQuestion
 from rass_mav.store.files import beside
 from rass_mav.store.sqlite import SqliteStore
 
@@ -41,9 +41,9 @@ from .notify import Notifier
 from .spool import FILES, Spool
 
 if TYPE_CHECKING:
-    from rass_mav.agent.trust import Trust
-    from rass_mav.keys.keyring import Keyring
     from rass_mav.mavlink.signing import SigningKey
+    from rass_mav.trust.keys.keyring import Keyring
+    from rass_mav.trust.trust import Trust
 
     from .companion import Companion
     from .signing import KeptTimestamp
@@ -80,7 +80,7 @@ class Runtime:
         self._timestamps: KeptTimestamp | None = None
         if keys is not None and config.keys is not None:
             # With PyNaCl, which a node without keys does not need.
-            from rass_mav.agent.trust import trust_of
+            from rass_mav.trust.trust import trust_of
 
             from .keyfiles import kept_letters
 

@@ -314,7 +314,7 @@ def _quoted(path: str) -> str:
 def _write_keys(path: Path, content: str) -> None:
     """Like `_write`, for the owner of the folder alone. If that is root, systemd gives the folder and what is in it to
     the node's user (StateDirectory)."""
-    from rass_mav.keys.files import write_over  # with PyNaCl, which few nodes need
+    from rass_mav.trust.keys.files import write_over  # with PyNaCl, which few nodes need
 
     path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
     write_over(path, content)

@@ -8,13 +8,13 @@ from pathlib import Path
 from rass_mav.agent.agent import Agent
 from rass_mav.core.store import Store
 from rass_mav.errors import StoreError
-from rass_mav.keys.autopilot import autopilot_key
-from rass_mav.keys.keyring import Keyring
 from rass_mav.link.vehicle import SignedVehicle, VehiclePort
 from rass_mav.mavlink.frames import FLAG_SIGNED, Frame
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.reader import SqliteReader
+from rass_mav.trust.keys.autopilot import autopilot_key
+from rass_mav.trust.keys.keyring import Keyring
 
 #: Seconds between two notes of the timestamp. Frames that were recorded after the last note can be repeated to a node
 #: that has just been started, until it hears its autopilot.

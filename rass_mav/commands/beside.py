@@ -12,8 +12,8 @@ def main() -> int:
     """The first line of standard input is a JSON object: the configuration, and the level of the log."""
     from rass_mav.app.config import RunConfig
     from rass_mav.app.jsonlines import load_line
-    from rass_mav.beside.process import work
     from rass_mav.config.typed import build
+    from rass_mav.ground.outputs.process import work
 
     order = load_line(sys.stdin.buffer.readline())
     start_logging(0, logging.getLevelName(order["log"]))

@@ -18,9 +18,9 @@ from .common import Subparsers, add_command, clean, print_json, say, start_loggi
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
-    from rass_mav.mission.assembly import Extent, Group
-    from rass_mav.mission.entry import Data, Entry, Filter
-    from rass_mav.mission.opening import Opens
+    from rass_mav.ground.assembly import Extent, Group
+    from rass_mav.ground.entry import Data, Entry, Filter
+    from rass_mav.ground.opening import Opens
 
 #: Seconds between two looks with --follow.
 LOOK_S = 0.5
@@ -81,8 +81,8 @@ def _add_keys(parser: argparse.ArgumentParser) -> None:
 def open_archive(options: argparse.Namespace) -> Data:
     """The archive that the command names. Raises `ConfigError`, `StoreError`."""
     from rass_mav.app.outlets import SCHEMES
-    from rass_mav.mission.archive import Archive
-    from rass_mav.mission.opening import opener_of
+    from rass_mav.ground.archive import Archive
+    from rass_mav.ground.opening import opener_of
 
     store: str | None = options.store
     opens = None if options.keys is None else opener_of(options.keys)
@@ -99,7 +99,7 @@ def open_archive(options: argparse.Namespace) -> Data:
 
 def _open_database(url: str, opens: Opens | None) -> Data:
     try:
-        from rass_mav.mission.database import Database
+        from rass_mav.ground.database import Database
     except ImportError as error:
         raise ConfigError(
             f"postgresql://: needs the Python package psycopg: {installing('postgres')} ({error})"
@@ -145,7 +145,7 @@ class _Listed:
 
     def __init__(self, archive: Data, filter: Filter, *, follow: bool = False) -> None:
         """`follow`: nothing is known yet; `arrived` is called with all data."""
-        from rass_mav.mission.assembly import Groups
+        from rass_mav.ground.assembly import Groups
 
         self._archive, self._filter = archive, filter
         self._singly = filter.kinds == {"part"}
@@ -243,7 +243,7 @@ HEADER = f"{'ID':<28} {'CREATED (UTC)':<24} {'+/- S':>6} {'HOPS':>4} {'BYTES':>7
 
 def datum_line(entry: Entry) -> str:
     """One datum of a list. A < before the date: or earlier; no +/-: nobody knows how wrong the date is."""
-    from rass_mav.mission.entry import iso
+    from rass_mav.ground.entry import iso
 
     date = ("<" if entry.at_least else "") + iso(entry.utc) if entry.dated else "unknown"
     error = "" if entry.error_s is None else f"{entry.error_s:.0f}"
@@ -264,7 +264,7 @@ def content(entry: Entry) -> str:
 
 
 def _words(entry: Entry) -> str:
-    from rass_mav.mission.entry import UNIT_NAMES
+    from rass_mav.ground.entry import UNIT_NAMES
 
     if entry.malformed:
         return f"{entry.kind_name}, {entry.malformed}"
@@ -288,7 +288,7 @@ def _words(entry: Entry) -> str:
 
 
 def _get(options: argparse.Namespace) -> int:
-    from rass_mav.mission.assembly import find
+    from rass_mav.ground.assembly import find
 
     start_logging(options.verbose)
     with read_archive(options) as archive:

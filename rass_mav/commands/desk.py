@@ -17,8 +17,8 @@ from rass_mav.errors import ConfigError
 from .common import Subparsers, add_command, answer, clean, say, start_logging
 
 if TYPE_CHECKING:
-    from rass_mav.mission.entry import Entry
-    from rass_mav.swarm.desk import Desk
+    from rass_mav.ground.entry import Entry
+    from rass_mav.lab.fleet.demo import Desk
 
 #: How many characters of a submitted line are shown.
 _MOST_SHOWN = 60
@@ -42,7 +42,7 @@ def _try(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     if options.seconds is not None and not options.seconds > 0:
         raise ConfigError(f"--for: expected seconds above 0, got {options.seconds:g}")
-    from rass_mav.swarm.desk import desk
+    from rass_mav.lab.fleet.demo import desk
 
     def show(line: str) -> None:
         """Print at once, in a pipe too."""

@@ -28,7 +28,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from rass_mav.experiment.runs import Extent, Result, Run
+    from rass_mav.lab.experiment.runs import Extent, Result, Run
 
 
 def register(subparsers: Subparsers) -> None:
@@ -99,7 +99,7 @@ def register(subparsers: Subparsers) -> None:
         "rass-mav experiment baselines --out results --runs 2 --place grid --air none", policies=None,
     )  # fmt: skip
     _add_names(baselines, "--air", "airs:AIRS", "on which airs, all by default", nargs="+")
-    _add_names(baselines, "--place", "baselines.experiment:PLACES", "in which places, all by default", nargs="+")
+    _add_names(baselines, "--place", "baselines:PLACES", "in which places, all by default", nargs="+")
     _add_names(baselines, "--baseline", "baselines:PROTOCOLS", "which protocols, all by default", nargs="+")
     baselines.add_argument(
         "--own-runs", type=int, metavar="N", help="runs of our defaults (default: as many as of the others)"
@@ -129,9 +129,9 @@ def _add_out(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_names(parser: argparse.ArgumentParser, option: str, known: str, help: str, **more: Any) -> None:
-    """Add an option that takes names. `known`: their place in `rass_mav.experiment`, as `module:NAME`."""
+    """Add an option that takes names. `known`: their place in `rass_mav.lab.experiment`, as `module:NAME`."""
     action = parser.add_argument(option, metavar="NAME", help=help, **more)
-    lists(action, lambda: resolve_name(f"rass_mav.experiment.{known}"))
+    lists(action, lambda: resolve_name(f"rass_mav.lab.experiment.{known}"))
 
 
 def _add(
@@ -162,8 +162,8 @@ def _add(
 
 
 def _paper(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import paper
-    from rass_mav.experiment.published import default_directory, load_published
+    from rass_mav.lab.experiment import paper
+    from rass_mav.lab.experiment.published import default_directory, load_published
 
     given = options.reference_data
     published = load_published(default_directory() if given is None else Path(given))
@@ -175,7 +175,7 @@ def _paper(options: argparse.Namespace) -> int:
 
 
 def _five_drones(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import five_drones
+    from rass_mav.lab.experiment import five_drones
 
     planned = five_drones.plan(
         _extent(options), _chosen("--policy", options.policy or five_drones.POLICIES, five_drones.ALL_POLICIES)
@@ -184,7 +184,7 @@ def _five_drones(options: argparse.Namespace) -> int:
 
 
 def _moving_sources(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import moving_sources, paper
+    from rass_mav.lab.experiment import moving_sources, paper
 
     policies = _chosen("--policy", options.policy or moving_sources.POLICIES, moving_sources.ALL_POLICIES)
     (topology,) = _chosen("--topology", [options.topology], paper.TOPOLOGIES)
@@ -193,7 +193,7 @@ def _moving_sources(options: argparse.Namespace) -> int:
 
 
 def _local_maxima(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import local_maxima, paper
+    from rass_mav.lab.experiment import local_maxima, paper
 
     policies = _chosen("--policy", options.policy, local_maxima.POLICIES)
     topologies = _chosen("--topology", options.topology, paper.TOPOLOGIES)
@@ -202,7 +202,7 @@ def _local_maxima(options: argparse.Namespace) -> int:
 
 
 def _policies(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import policies
+    from rass_mav.lab.experiment import policies
 
     planned = policies.plan(
         _extent(options), _chosen("--topology", options.topology, policies.PLACES),
@@ -213,7 +213,7 @@ def _policies(options: argparse.Namespace) -> int:
 
 
 def _ablation(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import ablation
+    from rass_mav.lab.experiment import ablation
 
     planned = ablation.plan(
         _extent(options), _chosen("--air", options.air or ablation.USUAL_AIRS, ablation.ALL_AIRS),
@@ -224,21 +224,22 @@ def _ablation(options: argparse.Namespace) -> int:
 
 
 def _baselines(options: argparse.Namespace) -> int:
-    from rass_mav.experiment.airs import AIRS
-    from rass_mav.experiment.baselines import PROTOCOLS, experiment
+    from rass_mav.lab.baselines import PROTOCOLS
+    from rass_mav.lab.experiment import baselines
+    from rass_mav.lab.experiment.airs import AIRS
 
     extent = _extent(options)
     if options.own_runs is not None and options.own_runs < 1:
         raise ConfigError(f"--own-runs: expected 1 or more, got {options.own_runs}")
-    planned = experiment.plan(
-        extent, _chosen("--place", options.place, experiment.PLACES), _chosen("--air", options.air, AIRS),
+    planned = baselines.plan(
+        extent, _chosen("--place", options.place, baselines.PLACES), _chosen("--air", options.air, AIRS),
         _chosen("--baseline", options.baseline, PROTOCOLS), own_runs=options.own_runs,
     )  # fmt: skip
-    return _runs(options, planned, experiment.report)
+    return _runs(options, planned, baselines.report)
 
 
 def _hostile(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import hostile
+    from rass_mav.lab.experiment import hostile
 
     attackers = _chosen("--attacker", options.attacker, hostile.ATTACKERS)
     policies = _chosen("--policy", options.policy, hostile.POLICIES)
@@ -248,7 +249,7 @@ def _hostile(options: argparse.Namespace) -> int:
 
 
 def _counting(options: argparse.Namespace) -> int:
-    from rass_mav.experiment import counting
+    from rass_mav.lab.experiment import counting
 
     _begin(options)
     if options.steps <= counting.VANISHES:
@@ -259,7 +260,7 @@ def _counting(options: argparse.Namespace) -> int:
 
 
 def _begin(options: argparse.Namespace) -> None:
-    from rass_mav.experiment.figures import need_matplotlib
+    from rass_mav.lab.experiment.figures import need_matplotlib
 
     start_logging(options.verbose, "critical")
     need_matplotlib()
@@ -267,7 +268,7 @@ def _begin(options: argparse.Namespace) -> None:
 
 def _extent(options: argparse.Namespace) -> Extent:
     """How much to run. Raises `ConfigError`."""
-    from rass_mav.experiment.runs import Extent
+    from rass_mav.lab.experiment.runs import Extent
 
     _begin(options)
     numbers = {name: getattr(options, name) for name in ("runs", "steps", "jobs")}
@@ -285,7 +286,7 @@ def _runs(
     table: str = "table.md",
 ) -> int:
     """Do the runs and report on them. `table`: the file to show."""
-    from rass_mav.experiment.runner import run_all
+    from rass_mav.lab.experiment.runner import run_all
 
     out = _directory(options.out)
     begin = time.perf_counter()

@@ -16,8 +16,8 @@ from .data import add_store, read_archive
 from .filters import add_filters, wanted
 
 if TYPE_CHECKING:
-    from rass_mav.mission.entry import Data, Entry
-    from rass_mav.mission.formats import Exported, Format
+    from rass_mav.ground.entry import Data, Entry
+    from rass_mav.ground.formats import Exported, Format
 
 
 def register(subparsers: Subparsers) -> None:
@@ -37,13 +37,13 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _names() -> tuple[str, ...]:
-    from rass_mav.mission.formats import NAMES
+    from rass_mav.ground.formats import NAMES
 
     return NAMES
 
 
 def _export(options: argparse.Namespace) -> int:
-    from rass_mav.mission.formats import format_of
+    from rass_mav.ground.formats import format_of
 
     start_logging(options.verbose)
     name = options.format or _by_ending(options.output)
@@ -97,7 +97,7 @@ def _counted(why: Counter[str]) -> str:
 
 def _by_ending(out: Path | None) -> str:
     """The format that the ending of a file means."""
-    from rass_mav.mission.formats import NAMES, format_of
+    from rass_mav.ground.formats import NAMES, format_of
 
     endings = {format_of(name).ending: name for name in NAMES}
     expected = f"expected --format, one of {', '.join(NAMES)}"

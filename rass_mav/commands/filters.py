@@ -14,7 +14,7 @@ from rass_mav.errors import ConfigError
 from .common import duration
 
 if TYPE_CHECKING:
-    from rass_mav.mission.entry import Filter
+    from rass_mav.ground.entry import Filter
 
 #: The highest id of a node.
 MAX_NODE = 65534
@@ -43,7 +43,7 @@ def add_filters(parser: argparse.ArgumentParser) -> None:
 
 def wanted(options: argparse.Namespace) -> Filter:
     """What the options choose. Raises `ConfigError`."""
-    from rass_mav.mission.entry import Filter
+    from rass_mav.ground.entry import Filter
 
     now = time.time()
     return Filter(

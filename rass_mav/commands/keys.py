@@ -6,14 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rass_mav.config.keys import check_package
 from rass_mav.errors import ConfigError
-from rass_mav.keys.settings import check_package
 
 from .common import Subparsers, add_command, add_group, answer, start_logging
 from .filters import MAX_NODE
 
 if TYPE_CHECKING:
-    from rass_mav.keys.folder import Issued
+    from rass_mav.trust.keys.folder import Issued
 
 
 def register(subparsers: Subparsers) -> None:
@@ -89,8 +89,8 @@ def _serial(text: str) -> int:
 def _new(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     check_package()
-    from rass_mav.keys.files import GROUND_FILE
-    from rass_mav.keys.folder import create
+    from rass_mav.trust.keys.files import GROUND_FILE
+    from rass_mav.trust.keys.folder import create
 
     mission = create(options.folder).public.mission
     path = options.folder / GROUND_FILE
@@ -105,7 +105,7 @@ def _new(options: argparse.Namespace) -> int:
 def _drone(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     check_package()
-    from rass_mav.keys.folder import issue
+    from rass_mav.trust.keys.folder import issue
 
     issued = issue(options.folder, options.ids, options.how)
     lines = [_line(each) for each in issued]
@@ -118,8 +118,8 @@ def _drone(options: argparse.Namespace) -> int:
 def _rotate(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     check_package()
-    from rass_mav.keys.files import GROUND_FILE
-    from rass_mav.keys.folder import change
+    from rass_mav.trust.keys.files import GROUND_FILE
+    from rass_mav.trust.keys.folder import change
 
     ground, issued = change(options.folder, options.ids)
     out = [{"id": id, "serial": ground.serials[id]} for id in dict.fromkeys(options.ids)]
@@ -150,8 +150,8 @@ def _line(issued: Issued) -> str:
 def _show(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     check_package()
-    from rass_mav.keys.files import read_keys
-    from rass_mav.keys.identity import Ground
+    from rass_mav.trust.keys.files import read_keys
+    from rass_mav.trust.keys.identity import Ground
 
     keys = read_keys(options.file)
     plain: dict[str, Any]
@@ -176,9 +176,9 @@ def _show(options: argparse.Namespace) -> int:
 def _autopilot(options: argparse.Namespace) -> int:
     start_logging(options.verbose)
     check_package()
-    from rass_mav.keys.autopilot import autopilot_passphrase
-    from rass_mav.keys.files import read_drone
-    from rass_mav.keys.folder import drone_keys
+    from rass_mav.trust.keys.autopilot import autopilot_passphrase
+    from rass_mav.trust.keys.files import read_drone
+    from rass_mav.trust.keys.folder import drone_keys
 
     text: str = options.drone
     if text.isascii() and text.isdecimal():

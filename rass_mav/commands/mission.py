@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.errors import RassError, os_errors_as
-from rass_mav.mission.spans import span
+from rass_mav.ground.spans import span
 
 from .common import Subparsers, add_command, answer, clean, start_logging
 from .data import add_store, read_archive
@@ -30,14 +30,14 @@ def register(subparsers: Subparsers) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from rass_mav.mission.report import Report
+    from rass_mav.ground.report import Report
 
     start_logging(options.verbose)
     with read_archive(options) as archive:
         if options.html is None:
             plain = Report.of(archive).plain(time.time())
         else:
-            from rass_mav.mission import html
+            from rass_mav.ground import html
 
             refuse_existing(options.html)
             with os_errors_as(RassError, options.html):
@@ -55,7 +55,7 @@ HEADER = (
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
     """The report in lines. Created: at least so many. Missing: on their way, or lost without anybody knowing."""
-    from rass_mav.mission.report import silence
+    from rass_mav.ground.report import silence
 
     yield silence(report)
     delay = report["delay_s"]
@@ -120,6 +120,6 @@ _MOST_SHOWN = 5
 
 
 def _unit(unit: str | None) -> str:
-    from rass_mav.mission.entry import UNIT_NAMES
+    from rass_mav.ground.entry import UNIT_NAMES
 
     return "" if unit is None else f" {UNIT_NAMES[unit]}"

@@ -14,7 +14,7 @@ from .common import Subparsers, add_command, answer, clean, start_logging, warn
 from .data import add_store, open_archive
 
 if TYPE_CHECKING:
-    from rass_mav.page.server import Page
+    from rass_mav.ground.page.server import Page
 
 #: Where the page is, unless --listen says otherwise.
 LISTEN = "127.0.0.1:8080"
@@ -42,7 +42,7 @@ def _page(options: argparse.Namespace) -> int:
     from rass_mav.app.outlets import PageSection
 
     try:
-        from rass_mav.page.server import page_of
+        from rass_mav.ground.page.server import page_of
     except ModuleNotFoundError as error:
         if error.name != "aiohttp":
             raise
@@ -76,7 +76,7 @@ def _socket_of(store: str | None) -> Path | None:
 async def _serve(page: Page, options: argparse.Namespace) -> None:
     import asyncio
 
-    from rass_mav.page.server import serve
+    from rass_mav.ground.page.server import serve
 
     stopped = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -26,8 +26,8 @@ from .common import (
 from .summary import summary_lines
 
 if TYPE_CHECKING:
-    from rass_mav.replay.arrivals import Arrival
-    from rass_mav.replay.world import ReplaySwarm
+    from rass_mav.lab.replay.arrivals import Arrival
+    from rass_mav.lab.replay.world import ReplaySwarm
 
 
 def register(subparsers: Subparsers) -> None:
@@ -81,11 +81,11 @@ def _seconds(text: str) -> float:
 
 def _replay(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "error")
-    from rass_mav.replay.arrivals import arrivals, summary, write_csv
-    from rass_mav.replay.recording import read_logs
-    from rass_mav.replay.settings import load_settings
-    from rass_mav.replay.world import ReplaySwarm
-    from rass_mav.swarm.stopwatch import Stopwatch
+    from rass_mav.lab.replay.arrivals import arrivals, summary, write_csv
+    from rass_mav.lab.replay.recording import read_logs
+    from rass_mav.lab.replay.settings import load_settings
+    from rass_mav.lab.replay.world import ReplaySwarm
+    from rass_mav.lab.swarm.stopwatch import Stopwatch
 
     settings, scale = load_settings(options.range, options.assignments)
     for name in ("output", "record"):
@@ -115,8 +115,8 @@ def _spare(logs: Sequence[str], path: Path | None, option: str) -> None:
 
 def _run(swarm: ReplaySwarm, options: argparse.Namespace) -> int:
     """Play it; returns how many vehicles could reach the base in the first step."""
-    from rass_mav.swarm.invariants import check
-    from rass_mav.swarm.reach import reachable
+    from rass_mav.lab.swarm.invariants import check
+    from rass_mav.lab.swarm.reach import reachable
 
     reached = 0
     with (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rass_mav.keys.settings import in_words
-from rass_mav.mission.entry import UNIT_NAMES
+from rass_mav.config.keys import in_words
+from rass_mav.ground.entry import UNIT_NAMES
 
 from .common import clean
 

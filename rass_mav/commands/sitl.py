@@ -58,10 +58,10 @@ def register(subparsers: Subparsers) -> None:
 
 def _sitl(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "error")
-    from rass_mav.swarm.scenario import OPTION_KEYS
-    from rass_mav.swarm.sitl.firmware import HOW_TO_GET, find_firmware
-    from rass_mav.swarm.sitl.fleet import run
-    from rass_mav.swarm.sitl.scenario import load_flight
+    from rass_mav.lab.sitl.firmware import HOW_TO_GET, find_firmware
+    from rass_mav.lab.sitl.fleet import run
+    from rass_mav.lab.sitl.scenario import load_flight
+    from rass_mav.lab.swarm.scenario import OPTION_KEYS
 
     given = {OPTION_KEYS[name]: getattr(options, name) for name in ("steps", "seed", "policy", "range", "loss")}
     keys = {key: value for key, value in given.items() if value is not None}

@@ -35,8 +35,8 @@ from .page import LISTEN
 from .summary import summary_lines
 
 if TYPE_CHECKING:
-    from rass_mav.swarm.scenario import Scenario
-    from rass_mav.swarm.world import World
+    from rass_mav.lab.swarm.scenario import Scenario
+    from rass_mav.lab.swarm.world import World
 
 #: With a page, drones say so often how they are, seconds. Where the paper's world is simulated they do not.
 STATUS_S = 30.0
@@ -51,7 +51,7 @@ def register(subparsers: Subparsers) -> None:
         example="rass-mav swarm --nodes 100 --steps 500 --topology grid --seed 1",
     )  # fmt: skip
     scenario = parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="a YAML file, or one of these")
-    lists(scenario, lambda: import_module("rass_mav.swarm.catalogue").shipped())
+    lists(scenario, lambda: import_module("rass_mav.lab.swarm.catalogue").shipped())
     parser.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
     parser.add_argument("--nodes", type=int, metavar="N", help="number of nodes, including the base")
     parser.add_argument("--steps", type=int, metavar="N", help="steps of Alg. 1")
@@ -90,7 +90,7 @@ def _add_name(parser: argparse.ArgumentParser, option: str, help: str) -> None:
 
     def names() -> list[str]:
         from rass_mav.config.typed import choices
-        from rass_mav.swarm.scenario import OPTION_KEYS, Scenario
+        from rass_mav.lab.swarm.scenario import OPTION_KEYS, Scenario
 
         return choices(Scenario, OPTION_KEYS[option.removeprefix("--")])
 
@@ -106,8 +106,8 @@ def _positive(text: str) -> float:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario:
-    from rass_mav.swarm.catalogue import DEFAULT, DEFAULT_UDP, load_scenario
-    from rass_mav.swarm.scenario import OPTION_KEYS
+    from rass_mav.lab.swarm.catalogue import DEFAULT, DEFAULT_UDP, load_scenario
+    from rass_mav.lab.swarm.scenario import OPTION_KEYS
 
     keys = {key: getattr(options, name) for name, key in OPTION_KEYS.items() if getattr(options, name) is not None}
     name = options.scenario or (DEFAULT_UDP if options.transport == "udp" else DEFAULT)
@@ -119,7 +119,7 @@ def _scenario(options: argparse.Namespace) -> Scenario:
 def _swarm(options: argparse.Namespace) -> int:
     start_logging(options.verbose, "critical")
     if options.list:
-        from rass_mav.swarm.catalogue import load_scenario, shipped
+        from rass_mav.lab.swarm.catalogue import load_scenario, shipped
 
         titles = {name: load_scenario(name).title for name in shipped()}
         answer(options, {"scenarios": titles}, (f"{name:22} {title}" for name, title in titles.items()))
@@ -138,7 +138,7 @@ def _swarm(options: argparse.Namespace) -> int:
 
 def _unlike_reality(scenario: Scenario) -> str | None:
     """Says that radiation destroys data in this world, unless it does so at published doses only (docs/field.md)."""
-    from rass_mav.swarm.scenario import RadiationSection
+    from rass_mav.lab.swarm.scenario import RadiationSection
 
     radiation = scenario.radiation
     if not radiation.corruption or (radiation.law == "dose" and radiation.page_dose >= RadiationSection().page_dose):
@@ -147,8 +147,8 @@ def _unlike_reality(scenario: Scenario) -> str | None:
 
 
 def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, Any]:
-    from rass_mav.swarm.processes import run
-    from rass_mav.swarm.surroundings import Surroundings
+    from rass_mav.lab.fleet.processes import run
+    from rass_mav.lab.swarm.surroundings import Surroundings
 
     if options.check:
         raise ConfigError("--check needs --transport loopback: separate processes cannot be checked at one moment")
@@ -165,7 +165,7 @@ def _in_real_time(scenario: Scenario, options: argparse.Namespace) -> dict[str, 
 
 def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     """How many drones can reach a base at the start. Warns if there are others, or no drones."""
-    from rass_mav.swarm.reach import reachable
+    from rass_mav.lab.swarm.reach import reachable
 
     drones = scenario.nodes - scenario.bases
     reached = reachable(neighbours, scenario.bases)
@@ -181,9 +181,9 @@ def _reached(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 
 def _in_virtual_time(scenario: Scenario, options: argparse.Namespace, stack: ExitStack) -> dict[str, Any]:
     """`stack`: what may outlive the swarm: its page."""
-    from rass_mav.swarm.invariants import check
-    from rass_mav.swarm.stopwatch import Stopwatch
-    from rass_mav.swarm.world import World
+    from rass_mav.lab.swarm.invariants import check
+    from rass_mav.lab.swarm.stopwatch import Stopwatch
+    from rass_mav.lab.swarm.world import World
 
     with recorder(options.record, scenario.node.step_s) as record:
         world = World(scenario, record=record)
@@ -215,8 +215,8 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
         return
     from tempfile import TemporaryDirectory
 
-    from rass_mav.swarm.children import orderly_end
-    from rass_mav.swarm.harvest import Harvest
+    from rass_mav.lab.fleet.children import orderly_end
+    from rass_mav.lab.swarm.harvest import Harvest
 
     with ExitStack() as stack:
         stack.enter_context(orderly_end())
@@ -247,7 +247,7 @@ def _harvested(world: World, scenario: Scenario, options: argparse.Namespace) ->
 def _page(store: Path, options: argparse.Namespace) -> Iterator[subprocess.Popen[str]]:
     """The page of a store, in a process of its own: the swarm needs all of this one."""
     # It ends with this process, even if that is killed: then its stdin is closed.
-    command = [sys.executable, "-m", "rass_mav.swarm.tether", "page", str(store), "--listen", options.page]
+    command = [sys.executable, "-m", "rass_mav.lab.fleet.tether", "page", str(store), "--listen", options.page]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as page:
         try:
             assert page.stdout is not None

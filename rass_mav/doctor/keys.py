@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rass_mav.app.config import RunConfig
+from rass_mav.config.keys import in_words
 from rass_mav.errors import KeysError
-from rass_mav.keys.settings import in_words
 
 from .finding import Finding, failed, passed
 

@@ -14,9 +14,7 @@ from contextlib import AsyncExitStack
 from dataclasses import replace
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.version import VersionQuestion
 from rass_mav.app.clock import Clock
 from rass_mav.app.config import RunConfig
 from rass_mav.app.driver import Driver
@@ -34,6 +32,8 @@ from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.params.exchange import Autopilot, Exchange, Patience, reading
 from rass_mav.params.ports import telling_names
 from rass_mav.sensor.base import Sensor
+from rass_mav.station.rates import MessageRates, message_ids
+from rass_mav.station.version import VersionQuestion
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.reader import SqliteReader
 

@@ -1,6 +1,6 @@
 """What a store needs of a disk: SQLite's layer under the database, and plain files beside it.
 
-`HOST` is the real disk. `rass_mav.swarm.disk.Disk` is a simulated one.
+`HOST` is the real disk. `rass_mav.lab.disk.Disk` is a simulated one.
 """
 
 from __future__ import annotations

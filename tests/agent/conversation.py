@@ -7,7 +7,6 @@ from typing import Any
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.ground import VALUE_NAMES
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
@@ -18,6 +17,7 @@ from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import (
     HEARTBEAT,
 )
+from rass_mav.station.ground import VALUE_NAMES
 from rass_mav.store.memory import MemoryStore
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink", "ground")

@@ -8,18 +8,18 @@ from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.trust import Trust
 from rass_mav.config.loading import convert
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.secret import Secret
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.letters import Letters
+from rass_mav.trust.pairs import PairTags
+from rass_mav.trust.trust import Trust
 
 from .conversation import SECTIONS
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from rass_mav.agent.outgoing import Way
+from rass_mav.lab.swarm.autopilot import MockAutopilot
 from rass_mav.mavlink.messages import GLOBAL_POSITION_INT, STATUSTEXT, parse
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.swarm.autopilot import MockAutopilot
 
 from .test_agent import make, on, to_vehicle
 

@@ -6,18 +6,18 @@ import random
 from typing import Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.word import Word
 from rass_mav.config.loading import convert
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.store import Store
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.secret import Secret
-from rass_mav.keys.word import GroundWord
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.keys.word import GroundWord
+from rass_mav.trust.letters import Letters
+from rass_mav.trust.word import Word
 
 from .conversation import SECTIONS
 from .crew import Crew, keyring_in, links_alone

@@ -8,7 +8,6 @@ from typing import Any
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.trust import trust_of
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, datum_crc, make_datum
 from rass_mav.core.messages import Data, Handover, Message
@@ -17,11 +16,12 @@ from rass_mav.core.node import Node
 from rass_mav.core.seals import SEALED
 from rass_mav.core.store import Store
 from rass_mav.core.terms import USUAL, Terms, parted
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.sealing import Opener, Sealer
-from rass_mav.keys.secret import Secret
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.sealing import Opener, Sealer
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.trust import trust_of
 
 from .crew import links_alone
 from .test_agent import SECTIONS, on

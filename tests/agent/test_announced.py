@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.announced import HASHES_A_TURN, LAG, LAG_A_HOP, MAX_BASES, MOST_HASHES, Announced
-from rass_mav.agent.chains import HOPS, LENGTH, NUMBERS
 from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Beacon
 from rass_mav.core.policy import POTENTIAL_BASE
 from rass_mav.core.store import Store
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.announced import HASHES_A_TURN, LAG, LAG_A_HOP, MAX_BASES, MOST_HASHES, Announced
+from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS
 from rass_mav.wire.word import Anchor, Signed, body_of, decode_word
 
 from .ground_crew import BASE_WORD, DRONE_WORD, member

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, hashed, place
+from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, hashed, place
 
 SALT, SEED = b"saltsalt", b"seedseed"
 OWN = OwnChain(1, 2, 3, 0xFFF0, SEED, SALT)

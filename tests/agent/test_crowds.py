@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent import names, streams
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.names import MAX_LATE, Intake, Names
-from rass_mav.agent.pairs import PairTags
 from rass_mav.core.messages import Beacon, Message
 from rass_mav.mavlink.frames import FrameWriter, Stream
 from rass_mav.mavlink.signing import Signer
+from rass_mav.trust import names, streams
+from rass_mav.trust.names import MAX_LATE, Intake, Names
+from rass_mav.trust.pairs import PairTags
 from rass_mav.wire import encode
 from rass_mav.wire.introduction import Introduction, encode_introduction
 from tests.wire.samples import SAMPLES

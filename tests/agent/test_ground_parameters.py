@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent.ground import MOST_LISTS_10S, MOST_SETS_S, REBIRTH_S
-from rass_mav.agent.parameters import INDEX, PARAMETERS
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.core.messages import Beacon
 from rass_mav.core.routes.ranks import ByCost
@@ -23,6 +21,8 @@ from rass_mav.mavlink.messages import (
     autopilot_heartbeat,
 )
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.station.ground import MOST_LISTS_10S, MOST_SETS_S, REBIRTH_S
+from rass_mav.station.parameters import INDEX, PARAMETERS
 from rass_mav.wire import decode
 from tests.core.durable import DurableStore
 from tests.extent import examples

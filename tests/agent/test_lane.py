@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.duplicates import Duplicates
-from rass_mav.agent.lane import Lane
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.app.duplicates import Duplicates
+from rass_mav.app.linkqueue import Lane
 from rass_mav.config.loading import convert
 from rass_mav.core.messages import Chunk, Committed, Message, Urgency
 from rass_mav.link.airtime import LEAST_THROTTLE, Budget

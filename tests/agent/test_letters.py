@@ -13,23 +13,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.letters import MAX_VERIFIED, Letters
-from rass_mav.agent.lettertable import MAX_ASKED, MAX_LETTERS
 from rass_mav.agent.peers import Peers, open_datagram
-from rass_mav.agent.streams import Streams
 from rass_mav.commands.report import status_lines
 from rass_mav.core.messages import BROADCAST
 from rass_mav.errors import KeysError
-from rass_mav.keys.certificate import GroundPublic
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.letters import LETTER_SIZE, Letter, letters_in, letters_text, write_letter
-from rass_mav.keys.secret import Secret
+from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import SigningKey
 from rass_mav.store.memory import MemoryStore
-from rass_mav.swarm.mission import keyring_of
+from rass_mav.trust.keys.certificate import GroundPublic
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.letters import LETTER_SIZE, Letter, letters_in, letters_text, write_letter
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.letters import MAX_VERIFIED, Letters
+from rass_mav.trust.lettertable import MAX_ASKED, MAX_LETTERS
+from rass_mav.trust.streams import Streams
 from rass_mav.wire import encode
 from rass_mav.wire.letters import Roll, decode_roll, enclose, encode_roll, is_about_keys, is_letter
 from tests.extent import seeds
@@ -554,7 +554,7 @@ def test_who_asks_for_the_letters_of_others_delays_one_that_comes_back_and_no_mo
 
 
 def test_a_node_keeps_a_bounded_number_of_letters_and_always_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rass_mav.agent.lettertable.MAX_LETTERS", 2)
+    monkeypatch.setattr("rass_mav.trust.lettertable.MAX_LETTERS", 2)
     crew = Changing(1, 9, 10)
     crew.steps(5)
     crew.ground_changes(ROTATED)

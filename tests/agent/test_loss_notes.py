@@ -6,8 +6,6 @@ import random
 
 import pytest
 
-from rass_mav.agent.seals import Seals
-from rass_mav.agent.trust import trust_of
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.datum import DatumId, Fate, make_datum
 from rass_mav.core.messages import Committed, LossNote, LossNoteEntry
@@ -16,11 +14,13 @@ from rass_mav.core.news.notes import REASONS
 from rass_mav.core.node import Node
 from rass_mav.core.risk import RiskEstimator
 from rass_mav.core.settings import NodeSettings
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.secret import Secret
 from rass_mav.policy.settings import PolicySettings
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.seals import Seals
+from rass_mav.trust.trust import trust_of
 
 BASE, HONEST, CAPTURED = 1, 7, 8
 EPOCH = 5

@@ -8,12 +8,12 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.outbox import GAP_S, MAX_ANSWERS, Outbox
 from rass_mav.agent.outgoing import Way
-from rass_mav.agent.texts import BURST, EVERY_S, MAX_WAITING, REPEAT_S, Text, Texts
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import NAMED_VALUE_FLOAT, STATUSTEXT
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.station.outbox import GAP_S, MAX_ANSWERS, Outbox
+from rass_mav.station.texts import BURST, EVERY_S, MAX_WAITING, REPEAT_S, Text, Texts
 
 SIZE = 5
 ANSWER, SAID, LISTED = STATUSTEXT, NAMED_VALUE_FLOAT, 22

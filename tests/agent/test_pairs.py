@@ -12,9 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rass_mav.agent import acquaintances
-from rass_mav.agent.names import LATE_VERIFIED, MAX_VERIFIED
-from rass_mav.agent.pairs import PairTags, StrongFingerprints
 from rass_mav.core.datum import Datum, DatumId, Fate, datum_crc, make_datum
 from rass_mav.core.messages import (
     BROADCAST,
@@ -36,11 +33,14 @@ from rass_mav.core.messages import (
 from rass_mav.core.news.checksums import note_crc
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
-from rass_mav.keys.certificate import Certificate, GroundPublic
-from rass_mav.keys.identity import Ground, NodeKeys
-from rass_mav.keys.secret import Secret
 from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust import acquaintances
+from rass_mav.trust.keys.certificate import Certificate, GroundPublic
+from rass_mav.trust.keys.identity import Ground, NodeKeys
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.names import LATE_VERIFIED, MAX_VERIFIED
+from rass_mav.trust.pairs import PairTags, StrongFingerprints
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import TAG_BYTES, answer_said
 from rass_mav.wire.introduction import Introduction, decode_introduction, encode_introduction

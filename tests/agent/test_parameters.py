@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.parameters import (
+from rass_mav.agent.settings import AgentSettings
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
+from rass_mav.mavlink.component import single
+from rass_mav.policy.settings import kinds
+from rass_mav.station.parameters import (
     INDEX,
     PARAMETERS,
     changed,
@@ -17,11 +22,6 @@ from rass_mav.agent.parameters import (
     remember,
     shortest,
 )
-from rass_mav.agent.settings import AgentSettings
-from rass_mav.config.loading import convert
-from rass_mav.errors import ConfigError
-from rass_mav.mavlink.component import single
-from rass_mav.policy.settings import kinds
 from rass_mav.store.memory import MemoryStore
 
 SECTIONS = ("policy", "risk", "routing", "custody", "store", "data", "mavlink")

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.config.loading import convert
 from rass_mav.errors import ConfigError
 from rass_mav.mavlink.dialect import common
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_LONG, autopilot_heartbeat, parse
+from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore
 from tests.agent.test_agent import to_vehicle
 from tests.telemetry import global_position_int

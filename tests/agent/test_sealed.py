@@ -13,8 +13,6 @@ import pytest
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.seals import DataKeys
-from rass_mav.agent.trust import trust_of
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.custody.holdings import State
 from rass_mav.core.datum import MAX_PAYLOAD, Datum, DatumId, Kind, make_datum
@@ -23,13 +21,15 @@ from rass_mav.core.seals import SEALED
 from rass_mav.core.store import MAX_APART
 from rass_mav.core.terms import TERMS, USUAL, Terms, parted
 from rass_mav.errors import DatumError, ForgedError, StoreError, StoreFullError
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.sealing import SEAL_SIZE, Sealer
+from rass_mav.lab.disk.disk import Disk
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.store.memory import MemoryStore
 from rass_mav.store.quota import ROW_OVERHEAD
 from rass_mav.store.sqlite import SqliteStore
-from rass_mav.swarm.disk.disk import Disk
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.sealing import SEAL_SIZE, Sealer
+from rass_mav.trust.seals import DataKeys
+from rass_mav.trust.trust import trust_of
 from rass_mav.wire import decode
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status

@@ -14,12 +14,8 @@ from pymavlink.dialects.v20 import common
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.commits import CommitGate
-from rass_mav.agent.letters import Letters
 from rass_mav.agent.outgoing import Outgoing, Way
-from rass_mav.agent.pairs import PairTags
 from rass_mav.agent.peers import Peers, open_datagram
-from rass_mav.agent.signed import Signed
-from rass_mav.agent.streams import Streams
 from rass_mav.core.alarms import Alarms
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import BROADCAST, Beacon, Query
@@ -29,6 +25,10 @@ from rass_mav.mavlink.messages import HEARTBEAT
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signing import Signer
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.letters import Letters
+from rass_mav.trust.pairs import PairTags
+from rass_mav.trust.signed import Signed
+from rass_mav.trust.streams import Streams
 from rass_mav.wire import beacon_sender, decode, encode
 from rass_mav.wire.introduction import is_introduction
 from tests.store.store_helpers import open_store

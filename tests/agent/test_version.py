@@ -9,7 +9,6 @@ import pytest
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.version import VersionQuestion
 from rass_mav.config.loading import convert
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import common
@@ -17,6 +16,7 @@ from rass_mav.mavlink.firmware import ARDUPILOT, PX4, Firmware
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import COMMAND_ACK, COMMAND_LONG, autopilot_heartbeat, parse
 from rass_mav.mavlink.signing import Signer
+from rass_mav.station.version import VersionQuestion
 from rass_mav.store.memory import MemoryStore
 from tests.agent.test_agent import to_vehicle
 from tests.telemetry import global_position_int

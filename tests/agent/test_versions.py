@@ -9,11 +9,11 @@ import pytest
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import MAX_OTHERS, OtherVersion
-from rass_mav.agent.reports import MAX_TOLD, REPORT_S, VERSION_TEXT_S, Reports
 from rass_mav.commands.report import status_lines
 from rass_mav.core.messages import BROADCAST, Committed, Data, Message, WordEntry, Words
 from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.mavlink.messages import STATUSTEXT, parse
+from rass_mav.station.reports import MAX_TOLD, REPORT_S, VERSION_TEXT_S, Reports
 from rass_mav.wire import encode
 from rass_mav.wire.codec import VERSION
 from tests.agent.test_agent import fit_beacon, make, said, step, to_vehicle

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.peers import open_datagram
-from rass_mav.agent.vouchers import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, Vouchers, hash_of
-from rass_mav.agent.word import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Word
 from rass_mav.core.messages import Digest, Given, Message, Receipt, ReceiptEntry
 from rass_mav.core.news.checksums import make_digest, make_given, make_receipt
 from rass_mav.mavlink.frames import Stream
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.vouchers import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, Vouchers, hash_of
+from rass_mav.trust.word import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Word
 from rass_mav.wire import encode
 from rass_mav.wire.word import VOUCHER, Ask, Signed, Voucher, body_of, decode_word, encode_ask, is_word
 

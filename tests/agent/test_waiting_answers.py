@@ -15,9 +15,9 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId, make_datum
 from rass_mav.core.messages import Accept, Committed, Data, Handover, Offer
-from rass_mav.swarm.invariants import check
-from rass_mav.swarm.scenario import Scenario
-from rass_mav.swarm.world import World
+from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.world import World
 from tests.agent.test_agent import fit_beacon, heard, make, said
 from tests.core.durable import DurableStore
 

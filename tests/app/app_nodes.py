@@ -21,8 +21,8 @@ import yaml
 
 from rass_mav.app.client import ControlClient
 from rass_mav.cli import main
-from rass_mav.mission.archive import Archive
-from rass_mav.mission.entry import Entry
+from rass_mav.ground.archive import Archive
+from rass_mav.ground.entry import Entry
 from tests.environment import unmeasured
 from tests.patience import PATIENCE_S
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.agent.parameters import INDEX
+from rass_mav.station.parameters import INDEX
 from tests.patience import PATIENCE_S
 
 from .app_nodes import RunningNode, free_ports

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from rass_mav.app.keyfiles import letters_path
-from rass_mav.keys.files import GROUND_FILE, drone_file
+from rass_mav.trust.keys.files import GROUND_FILE, drone_file
 
 from .app_nodes import RunningNode, Tidy, command, free_ports
 

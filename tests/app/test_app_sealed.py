@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rass_mav.keys.files import GROUND_FILE, drone_file, drone_text, ground_text, read_keys, write_over
-from rass_mav.keys.identity import Ground
+from rass_mav.trust.keys.files import GROUND_FILE, drone_file, drone_text, ground_text, read_keys, write_over
+from rass_mav.trust.keys.identity import Ground
 
 from .app_nodes import RunningNode, Tidy, command, free_ports, line_of
 

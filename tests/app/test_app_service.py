@@ -22,7 +22,7 @@ from rass_mav.app.config import load_config
 from rass_mav.app.service import check_reachable, plan_install, plan_remove, run
 from rass_mav.cli import main
 from rass_mav.errors import ConfigError, ServiceError
-from rass_mav.keys.folder import create, issue
+from rass_mav.trust.keys.folder import create, issue
 
 CONFIG = "node: {id: 7}\nlinks: [{broadcast: '192.168.4.255:14600'}]\n"
 UNIT = "etc/systemd/system/rass-mav.service"

@@ -22,7 +22,7 @@ from rass_mav.app.spool import Spool
 from rass_mav.app.staging import About
 from rass_mav.core.datum import MAX_PAYLOAD, DatumId, Fate, Kind
 from rass_mav.errors import StoreFullError
-from rass_mav.mission.archive import Archive
+from rass_mav.ground.archive import Archive
 from rass_mav.store import MemoryStore
 from rass_mav.wire.file import PLAIN
 from tests.link.loopback import LoopbackHub

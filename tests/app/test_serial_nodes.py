@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.rates import MessageRates, message_ids
 from rass_mav.agent.settings import GroundSettings
 from rass_mav.app.clock import Clock
 from rass_mav.app.driver import Driver
@@ -30,6 +29,7 @@ from rass_mav.mavlink.messages import (
     autopilot_heartbeat,
 )
 from rass_mav.mavlink.reader import FrameReader
+from rass_mav.station.rates import MessageRates, message_ids
 from rass_mav.store.memory import MemoryStore
 from tests.patience import PATIENCE_S
 from tests.ptys import SerialDevice

@@ -16,14 +16,14 @@ from rass_mav.app.config import load_config
 from rass_mav.app.signing import KeptTimestamp, last_timestamp, sign, signed_from, signing_key
 from rass_mav.commands.report import status_lines
 from rass_mav.errors import ConfigError
-from rass_mav.keys.autopilot import autopilot_key
-from rass_mav.keys.keyring import Keyring
 from rass_mav.link.address import parse_vehicle_url
 from rass_mav.link.vehicle_stream import open_vehicle
 from rass_mav.mavlink.messages import HEARTBEAT, companion_heartbeat
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.signedport import SignedPort
 from rass_mav.store.memory import MemoryStore
+from rass_mav.trust.keys.autopilot import autopilot_key
+from rass_mav.trust.keys.keyring import Keyring
 from tests.agent.crew import GROUND, agent_with_keys
 from tests.agent.picture import picture
 from tests.mavlink import pymav

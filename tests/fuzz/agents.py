@@ -6,7 +6,6 @@ import math
 import struct
 from collections.abc import Callable
 
-from rass_mav.agent.parameters import PARAMETERS
 from rass_mav.core.node import Node
 from rass_mav.mavlink import component as mav
 from rass_mav.mavlink.dialect import FORMATS, common
@@ -20,6 +19,7 @@ from rass_mav.mavlink.messages import (
     NAMED_VALUE_FLOAT,
     TUNNEL,
 )
+from rass_mav.station.parameters import PARAMETERS
 from tests.agent.conversation import Conversation
 from tests.core.books import check_node
 

@@ -27,7 +27,6 @@ from rass_mav.agent.answers import SPREAD_S
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.peers import open_datagram
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.trust import trust_of
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId, make_datum
 from rass_mav.core.messages import (
@@ -50,11 +49,12 @@ from rass_mav.core.messages import (
 from rass_mav.core.node import Node
 from rass_mav.core.store import MAX_APART
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.secret import Secret
+from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.swarm.mission import keyring_of
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.trust import trust_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node

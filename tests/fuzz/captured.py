@@ -16,28 +16,28 @@ from functools import cache
 from typing import Any
 from zlib import crc32
 
-from rass_mav.agent import acquaintances, announced, lettertable, names, streams, vouchers, word
 from rass_mav.agent.agent import Agent
 from rass_mav.agent.outgoing import Outgoing, Way, frames_about_links
-from rass_mav.agent.pairs import MAX_OFFERED, PairTags
 from rass_mav.agent.peers import open_datagram
 from rass_mav.agent.settings import AgentSettings
-from rass_mav.agent.trust import trust_of
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import Datum, DatumId
 from rass_mav.core.messages import Committed, Message, PassedOn, WordEntry, Words
 from rass_mav.core.news.receipts import Receipts
 from rass_mav.core.node import Node
 from rass_mav.errors import DatumError, MalformedError, StoreFullError
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.letters import write_letter
-from rass_mav.keys.secret import Secret
+from rass_mav.lab.swarm.mission import keyring_of
 from rass_mav.mavlink.crc import crc16
 from rass_mav.mavlink.dialect import FORMATS
 from rass_mav.mavlink.frames import TUNNEL_ID, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
-from rass_mav.swarm.mission import keyring_of
+from rass_mav.trust import acquaintances, announced, lettertable, names, streams, vouchers, word
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.letters import write_letter
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.pairs import MAX_OFFERED, PairTags
+from rass_mav.trust.trust import trust_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 from rass_mav.wire.codec import BEACON, MORE, VERSION
 from rass_mav.wire.word import ANCHOR

@@ -14,12 +14,12 @@ from rass_mav.app.control import _request
 from rass_mav.app.jsonlines import load_bytes
 from rass_mav.config.loading import convert, read_yaml
 from rass_mav.errors import ConfigError, MalformedError
+from rass_mav.lab.replay.tlog import TlogReader
+from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.mavlink.reader import FrameReader
 from rass_mav.mavlink.telemetry import Telemetry
-from rass_mav.replay.tlog import TlogReader
 from rass_mav.sensor.bgeigie_log import read_bgeigie
 from rass_mav.sensor.kinds import KINDS
-from rass_mav.swarm.scenario import Scenario
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 
 from . import agents, captured, disk, nodes

@@ -15,10 +15,10 @@ from functools import partial
 from typing import Any
 
 from rass_mav.agent.agent import Agent
-from rass_mav.agent.duplicates import Duplicates
-from rass_mav.agent.lane import Lane, common_pace, slowest_turn
 from rass_mav.agent.outgoing import Outgoing, Way
 from rass_mav.agent.settings import AgentSettings
+from rass_mav.app.duplicates import Duplicates
+from rass_mav.app.linkqueue import Lane, common_pace, slowest_turn
 from rass_mav.config.loading import convert
 from rass_mav.core.datum import DatumId
 from rass_mav.core.messages import Urgency

@@ -16,8 +16,8 @@ from rass_mav.agent.commits import CommitGate
 from rass_mav.core.datum import Fate
 from rass_mav.core.messages import Beacon, Committed, Data, Handover
 from rass_mav.errors import StoreError, StoreFullError
+from rass_mav.lab.disk import Disk
 from rass_mav.store import SqliteReader, SqliteStore
-from rass_mav.swarm.disk import Disk
 from tests.agent.test_agent import heard, make, said
 
 from .store_helpers import ROOT, commit, datum, open_store

@@ -47,13 +47,13 @@ NOW = 1000.0
 
 HELLO = make_datum(DatumId(3, 0xCAFEBABE, 7), 0, NOW - 1.5, b"hello")._replace(hops=2)
 WORLD = make_datum(DatumId(4, 0x12345678, 0), 1, NOW - 60.0, b"world!")
-#: As tests/keys/test_words.py has it.
+#: As tests/trust/test_words.py has it.
 SEALED_READING = make_datum(
     DatumId(7, 0xCAFEBABE, 5), 0x81, NOW - 1.5, bytes.fromhex("226deaa0c41d07a9ab9b9fa6e1992b7aa18d7f9d88d45824cf63")
 )
 #: Nine is the most urgent priority; after 3600 s nobody needs it.
 URGENT_HELLO = make_datum(HELLO.id, TERMS, HELLO.created, Terms(9, 3600).pack() + b"hello")._replace(hops=2)
-#: As tests/keys/test_words.py has it; for a day.
+#: As tests/trust/test_words.py has it; for a day.
 SEALED_TERMS = make_datum(
     DatumId(7, 0xCAFEBABE, 5), 0x81 | TERMS, NOW - 1.5,
     Terms(ttl_s=86400).pack() + bytes.fromhex("226deaa0c41d07a9ab9b26af3b7396515a404c5c8a9b6f434457"),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import MalformedError
-from rass_mav.keys.certificate import CERTIFICATE_SIZE
+from rass_mav.trust.keys.certificate import CERTIFICATE_SIZE
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import ForeignError
 from rass_mav.wire.introduction import (
@@ -22,7 +22,7 @@ from rass_mav.wire.introduction import (
     encode_introduction,
     is_introduction,
 )
-from tests.keys.test_words import SEVEN
+from tests.trust.test_words import SEVEN
 
 PROTOCOL = Path(__file__).parents[2] / "docs" / "protocol.md"
 NONCE = 0x1122334455667788

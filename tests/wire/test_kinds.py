@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.agent import lane
+from rass_mav.app import linkqueue as lane
 from rass_mav.core import node, replica
 from rass_mav.core.datum import Kind
 from rass_mav.core.messages import KINDS, Message, Target, Urgency, Word
+from rass_mav.lab.fleet.air_server import AirOrder
+from rass_mav.lab.fleet.mock_air import MockAir
+from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.link.airtime import MAX_WAITING
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.swarm.air_server import AirOrder
-from rass_mav.swarm.mock_air import MockAir
-from rass_mav.swarm.scenario import Scenario
 from rass_mav.wire import encode
 from rass_mav.wire.codec import FORMATS, MORE_HEAD
 from tests.core.build import make_node, make_replica

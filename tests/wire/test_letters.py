@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rass_mav.errors import ForgedError, MalformedError
-from rass_mav.keys.identity import Ground
-from rass_mav.keys.letters import (
+from rass_mav.trust.keys.identity import Ground
+from rass_mav.trust.keys.letters import (
     LETTER_SIZE,
     REVOCATION_SIZE,
     Letter,
@@ -21,7 +21,7 @@ from rass_mav.keys.letters import (
     letters_text,
     write_letter,
 )
-from rass_mav.keys.secret import Purpose, Secret
+from rass_mav.trust.keys.secret import Purpose, Secret
 from rass_mav.wire import MAX_TUNNEL, decode
 from rass_mav.wire.codec import ForeignError
 from rass_mav.wire.introduction import is_introduction

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rass_mav.agent.vouchers import hash_of
 from rass_mav.errors import MalformedError
-from rass_mav.keys.identity import Ground, NodeKeys
-from rass_mav.keys.keyring import Keyring
-from rass_mav.keys.secret import Secret
-from rass_mav.keys.word import GroundWord
+from rass_mav.trust.keys.identity import Ground, NodeKeys
+from rass_mav.trust.keys.keyring import Keyring
+from rass_mav.trust.keys.secret import Secret
+from rass_mav.trust.keys.word import GroundWord
+from rass_mav.trust.vouchers import hash_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 from rass_mav.wire.codec import ForeignError
 from rass_mav.wire.word import (

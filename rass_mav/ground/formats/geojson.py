@@ -1,0 +1,55 @@
+"""GeoJSON (RFC 7946): a point for each datum with a position, for maps, web pages and scripts."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from rass_mav.ground.entry import Data, Entry
+
+from . import Exported, Format
+from .csv import COLUMNS, row
+
+
+def write(entries: Iterable[Entry], out: Path, source: Data) -> Exported:
+    """A feature a line. Its properties are the columns of CSV, without those that are unknown.
+
+    The third coordinate is the altitude above mean sea level, as everywhere in this program; the RFC means the height
+    above the ellipsoid, which differs by up to 110 m.
+    """
+    count, left_out = 0, Counter[str]()
+    with out.open("x", encoding="ascii") as file:
+        file.write('{"type": "FeatureCollection", "features": [')
+        for entry in entries:
+            point = point_of(entry)
+            if point is None:
+                left_out["no position"] += 1
+                continue
+            feature = {
+                "type": "Feature",
+                "id": entry.name,
+                "geometry": {"type": "Point", "coordinates": point},
+                "properties": known(entry),
+            }
+            file.write((",\n" if count else "\n") + json.dumps(feature))
+            count += 1
+        file.write("\n]}\n")
+    return Exported(count, left_out, [out])
+
+
+def point_of(entry: Entry) -> tuple[float, float, float] | None:
+    """Longitude and latitude, degrees, and metres above mean sea level; None: no place on Earth."""
+    if entry.place is None:
+        return None
+    latitude, longitude = entry.place
+    return longitude, latitude, entry.altitude or 0.0
+
+
+def known(entry: Entry) -> dict[str, object]:
+    """The columns of CSV that are known, by their names."""
+    return {name: value for name, value in zip(COLUMNS, row(entry), strict=True) if value is not None}
+
+
+FORMAT = Format(".geojson", "measurements and files with a position on Earth", write)

@@ -1,0 +1,211 @@
+"""Writes what has arrived at a base into a database that several bases share."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from math import isfinite
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import psycopg
+
+from rass_mav.app.outlets import PostgresSection
+from rass_mav.core.datum import Datum, DatumId, Fate
+from rass_mav.errors import StoreError
+from rass_mav.ground.entry import Entry, iso
+from rass_mav.ground.opening import Opens
+from rass_mav.ground.tables import WRITERS_LOCK, connect, prepare, said, shown
+
+from .arrivals import LOOK_S, Contents, Mark, behind, look_into, losses
+
+log = logging.getLogger(__name__)
+
+Connection = psycopg.Connection[tuple[Any, ...]]
+
+#: Seconds until a database that cannot be used is tried again: at first, and at most.
+AGAIN_S = 1.0
+MOST_AGAIN_S = 60.0
+#: Seconds between two looks at the table of losses.
+LOSSES_S = 5.0
+#: When the node stops, what has arrived until then is written for at most so many seconds more.
+LAST_S = 5.0
+
+_DATUM = """
+    INSERT INTO rass.datum (
+        mission, origin, epoch, sequence, crc, apart, kind, hops, utc, created, error_s, at_least, age_s,
+        place, altitude, reading, unit, risk, payload
+    ) SELECT
+        %(mission)s, %(origin)s, %(epoch)s, %(sequence)s, %(crc)s,
+        EXISTS (
+            SELECT FROM rass.datum WHERE mission = %(mission)s AND origin = %(origin)s AND epoch = %(epoch)s
+            AND sequence = %(sequence)s
+        ),
+        %(kind)s, %(hops)s, %(utc)s, %(created)s::timestamptz, %(error_s)s, %(at_least)s, %(age_s)s,
+        ST_SetSRID(ST_MakePoint(%(longitude)s::double precision, %(latitude)s::double precision), 4326)::geography,
+        %(altitude)s, %(reading)s, %(unit)s, %(risk)s, %(payload)s
+    ON CONFLICT DO NOTHING
+"""
+_ARRIVAL = """
+    INSERT INTO rass.arrival (datum, base, utc, arrived)
+    SELECT number, %(base)s, %(arrived)s, %(arrived_at)s::timestamptz FROM rass.datum
+    WHERE mission = %(mission)s AND origin = %(origin)s AND epoch = %(epoch)s AND sequence = %(sequence)s
+    AND crc = %(crc)s
+    ON CONFLICT DO NOTHING
+"""
+_LOSS = "INSERT INTO rass.loss VALUES (%s, %s, %s, %s, %s) ON CONFLICT DO NOTHING"
+_PROGRESS = """
+    INSERT INTO rass.progress VALUES (%s, %s, %s, %s, %s, %s) ON CONFLICT (mission, base)
+    DO UPDATE SET (life, epoch, arrival, apart) = (excluded.life, excluded.epoch, excluded.arrival, excluded.apart)
+"""
+
+
+class DatabaseWriter:
+    """The base's store is the outbox.
+
+    How far it is written is kept in the database, in the same transaction as the data. So nothing is lost or written
+    twice, whatever fails at whatever moment, and a database that is restored from a backup gets again what it lacks.
+    """
+
+    last_s: float | None = 2 * LAST_S
+
+    def __init__(self, section: PostgresSection, store: Path, base: int, opens: Opens | None = None) -> None:
+        """`base`: the node's id. `opens`: opens sealed data; None: they stay sealed."""
+        self._section = section
+        self._opens = opens
+        self._store = store
+        self._base = base
+        self._mark: Mark | None = None
+        """As the database last said, or we told it; None: it has not said anything yet."""
+        self._written = self._behind = 0
+        self._losses: set[tuple[DatumId, Fate]] = set()
+        self._losses_due = 0.0
+        self._connected = False
+        self._trouble = ""
+
+    def report(self) -> dict[str, Any]:
+        """For `status`, since the process was started."""
+        return {
+            "connected": self._connected,
+            "posted": self._written,
+            "behind": self._behind,
+            "trouble": self._trouble or None,
+        }
+
+    def run(self, stopping: Event) -> None:
+        """Until the event is set, and a little longer if there is something left to write."""
+        again_s = AGAIN_S
+        while not stopping.is_set():
+            try:
+                with connect(self._section.dsn) as connection:
+                    prepare(connection)
+                    again_s = AGAIN_S
+                    self._post_all(connection, stopping)
+            except (psycopg.Error, StoreError) as error:
+                self._connected = False
+                self._complain(f"{shown(self._section.dsn)}: {said(error)}")
+                self._wait(stopping, again_s)
+                again_s = min(2 * again_s, MOST_AGAIN_S)
+        self._connected = False
+
+    def _wait(self, stopping: Event, wait_s: float) -> None:
+        """Wait until the database is tried again; the number of data that wait stays up to date meanwhile."""
+        until = time.monotonic() + wait_s
+        while not stopping.is_set() and (left_s := until - time.monotonic()) > 0:
+            with contextlib.suppress(StoreError):
+                self._behind = behind(self._store, self._mark)
+            stopping.wait(min(left_s, AGAIN_S))
+
+    def _complain(self, trouble: str) -> None:
+        if trouble != self._trouble:
+            log.warning("%s", trouble)
+        self._trouble = trouble
+
+    def _post_all(self, connection: Connection, stopping: Event) -> None:
+        """Until the event is set. Raises `psycopg.Error`."""
+        if not self._connected and self._trouble:
+            log.warning("%s: works again", shown(self._section.dsn))
+        self._connected, self._trouble = True, ""
+        self._losses, self._losses_due = set(), 0.0
+        self._mark = self._progress(connection)
+        last = None
+        while last is None or time.monotonic() < last:
+            try:
+                found = look_into(self._store, self._mark, self._opens)
+            except StoreError as error:
+                # The node itself finds out, and repairs it.
+                self._complain(str(error))
+                found = None
+            if found is not None and found.end != self._mark:
+                self._post(connection, found)
+            else:
+                ends = stopping.is_set()
+                self._post_losses(connection, now=ends)
+                if ends:
+                    return
+                stopping.wait(LOOK_S)
+            if last is None and stopping.is_set():
+                last = time.monotonic() + LAST_S
+
+    def _progress(self, connection: Connection) -> Mark | None:
+        row = connection.execute(
+            "SELECT life, epoch, arrival, apart FROM rass.progress WHERE mission = %s AND base = %s",
+            (self._section.mission, self._base),
+        ).fetchone()
+        return None if row is None else Mark(*row)
+
+    def _post(self, connection: Connection, found: Contents) -> None:
+        rows = [self._row(entry, datum) for entry, datum in found.data]
+        with connection.transaction(), connection.cursor() as cursor:
+            cursor.execute("SELECT pg_advisory_xact_lock(%s)", (WRITERS_LOCK,))
+            cursor.executemany(_DATUM, rows)
+            cursor.executemany(_ARRIVAL, rows)
+            cursor.execute(_PROGRESS, (self._section.mission, self._base, *found.end))
+        self._written += len(rows)
+        self._mark, self._behind = found.end, found.behind
+        self._trouble = ""
+
+    def _post_losses(self, connection: Connection, *, now: bool) -> None:
+        """Now and then, or `now`: what the node has learned of losses since."""
+        if not now and time.monotonic() < self._losses_due:
+            return
+        self._losses_due = time.monotonic() + LOSSES_S
+        try:
+            new = set(losses(self._store)) - self._losses
+        except StoreError as error:
+            self._complain(str(error))
+            return
+        if new:
+            with connection.transaction(), connection.cursor() as cursor:
+                # In one order everywhere: two bases that write the same losses do not wait for each other in a circle.
+                cursor.executemany(_LOSS, [(self._section.mission, *id, fate.value) for id, fate in sorted(new)])
+            self._losses |= new
+
+    def _row(self, entry: Entry, datum: Datum) -> dict[str, Any]:
+        """The columns of a datum."""
+        m = entry.measurement
+        latitude, longitude = _on_earth(entry)
+        return {
+            "mission": self._section.mission, "base": self._base,
+            "origin": entry.id.origin, "epoch": entry.id.epoch, "sequence": entry.id.sequence, "crc": entry.crc,
+            "kind": datum.kind, "hops": entry.hops,
+            "utc": entry.utc, "created": iso(entry.utc) if entry.dated else None,
+            "error_s": entry.error_s, "at_least": entry.at_least, "age_s": entry.age_s,
+            "arrived": entry.arrived, "arrived_at": iso(entry.arrived) if entry.arrived and entry.dated else None,
+            "latitude": latitude, "longitude": longitude,
+            "altitude": entry.altitude, "reading": entry.reading,
+            "unit": None if m is None else m.unit, "risk": None if m is None else m.risk,
+            "payload": datum.payload,
+        }  # fmt: skip
+
+
+def _on_earth(entry: Entry) -> tuple[float, float] | tuple[None, None]:
+    """Latitude and longitude, degrees; None: unknown, or degrees that no place has."""
+    if entry.place is None:
+        return None, None
+    latitude, longitude = entry.place
+    if not (isfinite(latitude) and isfinite(longitude) and abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        return None, None
+    return latitude, longitude

@@ -1,0 +1,342 @@
+"""What the page shows of a mission: made from the data in a store, one after the other. Pure: no clock, no files.
+
+All that it keeps is bounded. Times are seconds since 1970. Values for the page are plain, ready for JSON.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from itertools import islice
+from math import inf
+from typing import Any
+
+from rass_mav.core.datum import DatumId, Fate
+from rass_mav.ground.entry import Entry, Place
+from rass_mav.ground.field import Field, Painted
+from rass_mav.ground.report import AtMost, Drone, Report
+from rass_mav.ground.slots import Slots
+from rass_mav.wire.nodestatus import NodeStatus
+
+from .arrivals import Arrivals
+from .readings import Reading, Readings
+
+#: Drones that are shown. Data of others, which can only be forged ids, are counted.
+MOST_DRONES = 500
+#: Of each drone: places, statuses, counts of its data, and readings that its panel draws.
+MOST_PLACES, MOST_WORDS, MOST_COUNTS, MOST_DRAWN = 400, 120, 300, 400
+#: The mission began at most so long before its first datum arrived, seconds. An older age is not believed.
+LEAD_S = 3600.0
+# The median of the delays is reckoned again after so many more have come, as a part of them.
+_MORE = 0.01
+
+#: Latitude, longitude (degrees) and risk (0..1) at a place.
+Spot = tuple[float, float, float]
+
+
+class Story:
+    """The history of a drone."""
+
+    def __init__(self) -> None:
+        self.places: Slots[Spot] = Slots(MOST_PLACES)
+        """Where it was and how dangerous that was, by the time of creation."""
+        self.words: Slots[NodeStatus] = Slots(MOST_WORDS)
+        """What it said about itself, by the time of creation."""
+        self.counts: Slots[tuple[int, int]] = Slots(MOST_COUNTS)
+        """How many of its data had arrived, and how many it had created at least, by the time of arrival."""
+        self.new: list[tuple[float, Spot]] = []
+        """Places since the last look."""
+        self.span_s = self.places.span_s
+        """The length of a slot of `places` at the last look, seconds."""
+
+    def take(self, entry: Entry, drone: Drone) -> None:
+        """One of its data has arrived, and is in `drone` already."""
+        utc, status, measurement = entry.utc, entry.status, entry.measurement
+        place = entry.whereabouts
+        risk = measurement.risk if measurement is not None else 0.0 if status is None else status.risk
+        if place is not None and self.places.put(utc, spot := (*place, risk)):
+            self.new.append((utc, spot))
+        if status is not None:
+            self.words.put(utc, status)
+        self.counts.put(utc if entry.arrived is None else entry.arrived, (drone.arrived, drone.created))
+
+    def changes(self) -> dict[str, Any] | None:
+        """The places since the last look; None: there are none. `whole`: they are all that there are."""
+        if not self.new:
+            return None
+        whole = self.places.span_s != self.span_s
+        places = self.places.ordered if whole else self.new
+        self.new, self.span_s = [], self.places.span_s
+        return {"span_s": self.span_s, "whole": whole, "points": [_point(utc, spot) for utc, spot in places]}
+
+    def plain(self) -> dict[str, Any]:
+        """All places."""
+        points = [_point(utc, spot) for utc, spot in self.places]
+        return {"span_s": self.places.span_s, "whole": True, "points": points}
+
+
+class Mission:
+    """The state of a mission, as far as a store knows it."""
+
+    def __init__(self) -> None:
+        self.report = Report()
+        self.stories: dict[int, Story] = {}
+        """By node id."""
+        self.readings = Readings()
+        self.fields: dict[str, Field] = {}
+        """By unit; empty: unknown."""
+        self.arrivals = Arrivals()
+        self.begin, self.end = inf, -inf
+        """The first and the last time that the page shows."""
+        self.unlisted = 0
+        """Data of drones that are not shown."""
+        self.taken = 0
+        """How many data have come, of all kinds."""
+        self._told: dict[int, dict[str, Any]] = {}
+        self._sides: dict[str, float] = {}
+        self._heard: set[tuple[DatumId, Fate]] = set()
+        self._delay: tuple[int, dict[str, float | None]] = (0, {"p50": None, "p95": None})
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def take(self, entries: Iterable[Entry]) -> int:
+        """Data that have arrived, in the order of arrival. Returns how many."""
+        count = 0
+        for entry in entries:
+            count += 1
+            if not entry.apart and not self._shows(entry.id.origin):
+                self.unlisted += 1
+                continue
+            self.report.take((entry,))
+            if not entry.apart:
+                self._take(entry)
+        self.taken += count
+        return count
+
+    def hear(self, losses: Iterable[tuple[DatumId, Fate]]) -> bool:
+        """All data that are known to be lost now. Returns whether any are new."""
+        before = len(self._heard)
+        for loss in losses:
+            if loss not in self._heard and self._shows(loss[0].origin):
+                self._heard.add(loss)
+                self.report.hear((loss,))
+        return len(self._heard) > before
+
+    def _shows(self, drone: int) -> bool:
+        return drone in self.report.drones or len(self.report.drones) < MOST_DRONES
+
+    def _take(self, entry: Entry) -> None:
+        arrived = entry.arrived
+        self.begin = min(self.begin, entry.utc if arrived is None else max(entry.utc, arrived - LEAD_S))
+        self.end = max(self.end, entry.utc if arrived is None else arrived)
+        if arrived is not None:
+            self.arrivals.take(arrived, None if entry.at_least else max(0.0, arrived - entry.utc))
+        drone = entry.id.origin
+        self.stories.setdefault(drone, Story()).take(entry, self.report.drone(drone))
+        if entry.painted is None:
+            return
+        place, reading, unit = entry.painted
+        self.readings.take(Reading(entry.utc, drone, *place, reading, unit))
+        if unit not in self.fields:
+            self.fields[unit] = Field(place)
+        self.fields[unit].add(place, reading)
+
+    # -- for the page --------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that the page shows."""
+        return {
+            **self._frame(),
+            "drones": self._drones(),
+            "tracks": {str(id): story.plain() for id, story in self.stories.items()},
+            "fields": {unit: _field(field, field.painted(), whole=True) for unit, field in self.fields.items()},
+        }
+
+    def changes(self) -> dict[str, Any]:
+        """The same, but of drones, tracks and fields only what has changed since the last call."""
+        drones = [figures for figures in self._drones() if self._told.get(figures["drone"]) != figures]
+        self._told.update((figures["drone"], figures) for figures in drones)
+        tracks = {str(id): track for id, story in self.stories.items() if (track := story.changes()) is not None}
+        fields = {}
+        for unit, field in self.fields.items():
+            if painted := field.changes():
+                whole = self._sides.get(unit) != field.grid.side_m
+                self._sides[unit] = field.grid.side_m
+                fields[unit] = _field(field, painted, whole=whole)
+        return {**self._frame(), "drones": drones, "tracks": tracks, "fields": fields}
+
+    def at(self, time: float) -> dict[str, Any]:
+        """The state at an earlier time. Places, statuses and readings are of data that were created by then, counts
+        of data that had arrived. When data were lost is not known, so what had not arrived includes them."""
+        highest: dict[int, Reading] = {}
+        fields: dict[str, Field] = {}
+        for reading in self.readings.until(time):
+            known = highest.get(reading.drone)
+            if known is None or reading.value > known.value:
+                highest[reading.drone] = reading
+            if reading.unit not in fields:
+                now = self.fields[reading.unit]
+                fields[reading.unit] = Field(now.grid.origin, now.grid.side_m)
+            fields[reading.unit].add((reading.latitude, reading.longitude), reading.value)
+        drones = [_past(id, story, time, highest.get(id)) for id, story in sorted(self.stories.items())]
+        drones = [drone for drone in drones if drone["heard"] is not None or drone["created"]]
+        figures = ("created", "arrived", "missing")
+        return {
+            "at": time,
+            "totals": {**{name: sum(drone[name] for drone in drones) for name in figures}, "lost": None},
+            "drones": drones,
+            "fields": {unit: _field(field, field.painted(), whole=True) for unit, field in fields.items()},
+        }
+
+    def drone(self, id: int) -> dict[str, Any] | None:
+        """What only the panel of a drone shows; None: it is not known."""
+        found = self.report.drones.get(id) or (Drone(id) if id in self.report.named else None)
+        if found is None:
+            return None
+        by_unit: dict[str, Slots[float]] = {}
+        for reading in self.readings.of(id):
+            by_unit.setdefault(reading.unit, Slots(MOST_DRAWN)).put(reading.utc, reading.value)
+        return {
+            "drone": id,
+            "kinds": dict(found.kinds),
+            "missing_numbers": found.missing_numbers,
+            "readings": {
+                unit: {"utc": [round(utc, 1) for utc, _ in drawn], "value": [value for _, value in drawn]}
+                for unit, drawn in by_unit.items()
+            },
+        }
+
+    def _frame(self) -> dict[str, Any]:
+        drones = self.report.drones.values()
+        lost = Counter[str]()
+        for drone in drones:
+            lost.update({fate.value: count for fate, count in drone.lost.items()})
+        known = self.begin <= self.end
+        return {
+            "begin": round(self.begin, 3) if known else None,
+            "end": round(self.end, 3) if known else None,
+            "totals": {
+                "created": sum(drone.created for drone in drones),
+                "arrived": sum(drone.arrived for drone in drones),
+                "missing": sum(drone.missing for drone in drones),
+                "lost": lost.total(),
+            },
+            "lost": dict(lost),
+            "unheard": self._unheard(),
+            "off_map": self.report.off_map(),
+            "apart": self.report.apart,
+            "unlisted": self.unlisted,
+            "thinned": self.readings.every,
+            "delay_s": self._delays(),
+            "arrivals": self.arrivals.plain(),
+        }
+
+    def _delays(self) -> dict[str, float | None]:
+        """They are sorted, which takes long where there are many."""
+        count = len(self.report.delays)
+        if not self._delay[0] <= count <= self._delay[0] * (1 + _MORE):
+            delays = {name: self.report.delay(part) for name, part in (("p50", 0.5), ("p95", 0.95))}
+            self._delay = count, {name: None if s is None else round(s, 3) for name, s in delays.items()}
+        return self._delay[1]
+
+    def _drones(self) -> list[dict[str, Any]]:
+        bounds = self.report.at_most()
+        return [self._figures(drone, bounds.get(drone.id)) for _, drone in sorted(self.report.drones.items())]
+
+    def _unheard(self) -> list[dict[str, Any]]:
+        """Drones of which nothing has arrived, and that others hear. All of them each time: they may be gone again."""
+        # If some drones are not shown, data of these may have arrived.
+        left = MOST_DRONES - len(self.report.drones)
+        unheard = (drone for drone in self.report.listed if drone.id not in self.report.drones)
+        return [self._figures(drone, None) for drone in islice(unheard, left)]
+
+    def _figures(self, drone: Drone, bound: AtMost | None) -> dict[str, Any]:
+        story = self.stories.get(drone.id)
+        last = story.places.ordered[-1] if story is not None and len(story.places) else None
+        highest, named = drone.highest, self.report.named.get(drone.id)
+        state = _state(last, drone.status, None if drone.told is None else drone.told.utc)
+        if named is not None:
+            state |= {"heard_by": [named.id.origin, round(named.utc, 1)], "base": self.report.is_base(drone.id)}
+        return {
+            "drone": drone.id,
+            "created": drone.created,
+            "arrived": drone.arrived,
+            "missing": drone.missing,
+            "lost": {fate.value: count for fate, count in drone.lost.items()},
+            "wounds": sorted({fate.value for fate in drone.wounds}),
+            "heard": None if drone.heard is None else round(drone.heard.utc, 1),
+            **state,
+            "at_risk": self.report.at_risk(drone.id),
+            "at_most": None if bound is None else list(bound),
+            "highest": None
+            if highest is None or highest.measurement is None
+            else _highest(highest.utc, highest.reading or 0.0, highest.measurement.unit or "", highest.place),
+        }
+
+
+def _past(id: int, story: Story, time: float, highest: Reading | None) -> dict[str, Any]:
+    """The figures of a drone at an earlier time."""
+    place, word, counts = story.places.at(time), story.words.at(time), story.counts.at(time)
+    arrived, created = (0, 0) if counts is None else counts[1]
+    heard = max((utc for utc, _ in filter(None, (place, word))), default=None)
+    return {
+        "drone": id,
+        "created": created,
+        "arrived": arrived,
+        "missing": created - arrived,
+        "lost": None,
+        "wounds": [],
+        "heard": None if heard is None else round(heard, 1),
+        **_state(place, None if word is None else word[1], None if word is None else word[0]),
+        "at_risk": None if word is None else word[1].alone,
+        "at_most": None,
+        "highest": None
+        if highest is None
+        else _highest(highest.utc, highest.value, highest.unit, (highest.latitude, highest.longitude)),
+    }
+
+
+def _point(utc: float, spot: Spot) -> list[float]:
+    return [round(utc, 1), round(spot[0], 6), round(spot[1], 6)]
+
+
+def _state(spot: tuple[float, Spot] | None, status: NodeStatus | None, told: float | None) -> dict[str, Any]:
+    """Where a drone was last, and what it said about itself. `told`: when; None: it has said nothing."""
+    state: dict[str, Any] = {"place": None, "placed": None, "risk": None, "told": None}
+    if status is not None and told is not None:
+        state |= {
+            "told": round(told, 1),
+            "risk": round(status.risk, 4),
+            "held": status.held,
+            "alone": status.alone,
+            "spares": status.spares,
+            "free": status.free,
+            "hops": status.hops,
+            "battery": status.battery,
+            "base": status.base,
+            "next_hop": status.next_hop,
+            "neighbours": [[id, round(quality, 2)] for id, quality in status.neighbours.items()],
+        }
+    if spot is not None:
+        utc, (latitude, longitude, risk) = spot
+        state |= {"place": [round(latitude, 7), round(longitude, 7)], "placed": round(utc, 1)}
+        if told is None or utc >= told:
+            state["risk"] = round(risk, 4)
+    return state
+
+
+def _highest(utc: float, reading: float, unit: str, place: Place | None) -> dict[str, Any]:
+    return {"utc": round(utc, 1), "reading": reading, "unit": unit, "place": None if place is None else list(place)}
+
+
+def _field(field: Field, painted: list[Painted], *, whole: bool) -> dict[str, Any]:
+    """`whole`: these are all squares, and others of the browser are outdated."""
+    height, width = field.grid.step
+    return {
+        "whole": whole,
+        "origin": list(field.grid.origin),
+        "step": [height, width],
+        "side_m": field.grid.side_m,
+        "reach_m": field.reach_m,
+        "squares": [[p.row, p.column, float(f"{p.reading:.4g}"), p.readings] for p in painted],
+    }

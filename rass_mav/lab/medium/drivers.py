@@ -1,0 +1,167 @@
+"""The drivers of the nodes on an air that takes time: each has the pacer and the queues of a real one."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from rass_mav.agent.agent import Agent
+from rass_mav.agent.answers import SPREAD_S
+from rass_mav.agent.outgoing import Outgoing
+from rass_mav.app.duplicates import Duplicates
+from rass_mav.app.linkqueue import Lane, set_pace
+from rass_mav.lab.swarm.neighbours import Position
+from rass_mav.link.backlog import WAITING_FRAME_BYTES
+
+from .air import Air, Heard
+from .csma import Csma
+from .exposure import Exposure
+from .reach import Reach
+from .settings import RadioSection
+from .tally import Record
+from .tdma import Tdma
+from .timeline import Order, Timeline
+
+#: Seconds between two reports of a radio about its buffer.
+REPORT_S = 1.0
+
+
+class Drivers(Air):
+    """What is between the nodes and the air."""
+
+    def __init__(
+        self,
+        settings: RadioSection,
+        timeline: Timeline,
+        reach: Callable[[], Sequence[Sequence[int]]],
+        places: Callable[[], Sequence[Position]],
+        heard: Heard,
+        *,
+        nodes: int,
+        attackers: int,
+        step_s: float,
+        seed: int,
+        record: Record | None,
+    ) -> None:
+        """`reach`: for each node, then for each attacker, the nodes in its range now. `places`: where the nodes are,
+        metres."""
+        self._reach = reach
+        self._places = places
+        kind = Csma if settings.kind == "csma" else Tdma
+        self.tally = self._medium = kind(
+            settings, timeline, Reach(settings, seed), self._end, stations=nodes + attackers, step_s=step_s,
+            rng=random.Random(f"{seed}:radio"), record=record,
+        )  # fmt: skip
+        self._timeline = timeline
+        self._heard = heard
+        self._nodes = nodes
+        self._seed = seed
+        self._lanes: list[Lane | None] = [None] * nodes
+        """The link of each node; None: it is off."""
+        self._due = [0] * nodes
+        """Number of each node's last alarm: earlier ones are cancelled."""
+        self._reporting: list[Lane | None] = [None] * nodes
+        """The link for which each node's radio will report its buffer."""
+        self._exposure = Exposure(nodes, random.Random(f"{seed}:flying"))
+
+    def arrive(self, t: int, now: float) -> None:
+        """Frames arrive when it is their time."""
+
+    def rearrange(self) -> None:
+        """Nodes have moved."""
+        self._medium.reach.update(self._reach(), self._places())
+
+    def broadcast(self, sender: int, frame: bytes, now: float) -> None:
+        """The radio gets the frame."""
+        self._medium.send(sender, frame, now, now)
+
+    def figures(self, seconds: float) -> dict[str, float]:
+        """For the summary."""
+        return self._medium.figures(seconds)
+
+    def start(self, node: int, agent: Agent, now: float) -> None:
+        """A node is switched on."""
+        channel = self._medium.channel
+        if channel.budget is None:
+            agent.answers.spread_s = SPREAD_S
+        self._lanes[node] = Lane(
+            agent, Duplicates(), budget=channel.budget, interface=partial(self._waiting, node),
+            rng=random.Random(f"{self._seed}:lane:{node}:{now}"), now=now,
+        )  # fmt: skip
+
+    def stop(self, node: int) -> None:
+        """A node goes off: what waits is gone."""
+        self._lanes[node] = self._reporting[node] = None
+        self._medium.switch_off(node)
+
+    def strike(self, probabilities: Mapping[int, float], now: float) -> None:
+        """Radiation strikes: see `Exposure`."""
+        self._exposure.strike(probabilities, now)
+
+    def begin_turn(self, node: int, agent: Agent, now: float) -> None:
+        """Tell a node what its link can carry."""
+        lane = self._lanes[node]
+        assert lane is not None
+        lane.meet(agent.node.routing.neighbours.keys())
+        set_pace(agent, [lane], now, 0 if lane.pacer is not None else len(self._medium.stations[node].waiting))
+
+    def send(self, node: int, outgoing: Outgoing, now: float) -> None:
+        """A node sends a frame to its neighbours."""
+        lane = self._lanes[node]
+        assert lane is not None
+        lane.push(outgoing, now)
+        self._pump(node, lane, now)
+        if self._medium.channel.reports:
+            self._report_later(node, lane, now)
+
+    def _pump(self, node: int, lane: Lane, now: float) -> None:
+        """Let what may leave now go to the radio."""
+        while (queued := lane.pop(now)) is not None:
+            self._medium.send(node, queued.frame, queued.since, now)
+        due = lane.next_at(now)
+        if due is None:
+            return
+        self._due[node] += 1
+        alarm = self._due[node]
+
+        def ring(now: float) -> None:
+            if alarm == self._due[node] and lane is self._lanes[node]:
+                self._pump(node, lane, now)
+
+        self._timeline.at(max(due, now), Order.AIR, ring)
+
+    def _waiting(self, node: int) -> int:
+        """What a node's radio has to send, bytes as a system counts them."""
+        station = self._medium.stations[node]
+        return WAITING_FRAME_BYTES * (len(station.waiting) + (station.sends is not None))
+
+    def _report_later(self, node: int, lane: Lane, now: float) -> None:
+        """Let the radio report its buffer in a second, and then as long as its reports change anything."""
+        if self._reporting[node] is lane:
+            return
+        self._reporting[node] = lane
+
+        def report(now: float) -> None:
+            if lane is not self._reporting[node]:
+                return
+            self._reporting[node] = None
+            assert lane.pacer is not None
+            free = self._medium.free_percent(node)
+            if free < 100 or lane.pacer.throttle < 1.0:
+                lane.pacer.radio_status(free, now)
+                self._report_later(node, lane, now)
+
+        self._timeline.at(now + REPORT_S, Order.AIR, report)
+
+    def _end(self, hearers: Sequence[int], sender: int, frame: bytes, since: float, now: float) -> None:
+        """A frame has been heard to its end."""
+        if sender < self._nodes:
+            frame = self._exposure.touched(sender, frame, since, now)
+        budget = self._medium.channel.budget
+        if budget is not None and budget.listen_s:
+            for hearer in hearers:
+                lane = self._lanes[hearer]
+                if lane is not None and lane.pacer is not None:
+                    lane.pacer.heard(now, len(frame))
+        self._heard(hearers, frame, now)

@@ -1,0 +1,415 @@
+"""Scenarios: the descriptions of mock swarms. YAML files, typed and checked (docs/simulation.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import field, replace
+from typing import Annotated, Any, Literal, TypeAlias
+
+from rass_mav.agent.settings import AgentSettings, DataSettings
+from rass_mav.config.bounds import Count, Fraction, NonNegative, Positive
+from rass_mav.config.sections import Meta, Section
+from rass_mav.core.settings import CustodySettings, Forward, RiskSettings, RoutingSettings
+from rass_mav.lab.hostile.kinds import kinds
+from rass_mav.lab.medium.settings import RadioSection
+from rass_mav.mavlink.settings import MavlinkSettings
+from rass_mav.policy.settings import PolicyName, PolicySettings
+from rass_mav.sensor.settings import TubeName
+from rass_mav.store.settings import StoreSettings
+
+
+class NodeSection(Section):
+    """Settings of every node."""
+
+    step_s: Positive = 0.2
+    """Length of a step, seconds."""
+    forward: Forward = "immediate"
+    """step: a datum that comes in after a step leaves in the next one at the earliest; immediate: at once, within the
+    step's bandwidth."""
+    phases: Literal["lockstep", "random"] = "random"
+    """When nodes have their turns. random: each at a moment of its own in each step, the same in all of them, as with
+    real computers; lockstep: all at the beginning of a step."""
+
+
+class MobilitySection(Section):
+    """Options of the topologies."""
+
+    bases: Literal["apart", "even"] = "apart"
+    """Where several bases are in `grid`, `line`, `islands`, and at the start of `random-walk`. apart: as far from each
+    other as possible, in corners first; even: each in the middle of about as many nodes as the others."""
+    pitch_m: Positive | None = None
+    """Distance of neighbours in `line`, metres; null: 0.8 of the radio range."""
+    split_step: Annotated[int, Meta(ge=0)] = 100
+    """When the far half of `islands` moves away."""
+    rejoin_step: Annotated[int, Meta(ge=0)] | None = None
+    """When it comes back; null: never."""
+    gap_m: NonNegative = 2.0
+    """How far it moves, metres."""
+    positions: list[tuple[float, float]] | None = None
+    """For the topology `positions`: [x, y] of each node, metres, the arena's centre as origin."""
+    layout: Literal["own", "authors"] = "own"
+    """authors: places and motion of `grid`, `scale-free`, `lennard-jones`, `random-walk` as in the authors' experiment
+    (lab/swarm/authors.py)."""
+    area_m: tuple[Positive, Positive] | None = None
+    """`survey`: width (west to east) and height of the area, metres, the arena's centre as its own; null: the arena."""
+    strip_m: Positive = 50.0
+    """`survey`: the most that two strips of a drone may be apart, metres."""
+    speed_m_s: tuple[Positive, Positive] = (5.0, 15.0)
+    """`survey`: the speed of each drone is uniform between these, m/s."""
+    base_speed_m_s: NonNegative = 0.0
+    """`survey`: how fast the bases drive along the edge of the area, m/s."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.speed_m_s[0] > self.speed_m_s[1]:
+            yield f"mobility.speed_m_s: expected two numbers in ascending order, got {list(self.speed_m_s)}"
+
+
+class RadiationSection(Section):
+    """The radiation field: that of the paper, Eq. 1 and 2, or dose rates (docs/field.md)."""
+
+    law: Literal["paper", "dose"] = "paper"
+    """paper: Eq. 1 and 2, levels without a unit; dose: dose rates in uSv/h, a Geiger counter's readings, and damage in
+    proportion to the dose."""
+    sources: list[tuple[float, float, NonNegative]] | None = None
+    """[x, y, intensity] of each source, metres, the arena's centre as origin; null: `random_sources` by the seed. With
+    `law` dose the intensity is the dose rate 1 m from the source, uSv/h."""
+    sets: list[list[tuple[float, float, NonNegative]]] | None = None
+    """Sources of several runs: seed k has set k mod their number. Replaces `sources`."""
+    random_sources: Annotated[int, Meta(ge=0)] = 3
+    """How many, x and y uniform in +-spread_m, intensity uniform in 0..1 (law dose: as `strength`)."""
+    spread_m: NonNegative = 3.5
+    decay: NonNegative = 1.0
+    """lambda of Eq. 1, 1/m^2."""
+    drift: NonNegative = 0.0
+    """How far each source moves in a step, metres."""
+    noise: NonNegative = 0.05
+    """Standard deviation of the sensor's noise b of Eq. 1."""
+    corruption: bool = True
+    """Whether data in drones' stores are struck."""
+    strikes_per_step: Annotated[int, Meta(ge=1, le=1000)] = 1
+    """How often in a step data are struck, at equal distances from its beginning on, with the same probability in all.
+    Where `radio.air` takes time, frames that wait or fly are struck too."""
+    rule: Literal["probability", "threshold"] = "probability"
+    """probability: Eq. 2; threshold: a datum is struck when a tolerance drawn for it is below the drone's risk."""
+    tolerance: tuple[float, float] = (0.15, 0.5)
+    """threshold: tolerances are uniform between these."""
+    jitter: NonNegative = 0.05
+    """threshold: uniform in +-jitter, added to the risk, once for each drone and step."""
+    round_m: NonNegative = 0.0
+    """The field is taken at positions rounded to multiples of this, metres; 0: not rounded."""
+    cylinder_m: NonNegative = 0.0
+    """Radius of the sources as cylinders that block the radio's line of sight, metres; 0: they block nothing."""
+    cylinders: Literal["own", "slipped"] = "own"
+    """Whose cylinders. slipped: seed k uses those of set (k mod sets - 1) mod 10, as in the authors' experiment."""
+    strength: tuple[Positive, Positive] = (1e5, 1e7)
+    """Law dose: of `random_sources`, uSv/h at 1 m. Its logarithm is uniform between these."""
+    background: NonNegative = 0.1
+    """Law dose: the dose rate without sources, uSv/h."""
+    height_m: Positive = 10.0
+    """Law dose: how high all nodes are above the sources, metres."""
+    tube: TubeName = "sbm-20"
+    """Law dose: the counter's tube. It counts for a step."""
+    page_bytes: Count = 4096
+    """Law dose: a datum occupies whole pages of this size, and is struck when one of them is lost."""
+    page_dose: Positive = 9e7
+    """Law dose: the mean dose at which a page is lost, uSv."""
+
+    def sources_of(self, seed: int) -> list[tuple[float, float, float]] | None:
+        """The sources of a run; None: `random_sources`."""
+        return self.sets[seed % len(self.sets)] if self.sets else self.sources
+
+    def cylinders_of(self, seed: int) -> list[tuple[float, float, float]]:
+        """The sources whose cylinders block the radio in a run; only sources that are given have cylinders."""
+        if self.cylinders == "slipped" and self.sets:
+            run = seed % len(self.sets)
+            # Only the last digit of the previous run's number was read.
+            return self.sets[max(run - 1, 0) % 10 % len(self.sets)]
+        return self.sources_of(seed) or []
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.sets is not None and (not self.sets or self.sources is not None):
+            yield ("radiation.sets: expected at least one set of sources, and no radiation.sources beside them")
+        if self.tolerance[0] >= self.tolerance[1]:
+            yield f"radiation.tolerance: expected two rising numbers, got {list(self.tolerance)}"
+        if self.strength[0] > self.strength[1]:
+            yield f"radiation.strength: expected two numbers in ascending order, got {list(self.strength)}"
+        if self.law == "dose" and self.rule != "probability":
+            yield f"radiation.rule: expected probability with radiation.law dose, got {self.rule}"
+        if self.cylinder_m and (self.drift or (self.sources is None and self.sets is None)):
+            yield "radiation.cylinder_m: expected 0 unless the sources are given and do not move"
+
+
+class TrafficSection(Section):
+    """Data that only a mock swarm creates, and how much of everything. For virtual time."""
+
+    load: Positive | None = None
+    """What all drones create, as a share of the one-hop capacity around all bases (docs/field.md). Sets
+    `picture_interval_steps` where there are pictures, otherwise `data.interval_steps`; null: sets nothing."""
+    picture_bytes: Annotated[int, Meta(ge=0, le=1 << 20)] = 0
+    """Size of the pictures that each drone takes; 0: none."""
+    picture_interval_steps: Annotated[int, Meta(ge=0)] = 0
+    """Steps between two pictures of a drone; 0: none, unless `load` sets it."""
+    picture_part_bytes: Annotated[int, Meta(ge=1, le=1 << 16)] | None = None
+    """Pictures are cut into parts of so many bytes, as `put` does it; null: each is one datum."""
+    picture_redundancy: tuple[Count, Count] | None = None
+    """[K, N]: any K of N parts of each stripe give it back, and get no spare copies; null: all parts are needed."""
+    picture_bare: Fraction = 0.0
+    """This part of the parts gets no spare copies, although all are needed."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.picture_part_bytes is None and (self.picture_redundancy or self.picture_bare):
+            yield "traffic.picture_part_bytes: expected a number with picture_redundancy or picture_bare, got null"
+        if self.picture_redundancy is not None:
+            needed, shares = self.picture_redundancy
+            if not needed < shares <= 255:
+                yield f"traffic.picture_redundancy: expected [K, N] with K below N, got {[needed, shares]}"
+
+
+Steps: TypeAlias = list[tuple[Annotated[int, Meta(ge=0)], Count]]
+"""[[from, to], ...]: from one step until another, one span after the other."""
+
+
+def _wrong_spans(key: str, spans: Steps) -> Iterator[str]:
+    last = 0
+    for begin, end in spans:
+        if not last <= begin < end:
+            yield (
+                f"{key}: expected [from, to] one after the other, each from below its to, "
+                f"got {[list(pair) for pair in spans]}"
+            )
+            return
+        last = end
+
+
+class StatisticsSection(Section):
+    """How the summary counts."""
+
+    full_items: Count | None = None
+    """How many data in a drone's store are 100 % of its memory; null: `store.capacity_items`."""
+
+
+class FailureSection(Section):
+    """Failures besides radiation. All except `kill_every_s` are for virtual time; see docs/simulation.md."""
+
+    kill_every_s: Positive | None = None
+    """With the udp transport: seconds between two kills, in each of which SIGKILL ends a drone that is started again;
+    null: none."""
+    die_fraction: Fraction = 0.0
+    """This part of the drones, rounded to the nearest number, dies for good, each at a step uniform over the run."""
+    die_rate: Fraction = 0.0
+    """Probability that a drone dies for good in a step where the radiation is 1; in proportion where it is less."""
+    die_dose: Positive | None = None
+    """With `radiation.law` dose: the mean dose at which a drone dies for good, uSv; null: no dose kills."""
+    reboot_rate: Fraction = 0.0
+    """Probability that a drone reboots in a step: its store stays, the content of its memory is gone."""
+    wipe_rate: Fraction = 0.0
+    """Probability that a drone loses its store in a step, and comes back with an empty one of a new epoch."""
+    reboot_steps: Annotated[int, Meta(ge=0)] = 10
+    """How long a reboot takes, with the store or without, steps."""
+    battery_steps: tuple[Count, Count] | None = None
+    """[low, high]: a drone flies for a number of steps uniform in between, then it lands; null: without limit."""
+    recharge_steps: Count | None = None
+    """How long a drone that has landed is off, steps; null: for good."""
+    blast: Count | None = None
+    """At the beginning of this step, the drone that holds the most data which have not arrived dies for good, with all
+    drones within its radio range; null: never."""
+    base_off: Steps = field(default_factory=list)
+    """All bases are off from one step until another, at which they are on again."""
+    base_wiped: bool = False
+    """Whether bases come back with an empty store of a new epoch."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.battery_steps is not None and self.battery_steps[0] > self.battery_steps[1]:
+            yield (f"failures.battery_steps: expected two numbers in ascending order, got {list(self.battery_steps)}")
+        if self.recharge_steps is not None and self.battery_steps is None:
+            yield "failures.recharge_steps: expected null unless failures.battery_steps is given"
+        if self.base_wiped and not self.base_off:
+            yield "failures.base_wiped: expected false unless failures.base_off is given"
+        yield from _wrong_spans("failures.base_off", self.base_off)
+
+    @property
+    def of_robots(self) -> list[str]:
+        """The keys that are set and make whole robots fail in virtual time."""
+        keys = (
+            "die_fraction",
+            "die_rate",
+            "die_dose",
+            "reboot_rate",
+            "wipe_rate",
+            "battery_steps",
+            "blast",
+            "base_off",
+        )
+        return [key for key in keys if getattr(self, key)]
+
+
+class DiskSection(Section):
+    """Every node has the real store on a simulated disk; see docs/simulated-disk.md."""
+
+    cut_rate: Fraction = 0.0
+    """Probability that the power of a node, base or drone, is cut in a step; it is off for `failures.reboot_steps`."""
+    commit_steps: Annotated[int, Meta(ge=0, le=1000)] = 0
+    """How long a commit takes, steps."""
+    error_rate: Fraction = 0.0
+    """Probability that an operation of a disk fails."""
+    full: Steps = field(default_factory=list)
+    """When all disks are full: from one step until another."""
+    read_only: Steps = field(default_factory=list)
+    """When nothing can be written to any disk."""
+    flip_rate: NonNegative = 0.0
+    """How many bits of a node's database and log flip in a step, on average."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        yield from _wrong_spans("disk.full", self.full)
+        yield from _wrong_spans("disk.read_only", self.read_only)
+
+
+class HostileSection(Section):
+    """An attacker beside the honest nodes (docs/hostile.md). For virtual time."""
+
+    kind: Annotated[str, Meta(one_of=kinds)]
+    near: Annotated[int, Meta(ge=0)] = 0
+    """Its place is that of this node: it hears, and is heard by, this node and its neighbours."""
+    begin: Annotated[int, Meta(ge=0)] = 0
+    """The first step in which it is present."""
+    end: Count | None = None
+    """The first step in which it is gone; null: it stays."""
+    captured: bool = False
+    """It has the swarm's link key, from a captured drone: nodes take its frames. Needs `keys`."""
+
+
+#: As many as there are system ids: nodes with keys take nothing from each other if they share one.
+MAX_WITH_KEYS = 255
+
+
+class Scenario(Section):
+    """A mock swarm."""
+
+    title: str = ""
+    """One line for people."""
+    nodes: Annotated[int, Meta(ge=1, le=60000)] = 100
+    """Bases included."""
+    bases: Count = 1
+    """Nodes 0 .. bases - 1 are bases."""
+    steps: Annotated[int, Meta(ge=0)] = 500
+    seed: int = 1
+    topology: Literal[
+        "grid", "scale-free", "lennard-jones", "random-walk", "line", "islands", "positions", "survey"
+    ] = "grid"
+    arena_m: Positive | None = None
+    """Side of the arena, metres; null: 2 m for each node of the grid's side, 20 m for 100 nodes; with
+    `mobility.area_m` the longer side of the area."""
+    transport: Literal["loopback", "udp"] = "loopback"
+    """loopback: virtual time, in one process; udp: one process a node on 127.0.0.1, real time."""
+    node: NodeSection = NodeSection()
+    policy: PolicySettings = PolicySettings()
+    risk: RiskSettings = RiskSettings()
+    routing: RoutingSettings = RoutingSettings()
+    custody: CustodySettings = CustodySettings()
+    store: StoreSettings = StoreSettings()
+    data: DataSettings = DataSettings()
+    mavlink: MavlinkSettings = MavlinkSettings()
+    mobility: MobilitySection = MobilitySection()
+    radio: RadioSection = RadioSection()
+    radiation: RadiationSection = RadiationSection()
+    failures: FailureSection = FailureSection()
+    traffic: TrafficSection = TrafficSection()
+    hostile: list[HostileSection] = field(default_factory=list)
+    """Attackers beside the nodes."""
+    disk: DiskSection | None = None
+    """null: stores are in memory."""
+    keys: bool = False
+    """Whether the nodes have the keys of a mission (docs/keys.md). They are the same in each run with this seed."""
+    statistics: StatisticsSection = StatisticsSection()
+    variants: dict[PolicyName, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    """Keys that hold only under a policy, by its name: {hop-count: {data: {interval_steps: 10}}}. They override the
+    file's other keys, and the command's options override them (applied by `catalogue.load_scenario`)."""
+
+    def mistakes(self) -> Iterator[str]:
+        """Checks across several keys."""
+        if self.bases > self.nodes:
+            yield f"bases: expected at most nodes ({self.nodes}), got {self.bases}"
+        if self.topology == "positions":
+            given = len(self.mobility.positions or ())
+            if given != self.nodes:
+                yield f"mobility.positions: expected one [x, y] for each of {self.nodes} nodes, got {given}"
+        for index, attacker in enumerate(self.hostile):
+            if attacker.near >= self.nodes:
+                yield f"hostile[{index}].near: expected a node id below {self.nodes}, got {attacker.near}"
+            if attacker.captured and not self.keys:
+                yield f"hostile[{index}].captured: expected false without keys"
+        if self.transport != "loopback" and self.radio.takes_time:
+            yield "radio.air: expected none unless the transport is loopback"
+        if self.radiation.strikes_per_step > 1 and self.transport != "loopback":
+            yield "radiation.strikes_per_step: expected 1 unless the transport is loopback"
+        if self.hostile and (self.radio.path_loss is not None or self.radio.capture_db is not None):
+            yield "hostile: expected no attackers with radio.path_loss or radio.capture_db"
+        if self.hostile and self.transport != "loopback":
+            yield "hostile: expected no attackers unless the transport is loopback"
+        if self.disk is not None and self.transport != "loopback":
+            yield "disk: expected null unless the transport is loopback; processes have the machine's disk"
+        if self.disk is not None and self.radiation.corruption:
+            yield ("radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk")
+        if self.keys and self.nodes > MAX_WITH_KEYS:
+            yield f"keys: expected false with more than {MAX_WITH_KEYS} nodes, since some share a system id"
+        yield from self._field_mistakes()
+
+    def _field_mistakes(self) -> Iterator[str]:
+        if self.failures.die_rate and self.radiation.law == "dose":
+            yield "failures.die_rate: expected 0 with radiation.law dose; failures.die_dose is for doses"
+        if self.failures.die_dose is not None and self.radiation.law != "dose":
+            yield f"failures.die_dose: expected null with radiation.law {self.radiation.law}"
+        if self.traffic != TrafficSection() and (self.transport != "loopback" or self.disk is not None):
+            yield "traffic: expected its defaults unless the transport is loopback and there is no disk"
+        yield from self.traffic.mistakes()
+        if self.traffic.load is not None and self.nodes == self.bases:
+            yield "traffic.load: expected null without drones"
+        if self.traffic.load is not None and self.radio.preset is None and not self.radio.takes_time:
+            yield "traffic.load: expected null without a radio.preset or a radio.air that takes time"
+
+    @property
+    def arena(self) -> float:
+        """Side of the arena, metres."""
+        if self.arena_m is not None:
+            return self.arena_m
+        if self.topology == "survey" and self.mobility.area_m is not None:
+            return max(self.mobility.area_m)
+        side = 1
+        while side * side < self.nodes:
+            side += 1
+        return 2.0 * side
+
+    def agent_settings(self, node_id: int) -> AgentSettings:
+        """The settings of one node."""
+        mavlink = replace(self.mavlink, system_id=system_id(node_id), autopilot_id=system_id(node_id))
+        return AgentSettings.of(
+            self, node_id=node_id, base=node_id < self.bases, step_s=self.node.step_s, forward=self.node.forward,
+            mavlink=mavlink,
+        )  # fmt: skip
+
+
+def system_id(node_id: int) -> int:
+    """MAVLink system id of a simulated vehicle, 1..255; beyond 255 nodes some share one, as in real life."""
+    return node_id % 255 + 1
+
+
+#: Command line options and the scenario keys that they set.
+OPTION_KEYS: dict[str, str] = {
+    "nodes": "nodes",
+    "steps": "steps",
+    "seed": "seed",
+    "policy": "policy.name",
+    "topology": "topology",
+    "range": "radio.range_m",
+    "arena": "arena_m",
+    "loss": "radio.loss",
+    "duplicate": "radio.duplicate",
+    "reorder": "radio.reorder",
+    "capacity": "store.capacity_items",
+    "transport": "transport",
+}

@@ -1,0 +1,362 @@
+"""Which routes in beacons the ground has vouched for, and what this node shows for its own.
+
+docs/protocol.md ("Chains of announcements") has the rules. A beacon whose route is not shown to be heard is
+heard as that of a node without a route.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING
+
+from rass_mav.core.messages import BEACON_BASE, NO_ROUTE, Beacon
+from rass_mav.core.participant import Participant
+from rass_mav.core.policy import POTENTIAL_BASE, Policy
+from rass_mav.core.routes.serial import following, newer
+from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import Stream
+from rass_mav.trust.chains import HOPS, LENGTH, NUMBERS, Chain, OwnChain, place
+from rass_mav.trust.streams import UNPROVEN
+from rass_mav.trust.vouchers import in_turn
+from rass_mav.wire.word import MAX_BASES_ASKED, Anchor, Signed, body_of
+
+if TYPE_CHECKING:
+    from rass_mav.trust.keys.word import GroundWord
+
+#: Bases whose chains are known, and chains of each: the last, the present and the next one.
+MAX_BASES, MAX_CHAINS = 16, 3
+#: A base announces its next chain when so many numbers of the last one are used.
+AHEAD = NUMBERS // 2
+#: A route may be so many numbers older than the newest one heard, and this many for each of its hops.
+LAG, LAG_A_HOP = 4, 2
+#: Hashes that may be computed for newer numbers: at most, and more in each turn. A claim that takes more than `SMALL`
+#: must leave half of them.
+MOST_HASHES, HASHES_A_TURN, SMALL = 2 * LENGTH, 512, 4 * HOPS
+#: False claims of one stream that are looked at in a turn, and of all streams together in which no node has proved
+#: itself. So a captured drone cannot use up what is computed in a turn.
+MAX_FALSE, UNPROVEN_FALSE = 2, 1
+#: Chains after which 16 bits do not tell any more which of two announcement numbers is the later one.
+FAR = (1 << 13) // NUMBERS
+#: How many serials of chains a base claims on disk at a time.
+SERIALS_CLAIMED = 64
+#: Turns until an anchor is sent again, or asked for again.
+AGAIN_TURNS = 6
+#: Anchors of bases that no neighbour announces: so many are relayed at once, and one in `AGAIN_TURNS` in the long run.
+#: Others are sent when somebody asks for them.
+UNNAMED_AT_ONCE = 4.0
+#: An anchor heard so many times meanwhile is not relayed.
+ENOUGH = 3
+#: Bases whose anchors this node lacks, at most, and those that one stream has named.
+MAX_LACKING, MAX_LACKING_OF_ONE = 64, 4
+_KEY = "chain"
+
+#: Node id and life of a base.
+_Source = tuple[int, int]
+
+
+class _Base:
+    """What a node knows of the announcements of one base."""
+
+    __slots__ = ("anchors", "chains", "serial")
+
+    def __init__(self) -> None:
+        self.chains: dict[int, Chain] = {}
+        """By serial, ascending."""
+        self.anchors: dict[int, _Relay] = {}
+        """The same anchors as they travel."""
+        self.serial: int | None = None
+        """Of the newest chain from which an element was heard."""
+
+    def lag(self, chain: Chain, number: int) -> int:
+        """By how much an announcement number of a chain is behind the newest one heard; 0: it is not."""
+        newest = None if self.serial is None or self.serial not in self.chains else self.chains[self.serial].number
+        if newest is None or self.serial is None or chain.anchor.serial > self.serial:
+            return 0
+        behind = (newest - number) & 0xFFFF
+        # In one chain the later number may be the lower one.
+        return 0 if behind >= NUMBERS and chain.anchor.serial == self.serial else behind
+
+    def chain_of(self, number: int) -> Chain | None:
+        """The newest chain that has an announcement number."""
+        for chain in reversed(self.chains.values()):
+            if chain.index(number) is not None:
+                return chain
+        return None
+
+
+class _Relay:
+    """An anchor as it travels."""
+
+    __slots__ = ("due", "heard", "last", "payload")
+
+    def __init__(self, payload: bytes, due: int | None) -> None:
+        self.payload = payload
+        self.due = due
+        """The turn in which it is sent; None: not at all."""
+        self.heard = 1
+        """How often it was heard since it was last due."""
+        self.last = -AGAIN_TURNS
+        """When it was last sent or heard."""
+
+
+class Announced:
+    """The chains of bases, those of this node included if it is one."""
+
+    __slots__ = (
+        "_bases", "_claimed", "_durable", "_false", "_hashes", "_lacking", "_node_id", "_own", "_rng", "_seen",
+        "_serial", "_store", "_turns", "_unnamed", "_word", "refused",
+    )  # fmt: skip
+
+    def __init__(self, node_id: int, word: GroundWord, store: Store, rng: random.Random) -> None:
+        """`store`: of the node; at a base it keeps which chains have begun."""
+        self._node_id = node_id
+        self._word = word
+        self._store = store
+        self._rng = rng
+        self._turns = 0
+        self._bases: dict[_Source, _Base] = {}
+        """The one heard last is the last."""
+        self._lacking: dict[_Source, tuple[int, Stream]] = {}
+        """Bases whose anchors are lacking, from which turn on they may be asked for, and who has named them first."""
+        self._unnamed = UNNAMED_AT_ONCE
+        """How many anchors of bases that no neighbour announces may be relayed now."""
+        self._hashes = MOST_HASHES
+        self._false: dict[Stream, int] = {}
+        """False claims in this turn."""
+        self._seen: set[tuple[_Source, int, int, bytes]] = set()
+        """Claims that were found true in this turn."""
+        self.refused = 0
+        """Beacons whose routes nobody has vouched for."""
+        self._own: list[OwnChain] = []
+        """At a base: the present chain, and the next one."""
+        self._serial = self._claimed = 0
+        self._durable = 0
+        """Chains with lower serials may begin: this is on disk."""
+        if word.speaks:
+            self._serial = self._claimed = store.get_meta(_KEY) or 0
+            self._claim()
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def heard(self, beacon: Beacon, stream: Stream, node: Participant | None) -> Beacon:
+        """A neighbour's beacon as core should hear it."""
+        if beacon.sender == self._node_id:
+            return beacon
+        if beacon.hops != NO_ROUTE and not self._is_shown(beacon, stream, node):
+            self.refused += 1
+            beacon = beacon._replace(base=0, base_life=0, route_number=0, hops=NO_ROUTE)
+        if node is None:
+            return beacon
+        flags, potential, wanted = beacon.flags, beacon.potential, beacon.wanted_number
+        if node.base and newer(wanted, node.routing.number):
+            # Nobody has heard a number that this base has not announced, if it is asked for one of its own.
+            wanted = following(node.routing.number)
+        if beacon.hops:
+            flags &= ~BEACON_BASE
+            potential = _bounded(beacon, node.policy)
+        if potential != beacon.potential or wanted != beacon.wanted_number or flags != beacon.flags:
+            beacon = beacon._replace(flags=flags, potential=potential, wanted_number=wanted)
+        return beacon
+
+    def _is_shown(self, beacon: Beacon, stream: Stream, node: Participant | None) -> bool:
+        """Whether the sender has heard of its route, as far as hash chains show that."""
+        source, number, hops = (beacon.base, beacon.base_life), beacon.route_number, beacon.hops
+        if not beacon.proof:
+            return False
+        claim = (source, number, hops, beacon.proof)
+        if hops and claim in self._seen:
+            return True
+        if not hops and (source != (beacon.sender, beacon.life) or not beacon.flags & BEACON_BASE):
+            return False
+        base = self._bases.get(source)
+        chain = None if base is None else base.chain_of(number)
+        if base is None or chain is None:
+            if source not in self._lacking and len(self._lacking) < MAX_LACKING:
+                of_one = sum(by == stream for _, by in self._lacking.values())
+                if of_one < MAX_LACKING_OF_ONE:
+                    self._lacking[source] = 0, stream
+            return False
+        index = chain.index(number)
+        assert index is not None
+        if base.lag(chain, number) > LAG + LAG_A_HOP * hops:
+            # What somebody heard when he was nearer.
+            return False
+        at = place(index, hops)
+        cost = chain.cost(at)
+        if cost and not self._affords(cost, stream):
+            return False
+        if not chain.verify(at, beacon.proof):
+            self._false[stream] = self._false.get(stream, 0) + 1
+            return False
+        serial = chain.anchor.serial
+        if base.serial is None or serial > base.serial:
+            if node is not None and base.serial is not None and serial - base.serial >= FAR:
+                node.routing.forget(*source)
+            base.serial = serial
+            self._bases[source] = self._bases.pop(source)
+        self._seen.add(claim)
+        return True
+
+    def _affords(self, cost: int, stream: Stream) -> bool:
+        most = UNPROVEN_FALSE if stream == UNPROVEN else MAX_FALSE
+        if self._false.get(stream, 0) >= most or cost + (MOST_HASHES // 2 if cost > SMALL else 0) > self._hashes:
+            return False
+        self._hashes -= cost
+        return True
+
+    def is_news(self, signed: Signed) -> bool:
+        """Whether it is worth to verify an anchor."""
+        assert isinstance(signed.content, Anchor)
+        source, serial = signed.content[:2], signed.content.serial
+        base = self._bases.get(source)
+        if base is None:
+            return True
+        relay = base.anchors.get(serial)
+        if relay is None:
+            return len(base.chains) < MAX_CHAINS or serial > min(base.chains)
+        if relay.payload == signed.payload:
+            relay.heard += 1
+            relay.last = self._turns
+        return False
+
+    def learn(self, signed: Signed, node: Participant | None) -> None:
+        """An anchor whose signature is good. It may be an old one that somebody has recorded."""
+        anchor = signed.content
+        assert isinstance(anchor, Anchor)
+        if not self.is_news(signed):
+            return
+        source, serial = anchor[:2], anchor.serial
+        base = self._bases.get(source)
+        named = _named(node) | {(self._node_id, self._store.life)}
+        if base is None:
+            if len(self._bases) >= MAX_BASES:
+                useless = next((other for other in self._bases if other not in named), None)
+                if useless is None:
+                    return
+                del self._bases[useless]
+            base = self._bases[source] = _Base()
+        due: int | None = self._turns + self._rng.randrange(ENOUGH)
+        if source not in named:
+            # Whoever has old ones does not make all nodes relay them.
+            if self._unnamed < 1.0:
+                due = None
+            else:
+                self._unnamed -= 1.0
+        base.chains[serial] = Chain(anchor, self._word.chain_salt(*anchor[:3]))
+        base.chains = dict(sorted(base.chains.items())[-MAX_CHAINS:])
+        base.anchors[serial] = _Relay(signed.payload, due)
+        base.anchors = {kept: base.anchors[kept] for kept in base.chains}
+        self._lacking.pop(source, None)
+        if self._word.speaks and source == (self._node_id, self._store.life) and serial >= self._serial:
+            # The disk was set back.
+            self._own.clear()
+            self._serial = serial + 1
+            self._claim()
+
+    def asked(self, source: _Source) -> None:
+        """A neighbour lacks the anchors of a base."""
+        base = self._bases.get(source)
+        for relay in () if base is None else list(base.anchors.values())[-2:]:
+            if relay.due is None and self._turns - relay.last >= AGAIN_TURNS:
+                relay.due = self._turns + self._rng.randrange(ENOUGH)
+                relay.heard = 0
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def turn(self) -> tuple[list[bytes], tuple[_Source, ...]]:
+        """Once a turn. Returns the anchors to send, as TUNNEL payloads, and the bases to ask for."""
+        self._turns += 1
+        self._hashes = min(MOST_HASHES, self._hashes + HASHES_A_TURN)
+        self._unnamed = min(UNNAMED_AT_ONCE, self._unnamed + 1 / AGAIN_TURNS)
+        self._false.clear()
+        self._seen.clear()
+        out = []
+        for base in self._bases.values():
+            for relay in base.anchors.values():
+                if relay.due is not None and relay.due <= self._turns:
+                    relay.due = None
+                    if relay.heard < ENOUGH:
+                        relay.last = self._turns
+                        out.append(relay.payload)
+        ready: dict[Stream, list[_Source]] = {}
+        for source, (turn, stream) in self._lacking.items():
+            if turn <= self._turns:
+                ready.setdefault(stream, []).append(source)
+        asked = tuple(in_turn(ready, MAX_BASES_ASKED, self._rng))
+        for source in asked:
+            self._lacking[source] = self._turns + AGAIN_TURNS, self._lacking[source][1]
+        if len(self._lacking) >= MAX_LACKING:
+            self._lacking.clear()
+        return out, asked
+
+    def shown(self, beacon: Beacon) -> Beacon:
+        """This node's own beacon, with what shows that it has heard of its route."""
+        if beacon.hops == NO_ROUTE:
+            return beacon
+        if not beacon.hops:
+            element = self._own_element(beacon.route_number) if self._word.speaks else None
+            return beacon if element is None else beacon._replace(proof=element)
+        base = self._bases.get((beacon.base, beacon.base_life))
+        chain = None if base is None else base.chain_of(beacon.route_number)
+        index = None if chain is None else chain.index(beacon.route_number)
+        if chain is None or index is None or (at := place(index, beacon.hops)) < chain.newest:
+            return beacon
+        return beacon._replace(proof=chain.element(at))
+
+    # -- the chains of a base ------------------------------------------------------------------------------------------
+
+    def _own_element(self, number: int) -> bytes | None:
+        if self._store.meta_durable(_KEY):
+            self._durable = self._claimed
+        while self._own and self._own[0].element(number) is None:
+            del self._own[0]
+        if not self._own and not self._begin(number):
+            return None
+        last = self._own[-1].anchor.first
+        if (number - last) & 0xFFFF >= AHEAD and len(self._own) == 1:
+            self._begin((last + NUMBERS) & 0xFFFF)
+        return self._own[0].element(number)
+
+    def _begin(self, first: int) -> bool:
+        """Begin a chain, if its serial is on disk: no two chains have one."""
+        serial = self._serial
+        if serial >= self._durable:
+            return False
+        self._serial = serial + 1
+        if self._claimed - self._serial < SERIALS_CLAIMED // 2:
+            self._claim()
+        about = (self._node_id, self._store.life, serial)
+        chain = OwnChain(*about, first, self._word.chain_seed(*about), self._word.chain_salt(*about))
+        self._own.append(chain)
+        body = body_of(chain.anchor)
+        signed = Signed(body[1], chain.anchor, body, self._word.anchor(body))
+        self.learn(signed, None)
+        base = self._bases[about[:2]]
+        base.anchors[serial].due = self._turns
+        base.anchors[serial].heard = 0
+        return True
+
+    def _claim(self) -> None:
+        self._claimed = self._serial + SERIALS_CLAIMED
+        self._store.set_meta(_KEY, self._claimed)
+
+
+def _named(node: Participant | None) -> set[_Source]:
+    """The bases that a node uses, or that its neighbours announce."""
+    if node is None:
+        return set()
+    beacons = (neighbour.beacon for neighbour in node.routing.neighbours.values())
+    named = {(beacon.base, beacon.base_life) for beacon in beacons if beacon.hops != NO_ROUTE}
+    return named if node.routing.route is None else named | {node.routing.route[:2]}
+
+
+def _bounded(beacon: Beacon, policy: Policy) -> int:
+    """A drone's potential, and no better than that of a node with as many hops, all of them without risk."""
+    hops, potential = beacon.hops, beacon.potential
+    if beacon.policy != policy.tag:
+        return min(potential, POTENTIAL_BASE - 1)
+    best = policy.potential(hops, 0.0, 1)
+    costs = policy.costs
+    if costs is None:
+        return min(potential, best)
+    return max(potential, int(costs.hold * best) if hops == NO_ROUTE else hops * best)

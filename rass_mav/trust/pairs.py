@@ -1,0 +1,203 @@
+"""What a node with keys says to another one, which nobody else can say (docs/protocol.md, "Words between two nodes").
+
+All nodes have the link key, and so has a captured drone. So whatever makes another node delete or release a copy has a
+tag by a key that only the two nodes have. Such a message without a right tag does not reach the participant.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from hashlib import blake2b
+from struct import Struct
+from typing import Any
+
+from rass_mav.core.datum import Datum, DatumId
+from rass_mav.core.fingerprints import CRC_MASK, Fingerprints, of_offers
+from rass_mav.core.messages import Beacon, Message, giver_of
+from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import Stream
+from rass_mav.trust.acquaintances import Acquaintances, IsOut, Links
+from rass_mav.trust.keys.identity import NodeKeys
+from rass_mav.trust.keys.pairs import TAG_SIZE
+from rass_mav.trust.tags import NoTags
+from rass_mav.wire import encode
+from rass_mav.wire.codec import COMMITTED
+from rass_mav.wire.introduction import decode_introduction, is_introduction
+from rass_mav.wire.tags import Said, believed, is_tagged
+
+#: Hand-overs whose contents are remembered, the latest. More wait for an answer only where thousands are sent a step.
+MAX_OFFERED = 4096
+
+_DATUM = Struct("<HIIBB")
+_NOTE = Struct("<HIIB")
+_PLACE = Struct("<Q")
+_NO_TAG = bytes(TAG_SIZE)
+_NO_TAGS = (_NO_TAG, b"")
+
+
+class StrongFingerprints(Fingerprints):
+    """Nobody can find a second content for one of these: the checksum, and above it 16 bytes of BLAKE2b."""
+
+    __slots__ = ("_last",)
+
+    def __init__(self) -> None:
+        # A node asks three times in a row for each datum that it is given.
+        self._last: tuple[Datum | None, bool, int] = (None, False, 0)
+
+    def of(self, datum: Datum, *, spare: bool = False) -> int:
+        last, as_spare, fingerprint = self._last
+        if last is not datum or as_spare is not spare:
+            about = _DATUM.pack(*datum.id, datum.kind, spare)
+            fingerprint = _print(b"rass offer", about + datum.payload) | datum.crc & CRC_MASK
+            self._last = datum, spare, fingerprint
+        return fingerprint
+
+    def of_note(self, id: DatumId, reason: int) -> int:
+        return _print(b"rass note", _NOTE.pack(*id, reason))
+
+
+def _print(person: bytes, data: bytes) -> int:
+    return int.from_bytes(blake2b(data, digest_size=16, person=person).digest(), "little") << 32
+
+
+class PairTags(NoTags):
+    """Proves one node's words, and doubts others'."""
+
+    __slots__ = (
+        "_again",
+        "_early",
+        "_forged",
+        "_is_out",
+        "_keys",
+        "_now",
+        "_offered",
+        "_own",
+        "_unknown",
+        "acquaintances",
+    )
+
+    prints = StrongFingerprints()
+
+    def __init__(self, keys: NodeKeys, is_out: IsOut, store: Store, rng: random.Random, step_s: float) -> None:
+        """`is_out`: see `Letters`. `rng`: draws nonces. `step_s`: seconds."""
+        self._keys = keys
+        self._is_out = is_out
+        self._own = keys.certificate.node_id
+        self.acquaintances = Acquaintances(keys, store, rng, step_s, is_out)
+        """The nodes whose certificates are known."""
+        self._offered: dict[int, int] = {}
+        """Fingerprints of what was handed over, by number, the latest last."""
+        self._now = 0.0
+        self._unknown = self._forged = self._early = self._again = 0
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
+        offered = self._offered
+        for number, fingerprint in of_offers(message, self.prints, store.get):
+            offered.pop(number, None)
+            offered[number] = fingerprint
+            if len(offered) > MAX_OFFERED:
+                del offered[next(iter(offered))]
+        return encode(message, now, self)
+
+    def use(self, links: Links) -> None:
+        self.acquaintances.links = links
+
+    def introductions(self, now: float) -> list[bytes]:
+        return self.acquaintances.due(now)
+
+    def of_answer(self, to: int, said: bytes) -> bytes:
+        """The tag of an answer. Zeros: that node's certificate is not known, so it will ask again."""
+        return self._tag(COMMITTED, to, said)
+
+    def of_word(self, type_: int, to: Sequence[int], said: bytes) -> tuple[int, list[bytes]]:
+        """The place of a word, the low 32 bits, and its tag for each receiver."""
+        self.acquaintances.place += 1
+        place = self.acquaintances.place
+        return place & 0xFFFFFFFF, [self._tag(type_, node_id, _PLACE.pack(place) + said) for node_id in to]
+
+    def _tag(self, type_: int, to: int, said: bytes) -> bytes:
+        known = self.acquaintances.get(to)
+        return _NO_TAG if known is None or known.pair is None else known.pair.tag(type_, said)
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def meet(self, node_id: int, now: float, stream: Stream) -> None:
+        self.acquaintances.heard(node_id, now, stream)
+        self.acquaintances.ask(node_id, now)
+
+    def shown(self, beacon: Beacon) -> Beacon:
+        return self.acquaintances.shown(beacon)
+
+    def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
+        if not is_introduction(payload):
+            return False
+        self.acquaintances.hear(decode_introduction(payload), now, stream)
+        return True
+
+    def believed(self, message: Message, payload: bytes, now: float, stream: Stream) -> Message | None:
+        self._now = now
+        if (
+            type(message) is Beacon
+            and message.sender != self._own
+            and not self.acquaintances.believes(message, now, stream)
+        ):
+            return None
+        heard = believed(message, payload, self._own, self)
+        giver = giver_of(heard)
+        if giver is not None:
+            known = self.acquaintances.get(giver)
+            if known is None or known.pair is None:
+                # Nothing that this node says about it would be believed, so it will come again. And nobody hands
+                # anything over under an invented name.
+                self._unknown += 1
+                return None
+        return heard
+
+    def proves(self, message: Message) -> bool:
+        return is_tagged(message)
+
+    def fingerprint(self, number: int) -> int | None:
+        """What was last handed over under this number."""
+        return self._offered.get(number)
+
+    def is_said(self, said: Said) -> bool:
+        """Whether the sender has said this, and it is new if it has a place."""
+        known = self.acquaintances.get(said.sender)
+        if known is None or known.pair is None or said.tag in _NO_TAGS:
+            # One of the two does not know the other's certificate yet.
+            self._unknown += 1
+            if known is None or known.pair is None:
+                self.acquaintances.ask(said.sender, self._now)
+            return False
+        if said.place is None:
+            made = known.pair.made(said.type, said.data, said.tag)
+            self._forged += not made
+            return made
+        if known.place is None:
+            self._early += 1
+            self.acquaintances.ask(said.sender, self._now)
+            return False
+        place = known.place >> 32 << 32 | said.place
+        if not known.pair.made(said.type, _PLACE.pack(place) + said.data, said.tag):
+            self._forged += 1
+            # Perhaps it has started again.
+            self.acquaintances.ask(said.sender, self._now)
+            return False
+        new = known.is_new(place)
+        self._again += not new
+        return new
+
+    def report(self) -> dict[str, Any]:
+        """For `status`: the certificates, and how many words were not believed."""
+        return {
+            **self.acquaintances.report(),
+            "not_believed": {
+                "unknown": self._unknown,
+                "forged": self._forged,
+                "early": self._early,
+                "again": self._again,
+            },
+        }

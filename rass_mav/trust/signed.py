@@ -1,0 +1,69 @@
+"""What a node with keys has for its links: the key, its own timestamps, and the streams that it hears."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter, Stream
+from rass_mav.mavlink.messages import RADIO_STATUS
+from rass_mav.mavlink.signing import SignatureCheck, SigningKey
+from rass_mav.mavlink.tunnel import tunnel_from_datagram
+from rass_mav.trust.streams import Streams, Verdict
+from rass_mav.trust.timestamps import Timestamps
+from rass_mav.wire.letters import is_about_keys
+
+if TYPE_CHECKING:
+    from rass_mav.trust.letters import Letters
+
+
+class Signed:
+    """The links of one life of a node, all together: a frame that leaves on several has the same timestamp on all."""
+
+    __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
+
+    def __init__(
+        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, rng: random.Random, payload_type: int
+    ) -> None:
+        """:param letters: bring the key, and later ones.
+        :param writer: its TUNNEL messages are signed from now on.
+        :param rng: draws where its beacons begin.
+        :param payload_type: of the swarm's TUNNEL messages.
+        """
+        writer.tunnel_flags = FLAG_SIGNED
+        self.key = key = letters.signing
+        # A store that may have lost numbers has a new epoch, and so this node a new stream.
+        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), rng.getrandbits(15))
+        self.streams = Streams(node_id, writer, self.timestamps)
+        self.letters = letters
+        self._payload_type = payload_type
+        self._checks: list[SignatureCheck] = []
+
+    def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:
+        """For a reader. `needed`: returns whether messages with this id must be signed; by default all but
+        RADIO_STATUS, which the node's own radio sends."""
+        check = SignatureCheck(self.key, needed, self._hear_other_key)
+        self._checks.append(check)
+        return check
+
+    def use(self, key: SigningKey) -> None:
+        """Sign with another link key from now on, and take no frames of the old one any more."""
+        self.key = key
+        self.timestamps.use(key)
+        for check in self._checks:
+            check.key = key
+
+    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> Verdict | None:
+        """As `Streams.admit`. None: it was new, and about keys; it is taken here."""
+        verdict = self.streams.admit(stream, timestamp, payload, now)
+        if verdict is not Verdict.NEW or not is_about_keys(payload):
+            return verdict
+        self.letters.hear(self.streams.bringer(stream), payload, now)
+        return None
+
+    def _hear_other_key(self, frame: bytes) -> None:
+        opened = tunnel_from_datagram(frame)
+        if opened is not None and opened[4] == self._payload_type:
+            self.letters.hear_other_key(opened[5])

@@ -1,0 +1,344 @@
+"""Which statements of bases the ground has vouched for, and how vouchers spread.
+
+docs/protocol.md ("Vouchers") has the rules. A statement for which no voucher is known waits here, and core does not
+hear of it unless one comes.
+"""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from hashlib import blake2b
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from rass_mav.core.messages import Message, stated
+from rass_mav.core.shares import greediest
+from rass_mav.mavlink.frames import Frame, Stream
+from rass_mav.wire import encode
+from rass_mav.wire.word import (
+    HASH_BYTES,
+    MAX_STATEMENTS_ASKED,
+    MAX_VOUCHED,
+    Signed,
+    Voucher,
+    body_of,
+)
+
+if TYPE_CHECKING:
+    from rass_mav.trust.keys.word import GroundWord
+
+#: Statements that are known to be true. When there are more, those that core has forgotten go, but the latest stay.
+MAX_KNOWN, LATEST = 6144, 1024
+#: Statements that wait for a voucher, in all and under one identity.
+MAX_HELD, MAX_ALIKE = 512, 4
+#: How often a statement counts as heard, at most.
+MOST_TIMES = 3
+#: Turns until a voucher is asked for, and how often. The next wait is twice as long each time.
+ASK_TURNS, MAX_ASKS = 7, 4
+#: A voucher heard so many times does not leave with its statements.
+ENOUGH = 2
+#: Turns until a voucher that was sent or heard is sent again.
+AGAIN_TURNS = 6
+#: A voucher that was asked for leaves within so many turns, unless a neighbour sends it first.
+ANSWER_TURNS = 3
+#: Vouchers that neighbours wait for, and those that leave in one turn.
+MAX_ASKED_FOR, MAX_ANSWERS = 32, 2
+#: A base signs as soon as so many statements wait, or one has waited for so many turns.
+SHARED, SIGN_TURNS = 2, 6
+
+T = TypeVar("T")
+
+_PERSON = b"rass statement"
+_SALT = struct.Struct("<I")
+
+#: Base, base life and serial of a statement.
+Statement = tuple[int, int, int]
+
+
+def hash_of(payload: bytes, salt: int) -> bytes:
+    """What a voucher with this salt has of a statement, 8 bytes. `payload`: the statement as it travels."""
+    return blake2b(payload, digest_size=HASH_BYTES, salt=_SALT.pack(salt), person=_PERSON).digest()
+
+
+class _Relay:
+    """A voucher as it travels."""
+
+    __slots__ = ("due", "heard", "last", "payload", "settled")
+
+    def __init__(self, payload: bytes, turn: int) -> None:
+        self.payload = payload
+        self.heard = 1
+        """How often it was heard."""
+        self.settled = False
+        """Whether it was sent, or heard often enough: most neighbours have it."""
+        self.last = turn
+        """When it was last sent or heard."""
+        self.due: int | None = None
+        """The turn in which it is sent to a neighbour that asks."""
+
+
+class _Known(NamedTuple):
+    salt: int
+    hash: bytes
+    relay: _Relay
+
+
+class Held:
+    """A statement without a voucher."""
+
+    __slots__ = ("frame", "message", "payload", "statement", "stream", "times")
+
+    def __init__(
+        self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
+    ) -> None:
+        self.statement = statement
+        self.message = message
+        self.payload = payload
+        """As its base sent it."""
+        self.stream = stream
+        """Who has brought it first."""
+        self.frame = frame
+        """In which it came first; None: nobody needs it any more."""
+        self.times = 1
+        """How often it was heard: what neighbours have sent already is relayed less."""
+
+
+class _Wait:
+    """What waits under one identity."""
+
+    __slots__ = ("ask_at", "asks", "held")
+
+    def __init__(self, turn: int) -> None:
+        self.held: list[Held] = []
+        self.ask_at = turn + ASK_TURNS
+        self.asks = 0
+
+
+class Vouchers:
+    """What one node knows of vouchers."""
+
+    __slots__ = (
+        "_asked_for", "_brought", "_known", "_rng", "_source", "_turns", "_unsigned", "_waiting", "_word", "forged",
+        "held",
+    )  # fmt: skip
+
+    def __init__(self, source: tuple[int, int], word: GroundWord, rng: random.Random) -> None:
+        """`source`: the node's id and life, in whose name it speaks if it is a base."""
+        self._source = source
+        self._word = word
+        self._rng = rng
+        self._turns = 0
+        self._known: dict[Statement, _Known] = {}
+        """True statements, the one learned last is the last."""
+        self._waiting: dict[Statement, _Wait] = {}
+        self.held = 0
+        """How many statements wait for a voucher."""
+        self._brought: dict[Stream, dict[Held, None]] = {}
+        """What waits, by who has brought it, the oldest first."""
+        self._asked_for: dict[Statement, tuple[_Relay, Stream]] = {}
+        """What neighbours have asked for, and which one."""
+        self._unsigned: list[tuple[int, bytes, int]] = []
+        """At a base: serial and payload of what it has stated and not signed yet, and the turn."""
+        self.forged = 0
+        """Statements that are not the ones that the ground has vouched for."""
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def admits(
+        self, statement: Statement, message: Message, payload: bytes, stream: Stream, frame: Frame | None
+    ) -> bool:
+        """Whether core may hear a statement. If nobody knows yet, it waits."""
+        known = self._known.get(statement)
+        if known is not None:
+            if hash_of(payload, known.salt) == known.hash:
+                return True
+            self.forged += 1
+            return False
+        wait = self._waiting.get(statement)
+        for held in () if wait is None else wait.held:
+            if held.payload == payload:
+                held.times = min(held.times + 1, MOST_TIMES)
+                return False
+        if wait is not None and (len(wait.held) >= MAX_ALIKE or any(held.stream == stream for held in wait.held)):
+            return False
+        if self.held >= MAX_HELD:
+            most = greediest({stream: len(held) for stream, held in self._brought.items()})
+            self._drop(next(iter(self._brought[most])))
+        held = Held(statement, message, payload, stream, frame)
+        self._waiting.setdefault(statement, _Wait(self._turns)).held.append(held)
+        self._brought.setdefault(stream, {})[held] = None
+        self.held += 1
+        return False
+
+    def _drop(self, held: Held) -> None:
+        wait = self._waiting[held.statement]
+        wait.held.remove(held)
+        if not wait.held:
+            del self._waiting[held.statement]
+        self._let_go(held)
+
+    def _let_go(self, held: Held) -> None:
+        """It waits no more."""
+        self.held -= 1
+        brought = self._brought[held.stream]
+        del brought[held]
+        if not brought:
+            del self._brought[held.stream]
+
+    def is_news(self, signed: Signed) -> bool:
+        """Whether it is worth to verify a voucher."""
+        voucher = signed.content
+        assert isinstance(voucher, Voucher)
+        known = self._known.get(voucher[:3])
+        if known is None or known.relay.payload != signed.payload:
+            # Nothing that is known about all of them is better known by another voucher.
+            return any(statement not in self._known for statement in _statements(voucher))
+        relay = known.relay
+        relay.heard += 1
+        relay.settled = relay.settled or relay.heard >= ENOUGH
+        relay.last = self._turns
+        relay.due = None
+        return False
+
+    def learn(self, signed: Signed, kept: Callable[[], Collection[Statement]]) -> list[Held]:
+        """A voucher whose signature is good. Returns the statements that core may hear now. `kept`: returns the
+        statements that core knows."""
+        out: list[Held] = []
+        if not self.is_news(signed):
+            return out
+        voucher = signed.content
+        assert isinstance(voucher, Voucher)
+        relay = _Relay(signed.payload, self._turns)
+        for statement, hash in zip(_statements(voucher), voucher.hashes, strict=True):
+            if statement in self._known:
+                continue
+            self._known[statement] = _Known(voucher.salt, hash, relay)
+            wait = self._waiting.pop(statement, None)
+            for held in () if wait is None else wait.held:
+                self._let_go(held)
+                if hash_of(held.payload, voucher.salt) == hash:
+                    out.append(held)
+                else:
+                    self.forged += 1
+        if len(self._known) > MAX_KNOWN:
+            self._forget(kept())
+        return out
+
+    def _forget(self, kept: Collection[Statement]) -> None:
+        old = list(self._known)[:-LATEST]
+        for statement in old:
+            if statement not in kept:
+                del self._known[statement]
+        for statement in list(self._known)[: max(0, len(self._known) - MAX_KNOWN)]:
+            del self._known[statement]
+
+    def asked(self, statement: Statement, stream: Stream) -> None:
+        """A neighbour lacks a voucher."""
+        known = self._known.get(statement)
+        if known is None:
+            return
+        if known.relay.due is None and self._turns - known.relay.last >= AGAIN_TURNS:
+            known.relay.due = self._turns + self._rng.randrange(ANSWER_TURNS)
+            asked_for = self._asked_for
+            asked_for[statement] = known.relay, stream
+            if len(asked_for) > MAX_ASKED_FOR:
+                most = greediest(Counter(asker for _, asker in asked_for.values()))
+                relay, _ = asked_for.pop(next(other for other, (_, asker) in asked_for.items() if asker == most))
+                relay.due = None
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def turn(self, messages: Iterable[Message]) -> tuple[list[bytes], tuple[Statement, ...]]:
+        """Once a turn. Returns the vouchers to send, as TUNNEL payloads, and the statements whose vouchers to ask for.
+
+        `messages`: what this node sends in this turn.
+        """
+        self._turns += 1
+        out: list[bytes] = []
+        leaving = [statement for message in messages if (statement := self._leaving(message)) is not None]
+        unsigned = self._unsigned
+        if len(unsigned) >= SHARED or (unsigned and self._turns - unsigned[0][2] >= SIGN_TURNS):
+            out += self._sign()
+        for statement in leaving:
+            known = self._known.get(statement)
+            if known is not None and not known.relay.settled:
+                out.append(self._sent(known.relay))
+        return out + self._answers(), self._lacking()
+
+    def _answers(self) -> list[bytes]:
+        """Vouchers for neighbours that have asked, and have not been answered by others meanwhile."""
+        out: list[bytes] = []
+        for statement, (relay, _) in list(self._asked_for.items()):
+            if relay.due is None or (relay.due <= self._turns and len(out) < MAX_ANSWERS):
+                del self._asked_for[statement]
+                if relay.due is not None:
+                    out.append(self._sent(relay))
+        return out
+
+    def _leaving(self, message: Message) -> Statement | None:
+        """The statement that a message is, if its voucher should leave with it."""
+        statement = stated(message)
+        if statement is None or not self._word.speaks or statement[:2] != self._source or statement in self._known:
+            return statement
+        self._unsigned.append((statement[2], encode(message, 0.0)[0], self._turns))
+        return None
+
+    def _sent(self, relay: _Relay) -> bytes:
+        relay.settled = True
+        relay.last = self._turns
+        relay.due = None
+        return relay.payload
+
+    def _sign(self) -> list[bytes]:
+        out = []
+        while self._unsigned:
+            first = self._unsigned[0][0]
+            run = [self._unsigned.pop(0)]
+            while self._unsigned and len(run) < MAX_VOUCHED and self._unsigned[0][0] == first + len(run):
+                run.append(self._unsigned.pop(0))
+            salt = self._rng.getrandbits(32)
+            body = body_of(Voucher(*self._source, first, salt, tuple(hash_of(payload, salt) for _, payload, _ in run)))
+            relay = _Relay(body + self._word.vouch(body), self._turns)
+            for serial, payload, _ in run:
+                self._known[self._statement(serial)] = _Known(salt, hash_of(payload, salt), relay)
+            out.append(self._sent(relay))
+        return out
+
+    def _statement(self, serial: int) -> Statement:
+        return (*self._source, serial)
+
+    def _lacking(self) -> tuple[Statement, ...]:
+        """The statements whose vouchers to ask for in this turn. Those that nobody vouches for are dropped."""
+        turn = self._turns
+        ready: dict[Stream, list[Statement]] = {}
+        for statement, wait in list(self._waiting.items()):
+            if wait.ask_at > turn:
+                continue
+            if wait.asks == MAX_ASKS:
+                for held in list(wait.held):
+                    self._drop(held)
+            else:
+                ready.setdefault(wait.held[0].stream, []).append(statement)
+        asked = tuple(in_turn(ready, MAX_STATEMENTS_ASKED, self._rng))
+        for statement in asked:
+            wait = self._waiting[statement]
+            wait.asks += 1
+            wait.ask_at = turn + (ASK_TURNS << wait.asks)
+        return asked
+
+
+def in_turn(waiting: Mapping[Stream, Sequence[T]], most: int, rng: random.Random) -> list[T]:
+    """Some of what several have brought: the same number of each, as far as possible."""
+    left = [rng.sample(some, len(some)) for some in rng.sample(list(waiting.values()), len(waiting))]
+    chosen: list[T] = []
+    while left and len(chosen) < most:
+        chosen += [some.pop() for some in left]
+        left = [some for some in left if some]
+    return chosen[:most]
+
+
+def _statements(voucher: Voucher) -> list[Statement]:
+    base, life, first, _, hashes = voucher
+    return [(base, life, first + i) for i in range(len(hashes))]

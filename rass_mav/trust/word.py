@@ -1,0 +1,132 @@
+"""What a node with keys knows to be the ground's word. It hears nothing else that a base is said to state."""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rass_mav.core.messages import Beacon, Message, stated
+from rass_mav.core.participant import Participant
+from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import Frame, Stream
+from rass_mav.trust.announced import Announced
+from rass_mav.trust.vouchers import Held, Vouchers
+from rass_mav.wire.word import (
+    VOUCHER,
+    Ask,
+    Signed,
+    decode_word,
+    encode_ask,
+)
+
+if TYPE_CHECKING:
+    from rass_mav.trust.keys.word import GroundWord
+
+#: Signatures verified in one step, at most.
+MAX_VERIFIED = 4
+#: Signatures of one stream that wait to be verified, and streams that have some.
+MAX_OF_STREAM, MAX_STREAMS = 8, 64
+
+
+class Word:
+    """The ground's word at one node."""
+
+    __slots__ = ("_queue", "bad", "keys", "node", "routes", "verified", "vouchers")
+
+    def __init__(
+        self, node_id: int, keys: GroundWord, store: Store, rng: random.Random, node: Participant | None
+    ) -> None:
+        """`keys`: those of the ground, as far as the node has them. `store`: of the node."""
+        self.node = node
+        """What hears all this; None: nobody does."""
+        self.keys = keys
+        """Those of the ground."""
+        self.vouchers = Vouchers((node_id, store.life), keys, rng)
+        self.routes = Announced(node_id, keys, store, rng)
+        self._queue: dict[Stream, deque[Signed]] = {}
+        """What waits to be verified. Streams come in turn."""
+        self.verified = 0
+        """Signatures verified."""
+        self.bad = 0
+        """Signatures of others than the ground."""
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def hear(self, payload: bytes, stream: Stream) -> None:
+        """A TUNNEL payload for which `is_word`. `stream`: who brings it (`Streams.bringer`). Raises
+        `MalformedError`."""
+        word = decode_word(payload)
+        if isinstance(word, Ask):
+            for base in word.bases:
+                self.routes.asked(base)
+            for statement in word.statements:
+                self.vouchers.asked(statement, stream)
+        elif self._is_news(word):
+            queue = self._queue.get(stream)
+            if queue is None:
+                if len(self._queue) >= MAX_STREAMS:
+                    return
+                queue = self._queue[stream] = deque(maxlen=MAX_OF_STREAM)
+            queue.append(word)
+
+    def _is_news(self, signed: Signed) -> bool:
+        return (self.vouchers if signed.kind == VOUCHER else self.routes).is_news(signed)
+
+    def admit(self, message: Message, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
+        """A message as core should hear it; None: not now.
+
+        :param payload: the TUNNEL payload from which it was decoded.
+        :param stream: who brings it (`Streams.bringer`).
+        :param frame: in which it came, if somebody needs that later.
+        """
+        if type(message) is Beacon:
+            return self.routes.heard(message, stream, self.node)
+        statement = stated(message)
+        if statement is None or self.vouchers.admits(statement, message, payload, stream, frame):
+            return message
+        return None
+
+    def released(self) -> list[Held]:
+        """Once a step: verify what waits. Returns the statements that core may hear now."""
+        out: list[Held] = []
+        left = MAX_VERIFIED
+        while left and self._queue:
+            stream = next(iter(self._queue))
+            queue = self._queue.pop(stream)
+            signed = queue.popleft()
+            if queue:
+                self._queue[stream] = queue
+            if not self._is_news(signed):
+                continue
+            left -= 1
+            self.verified += 1
+            of_statements = signed.kind == VOUCHER
+            if not (self.keys.vouches if of_statements else self.keys.anchors)(signed.body, signed.signature):
+                self.bad += 1
+            elif of_statements:
+                out += self.vouchers.learn(signed, set if self.node is None else self.node.receipts.kept)
+            else:
+                self.routes.learn(signed, self.node)
+        return out
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], list[Message]]:
+        """Once a turn: TUNNEL payloads to send, and the messages of this turn as they should leave."""
+        vouchers, statements = self.vouchers.turn(messages)
+        shown = [self.routes.shown(message) if type(message) is Beacon else message for message in messages]
+        anchors, bases = self.routes.turn()
+        asks = [encode_ask(Ask(bases, statements))] if bases or statements else []
+        return [*anchors, *vouchers, *asks], shown
+
+    def report(self) -> dict[str, Any]:
+        """For `status`."""
+        return {
+            "verified": self.verified,
+            "bad": self.bad,
+            "waiting": self.vouchers.held,
+            "forged": self.vouchers.forged,
+            "routes_refused": self.routes.refused,
+        }

@@ -1,0 +1,333 @@
+"""The page in a real browser, while data arrive."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.ground.archive import Archive
+from rass_mav.wire.measurement import Measurement
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
+from tests.app.app_nodes import ROOT
+from tests.environment import unmeasured
+from tests.ground.missions import HERE, Base
+from tests.patience import PATIENCE_S
+
+from .flights import Flight
+
+pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
+pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
+
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from rass_mav.ground.page.access import Access
+from rass_mav.ground.page.follow import Follower
+from rass_mav.ground.page.server import Page as ServedPage
+from rass_mav.ground.page.server import serve
+
+from .serving import TOKEN
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+expect.set_options(timeout=PATIENCE_S * 1000)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+
+DESK, PHONE = {"width": 1400, "height": 900}, {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as programs:
+        # A sandbox inside a sandbox is not possible everywhere; this browser sees our own page only.
+        found = programs.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@contextmanager
+def served(store: Path, token: str | None = None) -> Iterator[str]:
+    """The page of a store, on a thread of its own; yields its address."""
+    page = ServedPage(Follower(lambda: Archive(store)), Access("127.0.0.1", token))
+    loop, stopped = asyncio.new_event_loop(), asyncio.Event()
+    found: list[str] = []
+    up = threading.Event()
+
+    def ready(url: str) -> None:
+        found.append(url)
+        up.set()
+
+    thread = threading.Thread(target=loop.run_until_complete, args=(serve(page, "127.0.0.1:0", ready, stopped),))
+    thread.start()
+    try:
+        assert up.wait(PATIENCE_S)
+        yield found[0]
+    finally:
+        loop.call_soon_threadsafe(stopped.set)
+        thread.join(PATIENCE_S)
+        loop.close()
+
+
+@contextmanager
+def opened(browser: Browser, url: str, *, size: dict[str, int] = DESK, scheme: str = "light") -> Iterator[Page]:
+    """The page in a window of its own. At its end there was no error, and no request to another host."""
+    context = browser.new_context(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
+    context.set_default_timeout(PATIENCE_S * 1000)
+    page = context.new_page()
+    trouble: list[str] = []
+    hosts: set[str] = set()
+    page.on("console", lambda said: trouble.append(said.text) if said.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on("request", lambda request: hosts.add(urlsplit(request.url).netloc))
+    page.goto(url)
+    yield page
+    assert trouble == []
+    assert hosts <= {urlsplit(url).netloc, ""}, "the second are data: addresses"
+    context.close()
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[Flight]:
+    flight = Flight(tmp_path / "rass-1.db", drones=5)
+    flight.fly(600)
+    yield flight
+    flight.close()
+
+
+def number(page: Page, id: str) -> int:
+    return int(page.locator(f"#{id}").inner_text().replace(",", ""))
+
+
+def arrived(flight: Flight) -> int:
+    with Archive(flight.base.path) as archive:
+        return archive.count()
+
+
+def shoot(page: Page, name: str) -> None:
+    """A picture, where somebody wants to look at them."""
+    if folder := os.environ.get("RASS_SHOTS"):
+        page.screenshot(path=f"{folder}/{name}.png")
+
+
+def wait_for_data(page: Page, flight: Flight) -> None:
+    expect(page.locator("#n-arrived")).to_have_text(f"{arrived(flight):,}", timeout=PATIENCE_S * 1000)
+    expect(page.locator("#link")).to_have_text("Live")
+
+
+def test_a_mission_that_grows_while_somebody_looks(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        before = number(page, "n-arrived")
+        assert page.locator(".mark").count() == 6
+        assert page.locator("#drones tbody tr").count() == 6
+        flight.fly(120)
+        wait_for_data(page, flight)
+        assert number(page, "n-arrived") > before
+        shoot(page, "browser-light")
+
+        # A drone's panel, by mouse and by keyboard.
+        page.locator("#drones button[data-drone='3']").click()
+        expect(page.locator("#drone-title")).to_have_text("Drone 3")
+        expect(page.locator("#drone-facts")).to_contain_text("newer: unknown")
+        expect(page.locator("#drone-facts")).to_contain_text("Next hopnode 4")
+        expect(page.locator("#drone-neighbours tr", has_text="next hop")).to_have_count(1)
+        expect(page.locator("#drone-readings canvas")).to_be_visible()
+        shoot(page, "browser-drone")
+        page.keyboard.press("Escape")
+        expect(page.locator("#drone")).to_be_hidden()
+        assert page.evaluate("document.activeElement.dataset.drone") == "3", "the focus goes back"
+        page.locator(".mark[aria-label^='Drone 4,']").focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("#drone-title")).to_have_text("Drone 4")
+        page.locator("#drone-close").click()
+
+        # Back in time, and to the present.
+        total = number(page, "n-arrived")
+        page.locator("#slider").focus()
+        page.keyboard.press("Home")
+        expect(page.locator("#past-note")).to_be_visible()
+        page.keyboard.press("PageUp")
+        page.keyboard.press("PageUp")
+        expect(page.locator("#link")).to_contain_text("At ")
+        expect(page.locator("#n-lost")).to_have_text("-")
+        expect(page.locator("#n-arrived")).not_to_have_text(f"{total:,}")
+        earlier = number(page, "n-arrived")
+        assert earlier < total
+        page.locator("#play").click()
+        expect(page.locator("#play")).to_have_text("Pause")
+        expect(page.locator("#n-arrived")).not_to_have_text(f"{earlier:,}")
+        page.locator("#live").click()
+        expect(page.locator("#n-arrived")).to_have_text(f"{total:,}")
+        expect(page.locator("#past-note")).to_be_hidden()
+
+
+def test_a_mock_swarm_moves_and_its_counts_grow(browser: Browser) -> None:
+    words = ["swarm", "--nodes", "9", "--topology", "random-walk", "--steps", "9999", "--page", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "rass_mav", *words]
+    with subprocess.Popen(
+        command, env=unmeasured(PYTHONPATH=str(ROOT)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as swarm:  # fmt: skip
+        try:
+            assert swarm.stderr is not None
+            url = next(line for line in swarm.stderr if line.startswith("http://")).split()[0]
+            with opened(browser, url) as page:
+                mark = page.locator(".mark[aria-label^='Drone 1,']")
+                mark.wait_for()
+                was, arrived = mark.get_attribute("style"), number(page, "n-arrived")
+                page.wait_for_function(
+                    "was => document.querySelector(\".mark[aria-label^='Drone 1,']\").style.cssText != was", arg=was
+                )
+                page.wait_for_function(
+                    "was => Number(document.querySelector('#n-arrived').textContent.replace(',', '')) > was",
+                    arg=arrived,
+                )
+                expect(page.locator(".mark[aria-label^='Base 0,']")).to_be_visible()
+        finally:
+            swarm.send_signal(signal.SIGINT)
+            swarm.communicate(timeout=PATIENCE_S)
+
+
+def test_both_themes(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url:
+        for scheme, other in (("light", "dark"), ("dark", "light")):
+            with opened(browser, url, scheme=scheme) as page:
+                wait_for_data(page, flight)
+                theme = "document.documentElement.dataset.theme"
+                ground = "getComputedStyle(document.body).backgroundColor"
+                assert page.evaluate(theme) == scheme
+                was = page.evaluate(ground)
+                shoot(page, f"browser-theme-{scheme}")
+                page.locator("#theme").click()
+                assert page.evaluate(theme) == other
+                assert page.evaluate(ground) != was
+                page.reload()
+                wait_for_data(page, flight)
+                assert page.evaluate(theme) == other, "what was chosen stays"
+
+
+def test_a_phone(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url, opened(browser, url, size=PHONE) as page:
+        wait_for_data(page, flight)
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], "nothing is beside the page"
+        table = page.locator("#drones")
+        assert table.evaluate("(t) => t.scrollWidth <= t.parentElement.clientWidth"), "the table fits"
+        for id in ("play", "slider", "live", "theme", "fit"):
+            box = page.locator(f"#{id}").bounding_box()
+            assert box is not None
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= PHONE["width"]
+            assert box["height"] >= 30, "a thumb hits it"
+        page.locator("#drones button[data-drone='2']").click()
+        expect(page.locator("#drone-title")).to_be_in_viewport()
+        shoot(page, "browser-phone")
+
+
+def test_a_drone_that_only_others_hear(browser: Browser, flight: Flight) -> None:
+    word = NodeStatus(0, 0, 0, None, 0.0, 2, None, None, {40: 0.5}, {})
+    flight.base.arrive(flight.base.datum(3, 900, Kind.STATUS, encode_status(word)))
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        row = page.locator("#drones tbody tr", has=page.locator("button[data-drone='40']"))
+        expect(row).to_contain_text("by 3no data")
+        row.locator("button").click()
+        expect(page.locator("#drone-facts")).to_contain_text("Heardby drone 3, ")
+        flight.base.arrive(flight.base.measurement(40, 0, HERE))
+        expect(row).not_to_contain_text("no data")
+        expect(row).to_have_count(1)
+
+
+def test_a_base_without_a_position_is_told_beside_the_map(browser: Browser, tmp_path: Path) -> None:
+    base = Base(tmp_path / "rass-1.db")
+    said = NodeStatus(0, 0, 0, None, 0.0, 0, None, None, {7: 0.9}, {}, base=True)
+    base.arrive(base.measurement(7, 0, HERE), base.datum(1, 0, Kind.STATUS, encode_status(said)))
+    with served(base.path) as url, opened(browser, url) as page:
+        expect(page.locator("#n-arrived")).to_have_text("2")
+        assert page.locator(".mark").count() == 1
+        expect(page.locator("#remarks")).to_be_visible()
+        expect(page.locator("#remarks")).to_contain_text("Base 1 is not on the map: no position is known")
+        shoot(page, "browser-no-place")
+        base.arrive(base.datum(1, 1, Kind.STATUS, encode_status(said._replace(place=(47.377, 8.541)))))
+        expect(page.locator(".mark")).to_have_count(2)
+        expect(page.locator("#remarks")).to_be_hidden()
+    base.close()
+
+
+def test_hostile_names_are_text(browser: Browser, tmp_path: Path) -> None:
+    name = "<img src=x onerror=alert(1)>&amp;.db"
+    flight = Flight(tmp_path / name, drones=2)
+    flight.fly(60)
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        expect(page.locator("#store")).to_have_text(name)
+        assert page.locator("img[src='x']").count() == 0
+    flight.close()
+
+
+def test_forged_data_do_not_stop_it(browser: Browser, flight: Flight) -> None:
+    most, here = 3.4028234663852886e38, Measurement(47.37, 8.54, 0.0, 1.0, 1.0, unit="usvh")
+    places = ((90.0, 180.0), (-90.0, -180.0), (0.0, 0.0), (47.37, 8.54), (47.37, -179.99999))
+    forged = [
+        here._replace(latitude=latitude, longitude=longitude, reading=reading, unit=unit)
+        for latitude, longitude in places
+        for reading in (most, -most, 1e-45, 0.0, None)
+        for unit in ("usvh", "cps", None)
+    ]
+    base = flight.base
+    numbers = (0, 1, 2**32 - 2, 2**32 - 1)
+    base.arrive(*(base.measurement(60_000 + n, numbers[n % 4], m, age_s=2e6 * n) for n, m in enumerate(forged)))
+    said = NodeStatus(
+        65535, 65535, 65535, None, 1.0, 254, None, (90.0, 180.0), {2: 1.0, 65535: 0.0}, {}, next_hop=65535
+    )
+    base.arrive(base.datum(65535, 2**32 - 1, Kind.STATUS, encode_status(said)))
+    base.store.lose(DatumId(0, 2**32 - 1, 2**32 - 1), Fate.OVERFLOW)
+    base.arrive()
+    with served(base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        assert number(page, "n-created") > 30 * 2**32
+        assert page.locator(".totals").evaluate("(t) => t.scrollWidth <= t.clientWidth"), "large numbers are wrapped"
+        for unit in ("cps", "", "usvh"):
+            page.locator("#layers").evaluate("(e) => { e.open = true; }")
+            page.locator("#unit").select_option(unit)
+        page.locator("#drones button[data-drone='65535']").click()
+        expect(page.locator("#drone-facts")).to_contain_text("node 65535")
+        page.locator("#fit").click()
+        page.locator("#slider").focus()
+        page.keyboard.press("Home")
+        expect(page.locator("#past-note")).to_be_visible()
+        page.locator("#live").click()
+        flight.fly(60)
+        wait_for_data(page, flight)
+        shoot(page, "browser-forged")
+
+
+def test_the_login(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path, TOKEN) as url, opened(browser, url) as page:
+        assert urlsplit(page.url).path == "/login"
+        page.locator("#token").fill(TOKEN)
+        page.keyboard.press("Enter")
+        wait_for_data(page, flight)
+        assert page.evaluate("document.cookie") == "", "scripts do not see the cookie"
+        page.locator("#logout button").click()
+        page.wait_for_url("**/login")
+
+
+def test_every_control_has_a_name(browser: Browser, flight: Flight) -> None:
+    with served(flight.base.path) as url, opened(browser, url) as page:
+        wait_for_data(page, flight)
+        page.locator("#layers summary").click()
+        nameless = page.evaluate(
+            """() => [...document.querySelectorAll("button, input, select, [role=button], [tabindex='0']")]
+              .filter((e) => e.checkVisibility() && !e.ariaLabel && !e.getAttribute("aria-labelledby")
+                && !e.textContent.trim() && !(e.labels && e.labels.length))
+              .map((e) => e.outerHTML)"""
+        )
+        assert nameless == []

@@ -1,0 +1,402 @@
+"""The server: what it answers, and whom."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socketserver
+import threading
+from collections.abc import Coroutine, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.core.datum import Kind
+from rass_mav.errors import StoreError
+from rass_mav.ground.archive import Archive
+from tests.ground.mission_stores import HOSTILE
+from tests.ground.missions import HERE, Base
+from tests.patience import PATIENCE_S
+
+pytest.importorskip("aiohttp", reason="aiohttp is not installed (extra ground)")
+
+from aiohttp import CookieJar
+
+from rass_mav.ground.page.access import MOST_WRONG, WRONG_S
+from rass_mav.ground.page.follow import Follower, ask_node
+from rass_mav.ground.page.hub import END, CrowdedError, Hub
+from rass_mav.ground.page.server import HEADERS, event
+from rass_mav.ground.page.tiles import NOTHING, Tiles
+
+from .serving import TOKEN, events, serving
+from .test_tiles import JPEG, mbtiles
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Iterator[Base]:
+    base = Base(tmp_path / "rass-1.db")
+    base.arrive(base.measurement(7, 0, HERE), base.measurement(7, 3, HERE))
+    yield base
+    base.close()
+
+
+def run(work: Coroutine[Any, Any, None]) -> None:
+    """Until it ends; what hangs is cut off."""
+
+    async def limited() -> None:
+        await asyncio.wait_for(work, PATIENCE_S)
+
+    asyncio.run(limited())
+
+
+def test_every_answer_has_the_headers(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path) as (_, client):
+            for path, status in {
+                "/": 200, "/static/page.css": 200, "/static/js/main.js": 200, "/static/vendor/leaflet.js": 200,
+                "/api/mission": 200, "/healthz": 200, "/api/drone/7": 200, "/api/at?t=1": 200, "/login": 200,
+                "/api/drone/9": 404, "/api/at": 400, "/api/at?t=nan": 400, "/api/at?t=1e999": 400, "/nothing": 404,
+                "/static/../server.py": 404, "/static/%2e%2e/server.py": 404, "/static/vendor/README.md": 404,
+                "/tiles/1/0/0": 404, "/api/drone/x": 404,
+            }.items():  # fmt: skip
+                async with client.get(path) as answer:
+                    assert (path, answer.status) == (path, status)
+                    for name, value in HEADERS.items():
+                        assert answer.headers[name] == value
+            policy = HEADERS["Content-Security-Policy"]
+            for rule in ("default-src 'none'", "script-src 'self'", "style-src 'self'", "frame-ancestors 'none'"):
+                assert rule in policy
+            assert "unsafe" not in policy
+
+    run(main())
+
+
+def test_it_is_read_only(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path) as (_, client):
+            for method in ("POST", "PUT", "DELETE", "PATCH"):
+                for path in ("/", "/api/mission", "/api/drone/7", "/api/at?t=1"):
+                    async with client.request(method, path) as answer:
+                        assert answer.status == 405
+
+    run(main())
+
+
+@pytest.mark.parametrize(("host", "status"), [("evil.example", 421), ("evil.example:8080", 421), ("base.local", 200)])
+def test_another_name_that_points_here_gets_nothing(base: Base, host: str, status: int) -> None:
+    async def main() -> None:
+        async with serving(base.path) as (_, client):
+            for path in ("/", "/api/mission", "/healthz"):
+                async with client.get(path, headers={"Host": host}) as answer:
+                    assert answer.status == status
+
+    run(main())
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_other_sites_get_nothing(base: Base, site: str) -> None:
+    async def main() -> None:
+        async with serving(base.path) as (_, client):
+            for path, status in {"/": 200, "/api/mission": 403, "/api/events": 403, "/static/page.css": 403}.items():
+                async with client.get(path, headers={"Sec-Fetch-Site": site}) as answer:
+                    assert answer.status == status
+                    assert "Access-Control-Allow-Origin" not in answer.headers
+            async with client.post("/login", data={"token": TOKEN}, headers={"Sec-Fetch-Site": site}) as answer:
+                assert answer.status == 403
+
+    run(main())
+
+
+def test_with_a_token_nothing_is_seen_without_it(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path, token=TOKEN) as (_, client):
+            async with client.get("/", allow_redirects=False) as answer:
+                assert (answer.status, answer.headers["Location"]) == (303, "/login")
+            for path in ("/api/mission", "/api/events", "/api/drone/7", "/api/at?t=1", "/tiles/1/0/0"):
+                for headers in ({}, {"Authorization": "Bearer wrong"}, {"Cookie": f"rass-page={TOKEN}"}):
+                    async with client.get(path, headers=headers) as answer:
+                        assert answer.status == 401
+                        assert answer.headers["WWW-Authenticate"] == "Bearer"
+            async with client.get("/api/mission", headers={"Authorization": f"Bearer {TOKEN}"}) as answer:
+                assert answer.status == 200
+            for path in ("/healthz", "/login", "/static/page.css"):
+                async with client.get(path) as answer:
+                    assert answer.status == 200
+
+    run(main())
+
+
+def test_the_login_gives_a_cookie_that_scripts_do_not_see(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path, token=TOKEN) as (_, client):
+            client.session._cookie_jar = CookieJar(unsafe=True)
+            for wrong in ({"token": "wrong"}, {}, {"token": ""}):
+                async with client.post("/login", data=wrong) as answer:
+                    assert answer.status == 401
+                    assert 'role="alert">This is not the token' in await answer.text()
+            async with client.post("/login", data={"token": f" {TOKEN}\n"}, allow_redirects=False) as answer:
+                assert answer.status == 303
+                cookie = answer.headers["Set-Cookie"]
+                assert "HttpOnly" in cookie
+                assert "SameSite=Strict" in cookie
+                assert TOKEN not in cookie
+            async with client.get("/api/mission") as answer:
+                assert (await answer.json())["token"] is True
+            async with client.get("/login", allow_redirects=False) as answer:
+                assert answer.status == 303
+            async with client.post("/logout", allow_redirects=False) as answer:
+                assert answer.status == 303
+            async with client.get("/api/mission") as answer:
+                assert answer.status == 401
+            async with client.post("/login", data={"token": "x" * 100_000}) as answer:
+                assert answer.status == 413
+
+    run(main())
+
+
+def test_who_guesses_has_to_wait(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path, token=TOKEN) as (_, client):
+            right, wrong = ({"Authorization": f"Bearer {word}"} for word in (TOKEN, "wrong"))
+            for n in range(MOST_WRONG):
+                path, status = ("/api/mission", 401) if n % 2 else ("/healthz", 200)
+                async with client.get(path, headers=wrong) as answer:
+                    assert answer.status == status
+            while (answer := await client.post("/login", data={"token": "wrong"})).status == 401:
+                answer.close()
+            for headers in (right, wrong):
+                async with client.get("/api/mission", headers=headers) as answer:
+                    assert answer.status == 429
+                    assert 0 < int(answer.headers["Retry-After"]) <= WRONG_S
+            async with client.post("/login", data={"token": TOKEN}) as answer:
+                assert answer.status == 429
+                assert "try again in" in await answer.text()
+            async with client.get("/api/mission") as answer:
+                assert answer.status == 401
+
+    run(main())
+
+
+def test_news_come_as_data_arrive(base: Base) -> None:
+    async def main() -> None:
+        async with serving(base.path) as (_, client):
+            feed = events(client.session, str(client.make_url("/api/events")))
+            kind, data = await feed.__anext__()
+            assert kind == "mission"
+            while json.loads(data)["totals"]["arrived"] < 2:
+                kind, data = await feed.__anext__()
+            base.arrive(base.measurement(8, 0, HERE), base.file(7, 1, "photo.jpg", b"x"))
+            while json.loads(data)["totals"]["arrived"] < 4:
+                kind, data = await feed.__anext__()
+            assert kind == "news"
+            news = json.loads(data)
+            assert {figures["drone"] for figures in news["drones"]} == {7, 8}
+            assert news["totals"]["missing"] == 1
+            await feed.aclose()
+
+    run(main())
+
+
+def test_names_of_drones_and_stores_are_data(tmp_path: Path) -> None:
+    """Nothing that a drone says is in the page itself, and nothing ends an event or a string of JSON."""
+    base = Base(tmp_path / "a<script>b\n\n<img src=x onerror=y>.db")
+    base.arrive(*(base.file(7, number, name, b"x") for number, name in enumerate(HOSTILE)))
+    base.arrive(base.datum(7, 99, Kind.MEASUREMENT, b"\1"))
+    base.close()
+
+    async def main() -> None:
+        async with serving(base.path) as (_, client):
+            async with client.get("/") as answer:
+                assert "a<script>b" not in await answer.text()
+            feed = events(client.session, str(client.make_url("/api/events")))
+            while True:
+                _, data = await feed.__anext__()
+                if json.loads(data)["totals"]["arrived"] == len(HOSTILE) + 1:
+                    break
+            assert json.loads(data)["store"] == "a<script>b\n\n<img src=x onerror=y>.db"
+            await feed.aclose()
+
+    run(main())
+    said = event("news", {"store": "a\nevent: mission\ndata: {}\n\n\u2028\x07</script>"})
+    assert said.count(b"\n") == 3
+    assert said.isascii()
+
+
+def test_a_client_that_is_too_slow_is_cut(base: Base) -> None:
+    async def main() -> None:
+        hub = Hub(waiting=4)
+        async with serving(base.path, hub=hub) as (_, client):
+            answer = await client.get("/api/events")
+            assert len(hub) == 1
+            # It does not read; what the sockets take is bounded.
+            while hub.cut == 0:
+                hub.publish(b"data: " + b"x" * 1_000_000 + b"\n\n")
+                await asyncio.sleep(0)
+            assert len(hub) == 0
+            answer.close()
+            async with client.get("/healthz") as other:
+                assert other.status == 200
+
+    run(main())
+
+
+def test_there_are_not_too_many_clients(base: Base) -> None:
+    async def main() -> None:
+        hub = Hub(most=2)
+        async with serving(base.path, hub=hub) as (_, client):
+            one, two, three = [await client.get("/api/events") for _ in range(3)]
+            assert [one.status, two.status, three.status] == [200, 200, 503]
+            assert "close one" in await three.text()
+            one.close()
+            # The server notices a little later.
+            while (again := await client.get("/api/events")).status != 200:
+                again.close()
+            two.close()
+            again.close()
+
+    run(main())
+
+
+class Wire:
+    """A connection that only notes its end."""
+
+    def __init__(self) -> None:
+        self.ended = False
+
+    def abort(self) -> None:
+        self.ended = True
+
+    def is_closing(self) -> bool:
+        return self.ended
+
+
+def test_the_hub() -> None:
+    one, two, three = Wire(), Wire(), Wire()
+    hub = Hub(most=1, waiting=1)
+    client = hub.join(one)
+    with pytest.raises(CrowdedError):
+        hub.join(two)
+    hub.publish(b"1")
+    hub.publish(b"2")
+    assert (one.ended, len(hub), hub.cut) == (True, 0, 1)
+    assert client.news.get_nowait() == END, "and not what it was too slow for"
+    hub.leave(client)
+    hub.join(two)
+    two.abort()
+    hub.join(three)
+    assert len(hub) == 1, "whoever is gone makes room"
+    hub.close()
+    assert three.ended
+    assert len(hub) == 0
+
+
+def test_tiles(base: Base, tmp_path: Path) -> None:
+    async def main() -> None:
+        tiles = Tiles(mbtiles(tmp_path / "map.mbtiles", {(1, 0, 1): JPEG}, attribution="crew"))
+        async with serving(base.path, tiles=tiles) as (_, client):
+            async with client.get("/api/mission") as answer:
+                assert (await answer.json())["tiles"]["attribution"] == "crew"
+            async with client.get("/tiles/1/0/0") as answer:
+                assert (answer.content_type, await answer.read()) == ("image/jpeg", JPEG)
+            async with client.get("/tiles/1/1/1") as answer:
+                assert (answer.content_type, await answer.read()) == ("image/png", NOTHING)
+
+    run(main())
+
+
+class TestFollower:
+    def test_it_reads_in_parts_and_then_what_is_new(self, base: Base, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("rass_mav.ground.page.follow.MOST_IN_A_LOOK", 3)
+        base.arrive(*(base.measurement(8, number, HERE) for number in range(5)))
+        follower = Follower(lambda: Archive(base.path))
+        taken = []
+        while follower.behind:
+            assert follower.look()
+            taken.append(follower.mission.taken)
+        assert taken == [3, 6, 7]
+        assert not follower.look()
+        base.arrive(base.measurement(9, 0, HERE))
+        assert follower.look()
+        assert follower.mission.taken == 8
+        assert set(follower.mission.report.drones) == {7, 8, 9}
+        follower.close()
+
+    def test_second_contents_count_whenever_they_arrive(self, base: Base) -> None:
+        other = HERE._replace(reading=9.0)
+        base.store.keep_apart(base.measurement(7, 0, other))
+        base.arrive()
+        follower = Follower(lambda: Archive(base.path))
+        while follower.behind:
+            follower.look()
+        assert (follower.mission.taken, follower.mission.report.apart) == (3, 1)
+        assert not follower.look()
+        base.store.keep_apart(base.measurement(7, 0, other._replace(reading=10.0)))
+        base.arrive(base.measurement(7, 2, HERE))
+        assert follower.look()
+        assert (follower.mission.taken, follower.mission.report.apart) == (5, 2)
+        assert not follower.look()
+        follower.close()
+
+    def test_the_page_hears_of_the_end_of_reading_also_where_the_last_part_is_full(
+        self, base: Base, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("rass_mav.ground.page.follow.MOST_IN_A_LOOK", 2)
+        follower = Follower(lambda: Archive(base.path))
+        assert follower.look()
+        assert follower.behind
+        assert follower.look()
+        assert not follower.behind
+        assert not follower.look()
+        follower.close()
+
+    def test_a_store_that_cannot_be_read_is_trouble_until_it_can(self, base: Base) -> None:
+        archive = Archive(base.path)
+        opened = []
+
+        def open() -> Archive:
+            opened.append(base.path)
+            if len(opened) == 2:
+                raise StoreError(f"{base.path}: gone")
+            return archive if len(opened) == 1 else Archive(base.path)
+
+        follower = Follower(open)
+        assert follower.look()
+        archive.renew = fail  # type: ignore[method-assign]
+        assert follower.look()
+        assert follower.trouble == "it fails"
+        assert follower.look()
+        assert "gone" in follower.trouble
+        base.arrive(base.measurement(9, 0, HERE))
+        assert follower.look()
+        assert (follower.trouble, follower.mission.taken, len(opened)) == ("", 3, 3)
+        follower.close()
+
+    def test_nobody_answers_where_no_node_runs(self, tmp_path: Path) -> None:
+        assert ask_node(tmp_path / "none.sock") is None
+
+    def test_what_a_running_node_says(self, tmp_path: Path) -> None:
+        said = {
+            "node_id": 1, "role": "base", "version": "1", "uptime_s": 5.0, "next_hop": None, "hop_count": 0,
+            "faults": {"count": 2}, "neighbours": [{"node_id": 7, "age_s": 0.5, "hops": 1, "risk": 0.1}], "life": "x",
+        }  # fmt: skip
+
+        class Answer(socketserver.StreamRequestHandler):
+            def handle(self) -> None:
+                self.rfile.readline()
+                self.wfile.write(json.dumps({"ok": True, "status": said}).encode() + b"\n")
+
+        path = tmp_path / "node.sock"
+        with socketserver.UnixStreamServer(str(path), Answer) as node:
+            thread = threading.Thread(target=node.handle_request)
+            thread.start()
+            found = ask_node(path)
+            thread.join(PATIENCE_S)
+        assert found is not None
+        assert (found["node_id"], found["faults"]) == (1, 2)
+        assert found["neighbours"] == [{"node_id": 7, "age_s": 0.5, "hops": 1}]
+        assert "life" not in found
+
+
+def fail() -> None:
+    raise StoreError("it fails")

@@ -1,0 +1,140 @@
+"""The report as one file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from rass_mav.cli import main
+from rass_mav.core.datum import DatumId, Fate, Kind
+from rass_mav.ground import html
+from rass_mav.ground.archive import Archive
+from rass_mav.wire.nodestatus import NodeStatus, encode_status
+
+from .mission_stores import archive, mission, stored
+from .missions import EPOCH, HERE, Base
+
+#: Elements without an end.
+_VOID = {"meta", "br"}
+
+
+class Strict(HTMLParser):
+    """Collects the text, the elements, and whether each is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.text: list[str] = []
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self._open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("href", "src", "action", "xlink:href")]
+        assert not [name for name, _ in attrs if name.startswith("on")]
+        if tag not in _VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        self._open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+    @classmethod
+    def of(cls, text: str) -> Strict:
+        parser = cls()
+        parser.feed(text)
+        parser.close()
+        assert not parser._open
+        return parser
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Iterator[Base]:
+    base = Base(tmp_path / "base.db")
+    yield base
+    base.close()
+
+
+def report(path: Path, out: Path, now: float) -> str:
+    with Archive(path, now=lambda: now) as found:
+        html.write(found, out, now)
+    return out.read_text(encoding="utf-8")
+
+
+def test_it_has_a_map_and_tables_and_needs_nothing_else(base: Base, tmp_path: Path) -> None:
+    said = NodeStatus(5, 3, 0, None, 0.2, 1, 60, (47.378, 8.543), {}, {7: 3})
+    base.arrive(
+        base.measurement(7, 0, HERE, age_s=100.0),
+        base.measurement(7, 1, HERE._replace(latitude=47.3775, reading=2000.0), age_s=80.0),
+        base.datum(7, 5, Kind.STATUS, encode_status(said), age_s=60.0),
+        base.datum(1, 0, Kind.STATUS, encode_status(said._replace(base=True)), age_s=30.0),
+    )
+    base.store.lose(DatumId(7, EPOCH, 2), Fate.OVERFLOW)
+    base.store.lose(DatumId(7, EPOCH, 9), Fate.UNKNOWN)
+    base.arrive(base.measurement(8, 0, HERE))
+    text = report(base.path, tmp_path / "report.html", base.wall)
+    found = Strict.of(text)
+    words = " ".join(found.text)
+    assert found.links == []
+    assert "script" not in found.tags
+    assert found.tags.count("svg") == 1
+    assert found.tags.count("polyline") == 3
+    assert "2,000 uSv/h" in words
+    assert "abc00001-3..4" in words
+    assert "1 overflow" in words
+    assert "Drone 7 may have created data that nobody knows of" in words
+    assert "3, perhaps 3 or more, 60 s ago" in words, "at risk: its numbers are in doubt, so all that it had alone"
+    assert "1 (base)" in words
+
+
+def test_what_drones_say_is_text(tmp_path: Path) -> None:
+    path = stored(tmp_path / "a<script>alert(1)<&'\".db", mission())
+    with archive(path) as found:
+        found.remarks.append("<img src=x onerror=alert(1)>\x07</script>")
+        html.write(found, tmp_path / "report.html", 1.8e9)
+    parsed = Strict.of((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert not {"script", "img"} & set(parsed.tags)
+    assert any("<img src=x onerror=alert(1)>\ufffd</script>" in text for text in parsed.text)
+
+
+def test_an_empty_store_and_one_without_places(base: Base, tmp_path: Path) -> None:
+    base.arrive()
+    text = report(base.path, tmp_path / "empty.html", base.wall)
+    assert "No place is known" in text
+    base.arrive(base.measurement(7, 0, HERE._replace(latitude=None, longitude=None, altitude=None)))
+    assert "No place is known" in report(base.path, tmp_path / "nowhere.html", base.wall)
+
+
+def test_one_place_is_in_the_middle_and_the_180th_meridian_is_no_gap(base: Base, tmp_path: Path) -> None:
+    base.arrive(
+        base.measurement(7, 0, HERE._replace(longitude=179.9999, reading=None)),
+        base.measurement(8, 0, HERE._replace(longitude=-179.9999, reading=0.0)),
+    )
+    text = report(base.path, tmp_path / "report.html", base.wall)
+    points = [float(x) for x in re.findall(r'<circle cx="([\d.]+)"', text)]
+    assert len(points) == 2
+    assert 300 < min(points) < max(points) < 600, "20 metres apart, not once around the world"
+
+
+def test_the_command_writes_it_and_overwrites_nothing(
+    base: Base, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base.arrive(base.measurement(7, 0, HERE))
+    out = tmp_path / "out.html"
+    assert main(["report", str(base.path), "--html", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["arrived"] == 1
+    assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert main(["report", str(base.path), "--html", str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["report", str(base.path), "--html", str(tmp_path / "no" / "out.html")]) == 1

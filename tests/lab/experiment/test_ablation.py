@@ -1,0 +1,87 @@
+"""`rass-mav experiment ablation`: which runs, and what is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rass_mav.cli import main
+from rass_mav.lab.experiment import ablation
+from rass_mav.lab.experiment.runs import Extent
+from rass_mav.lab.swarm.catalogue import load_scenario
+
+from .test_commands import SMALL, asked, check_files, table
+
+
+def test_each_part_is_switched_off_alone_and_all_together() -> None:
+    planned = ablation.plan(Extent(1, 9), ["none"], ["grid"], list(ablation.SWITCHES))
+    found = {
+        run.variant: (s.policy.name, s.node.forward, s.custody.mirror, s.custody.receipts, s.custody.copies)
+        for run in planned
+        for s in [run.scenario]
+    }
+    assert found == {
+        "nothing": ("survival", "immediate", None, True, "auto"),
+        "policy": ("hop-count", "immediate", None, True, "auto"),
+        "immediate": ("survival", "step", None, True, "auto"),
+        "mirror": ("survival", "immediate", False, True, "auto"),
+        "receipts": ("survival", "immediate", None, False, "auto"),
+        "copies": ("survival", "immediate", None, True, 1),
+        "everything": ("hop-count", "step", False, False, 1),
+    }
+
+
+def test_with_nothing_off_it_is_the_product_as_it_comes() -> None:
+    (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["grid"], [ablation.NOTHING])
+    assert run.scenario == load_scenario("demo")
+    (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["islands"], [ablation.NOTHING])
+    assert run.scenario == load_scenario("islands")
+
+
+def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = asked(
+        capsys, "ablation", "--out", str(tmp_path), "--air", "none", "--topology", "grid", "--off", "nothing", "policy",
+        "everything", *SMALL,
+    )  # fmt: skip
+    assert (summary["done"], summary["reused"]) == (6, 0)
+    check_files(tmp_path, summary)
+    columns, rows = table(tmp_path / "table.csv")
+    assert tuple(columns) == ablation.TABLE_COLUMNS
+    assert [(row["air"], row["topology"], row["off"]) for row in rows] == [
+        ("none", "grid", name) for name in ("nothing", "policy", "everything")
+    ]
+    nothing, _, everything = rows
+    assert (nothing["reliability_over_defaults_mean"], nothing["delivered_over_defaults_high"]) == ("0.0", "0.0")
+    more = float(everything["reliability_mean"]) - float(nothing["reliability_mean"])
+    assert float(everything["reliability_over_defaults_mean"]) == pytest.approx(more, abs=2e-6)
+    assert more < -0.05
+    assert "## grid, air none\n" in (tmp_path / "table.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("air", ablation.ALL_AIRS)
+def test_each_air_is_that_of_its_preset(air: str) -> None:
+    (run,) = ablation.plan(Extent(1, 9), [air], ["random-walk"], ["policy"])
+    radio = run.scenario.radio
+    assert (run.world, radio.preset, radio.takes_time) == (air, None if air == "none" else air, air != "none")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["--off", "radio"],
+            "--off: expected some of nothing, policy, immediate, mirror, receipts, copies, everything",
+        ),
+        (["--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m, sik-250k, sik-64k, lora"),
+        (["--set", "topology=line"], "chosen by --topology"),
+    ],
+)
+def test_bad_usage_is_one_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["experiment", "ablation", "--air", "none", *arguments, "--out", str(tmp_path / "out")]
+    assert main(command) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1

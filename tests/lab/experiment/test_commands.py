@@ -1,0 +1,227 @@
+"""`rass-mav experiment`, as a person or a script calls it; small swarms and few steps."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rass_mav.cli import main
+from rass_mav.errors import ConfigError
+from rass_mav.lab.experiment import five_drones, local_maxima, moving_sources, paper
+from rass_mav.lab.experiment.runs import Extent
+from rass_mav.lab.experiment.tables import RUN_COLUMNS
+
+SMALL = ["--set", "nodes=16", "--set", "arena_m=8", "--runs", "2", "--steps", "30", "--jobs", "1"]
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    """The one JSON object on stdout; nothing is on stderr."""
+    assert main(["experiment", *arguments, "--json"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out.count("\n") == 1
+    summary: dict[str, Any] = json.loads(captured.out)
+    return summary
+
+
+def table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        rows = list(reader)
+    return list(reader.fieldnames or ()), rows
+
+
+def check_files(out: Path, summary: dict[str, Any]) -> None:
+    """All files that the command names are there, and nothing else but the runs; figures are figures."""
+    assert {path.name for path in out.iterdir()} - {"runs"} == set(summary["files"])
+    for name in summary["files"]:
+        if name.endswith(".png"):
+            content = (out / name).read_bytes()
+            assert content.startswith(PNG)
+            assert len(content) > 10_000
+
+
+@pytest.fixture
+def authors(tmp_path: Path) -> Path:
+    """Files of the authors' form."""
+    data = tmp_path / "authors"
+    data.mkdir()
+    curves = "topology,policy,step,reliability_mean,swarm_stored_mean,base_stored_mean\n"
+    curves += "grid,rass,0,1,11,0\ngrid,rass,29,0.8125,60,90\n"
+    (data / "curves.csv").write_text(curves)
+    (data / "delays.csv").write_text("topology,policy,delay_steps,count\ngrid,rass,2,30\ngrid,rass,4,10\n")
+    return data
+
+
+def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = ["paper", "--out", str(out), "--world", "paper", "--topology", "grid", "--reference-data", str(authors)]
+    first = asked(capsys, *command, *SMALL)
+    assert (first["runs"], first["done"], first["reused"]) == (6, 6, 0)
+    check_files(out, first)
+    assert sum(name.endswith(".png") for name in first["files"]) == 4
+
+    columns, runs = table(out / "runs.csv")
+    assert tuple(columns[:6]) == RUN_COLUMNS
+    assert {"reliability", "delay_steps.mean", "lost.corrupted", "memory_used_percent", "air_sha256"} <= set(columns)
+    assert [(r["policy"], r["seed"]) for r in runs] == [
+        (policy, seed) for policy in paper.POLICIES for seed in ("0", "1")
+    ]
+    columns, rows = table(out / "table1.csv")
+    assert tuple(columns) == paper.TABLE_COLUMNS
+    by_policy = {row["policy"]: row for row in rows}
+    rass = by_policy["rass"]
+    assert (rass["delay_paper"], rass["memory_paper"], rass["reliability_authors"]) == ("11.45", "1.35", "0.8125")
+    assert by_policy["hop-count"]["reliability_authors"] == ""
+    assert by_policy["stigmergy"]["delay_mean"] == ""
+    for column, key in (
+        ("reliability", "reliability"), ("delivered", "delivered_share"), ("delay", "delay_steps.mean"),
+        ("transmissions", "transmissions_per_datum"), ("memory", "memory_used_percent"),
+    ):  # fmt: skip
+        a, b = (float(r[key]) for r in runs if r["policy"] == "rass")
+        assert float(rass[f"{column}_mean"]) == pytest.approx((a + b) / 2, abs=1e-4)
+    # Two values: half of the interval is t_1 |a - b| / 2.
+    assert float(rass["memory_high"]) == pytest.approx((a + b) / 2 + 12.7062 * abs(a - b) / 2, abs=1e-3)
+    assert float(rass["lost_per_million_high"]) == pytest.approx(1e6 * (1 - float(rass["reliability_low"])), abs=1)
+    a, b = (float(r["bytes_sent"]) for r in runs if r["policy"] == "rass")
+    assert float(rass["bytes_per_node_s_mean"]) == pytest.approx((a + b) / 2 / (16 * 30 * 0.2), abs=0.1)
+    assert int(rass["delay_p50"]) <= int(rass["delay_p95"]) <= 30
+
+    columns, rows = table(out / "delay-by-distance.csv")
+    assert tuple(columns) == paper.DISTANCE_COLUMNS
+    assert {row["distance_hops"] for row in rows} == {"1", "2", "3"}
+    assert "| grid | RASS | 11.45 |" in (out / "table1.md").read_text(encoding="utf-8")
+
+    before = (out / "runs.csv").read_bytes(), (out / "table1.csv").read_bytes()
+    again = asked(capsys, *command, *SMALL)
+    assert (again["done"], again["reused"]) == (0, 6)
+    assert ((out / "runs.csv").read_bytes(), (out / "table1.csv").read_bytes()) == before
+    # More runs, or later seeds: those that were done are reused.
+    more = asked(capsys, *command, *SMALL, "--runs", "3", "--policy", "rass")
+    assert (more["done"], more["reused"]) == (1, 2)
+    later = asked(capsys, *command, *SMALL, "--first-seed", "2", "--policy", "rass")
+    assert (later["done"], later["reused"]) == (1, 1)
+    assert [row["seed"] for row in table(out / "runs.csv")[1]] == ["2", "3"]
+
+
+def test_two_processes_write_the_same_tables_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        command = ["paper", "--out", str(out), "--world", "paper", "--topology", "random-walk", "--policy", "rass"]
+        assert asked(capsys, *command, *SMALL, "--jobs", jobs)["done"] == 2
+        written.append([(out / name).read_bytes() for name in ("runs.csv", "table1.csv", "delay-by-distance.csv")])
+    assert written[0] == written[1]
+
+
+@pytest.mark.parametrize("world", ["reference", "both"])
+def test_the_other_world(world: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    command = ["paper", "--out", str(out), "--world", world, "--topology", "grid", "--runs", "1", "--steps", "12"]
+    summary = asked(capsys, *command, "--policy", "rass", "rass-literal", "--jobs", "1")
+    _, runs = table(out / "runs.csv")
+    expected = [("reference", "rass")]
+    if world == "both":
+        expected = [("paper", "rass"), ("paper", "rass-literal"), *expected]
+    assert [(r["world"], r["policy"]) for r in runs] == expected
+    check_files(out, summary)
+
+
+def test_five_drones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    summary = asked(capsys, "five-drones", "--out", str(tmp_path), "--runs", "2", "--steps", "120", "--jobs", "1")
+    assert summary["done"] == 6
+    check_files(tmp_path, summary)
+    columns, rows = table(tmp_path / "table.csv")
+    assert tuple(columns) == five_drones.TABLE_COLUMNS
+    kept = {row["policy"]: float(row["from_C_mean"]) for row in rows}
+    # C's data go round the source under `rass`, and past it under the others.
+    assert kept["rass"] > kept["hop-count"] + 0.5
+    assert kept["rass"] > kept["rass-literal"] + 0.5
+    columns, rows = table(tmp_path / "reliability.csv")
+    assert tuple(columns) == five_drones.SERIES_COLUMNS
+    assert len(rows) == 3 * 5 * 25
+
+
+def test_moving_sources(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["moving-sources", "--out", str(tmp_path), "--drift", "0.05", "0.5", "--policy", "rass", "hop-count"]
+    summary = asked(capsys, *command, *SMALL, "--runs", "1")
+    assert summary["done"] == 4
+    check_files(tmp_path, summary)
+    columns, rows = table(tmp_path / "table.csv")
+    assert tuple(columns) == moving_sources.TABLE_COLUMNS
+    assert [(row["drift_m"], row["policy"]) for row in rows] == [
+        ("0.05", "rass"), ("0.05", "hop-count"), ("0.5", "rass"), ("0.5", "hop-count"),
+    ]  # fmt: skip
+    _, runs = table(tmp_path / "runs.csv")
+    # The sources are where they are: the drift changes what becomes of the data.
+    assert len({row["air_sha256"] for row in runs}) == 4
+
+
+def test_local_maxima(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["local-maxima", "--out", str(tmp_path), "--topology", "grid", "random-walk"]
+    summary = asked(capsys, *command, *SMALL, "--runs", "1")
+    assert summary["done"] == 6
+    check_files(tmp_path, summary)
+    columns, rows = table(tmp_path / "table.csv")
+    assert tuple(columns) == local_maxima.TABLE_COLUMNS
+    on_grid = {row["policy"]: float(row["nodes_in_basins_mean"]) for row in rows if row["topology"] == "grid"}
+    # With hops alone there is always a neighbour nearer to the base.
+    assert on_grid["hop-count"] < 0.01 < on_grid["rass"]
+
+
+def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["five-drones", "--out", str(tmp_path), "--runs", "1", "--steps", "20", "--policy", "rass"]
+    assert main(["experiment", *arguments, "--jobs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "| RASS |" in out
+    assert "1 runs done" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["paper", "--runs", "0"], "--runs: expected 1 or more, got 0"),
+        (["paper", "--first-seed", "-1"], "--first-seed: expected 0 or more, got -1"),
+        (["paper", "--jobs", "0"], "--jobs: expected 1 or more, got 0"),
+        (["paper", "--world", "reference", "--policy", "rass-literal"], "rass-literal belongs to the world paper"),
+        (["paper", "--reference-data", "/nowhere"], "--reference-data: /nowhere/curves.csv: no such file"),
+        (["paper", "--set", "radio.loss=2"], "radio.loss"),
+        (["moving-sources", "--drift", "-1"], "radiation.drift"),
+        (["counting-to-infinity", "--steps", "60"], "--steps: expected more than 60"),
+    ],
+)
+def test_bad_usage_is_one_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["experiment", *arguments, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_a_missing_scenario_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(paper, "shipped", lambda: ["paper-grid"])
+    with pytest.raises(ConfigError, match="no scenario reference-grid"):
+        paper.plan(Extent(runs=1, steps=1), ["reference"], ["grid"], ["rass"])
+
+
+def test_authors_files_of_another_form_are_refused(authors: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (authors / "delays.csv").write_text("topology,policy,delay\ngrid,rass,2\n")
+    command = ["experiment", "paper", "--out", str(authors), "--reference-data", str(authors)]
+    assert main(command) == 2
+    assert "delays.csv: expected the columns topology, policy, delay_steps, count" in capsys.readouterr().err
+
+
+def test_without_matplotlib_it_says_what_to_install_before_it_runs_anything(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["experiment", "five-drones", "--out", str(tmp_path / "out")]) == 2
+    assert "'.[sim]' in the checkout" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,321 @@
+"""The air that takes time: who hears a frame, when, and what frames do to each other."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rass_mav.config.loading import convert
+from rass_mav.errors import ConfigError
+from rass_mav.lab.medium.base import Medium
+from rass_mav.lab.medium.csma import Csma
+from rass_mav.lab.medium.exposure import Exposure
+from rass_mav.lab.medium.reach import Reach
+from rass_mav.lab.medium.settings import PRESETS, RadioSection
+from rass_mav.lab.medium.tdma import Tdma
+from rass_mav.lab.medium.timeline import Order, Timeline
+from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.neighbours import Position, RangeGraph
+from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.world import World
+from tests.extent import examples
+
+FRAME = bytes(100)
+
+
+class Air:
+    """Radios at fixed places, and what they hear."""
+
+    def __init__(self, places: list[Position], seed: int = 1, **keys: Any) -> None:
+        section = convert({"radio": {"range_m": 10, "preset": "wifi-6m", **keys}}, Scenario, "test").radio
+        self.timeline = Timeline()
+        self.heard: list[tuple[int, int, bytes, float]] = []
+        reach = Reach(section, seed)
+        reach.update(RangeGraph(places, 10.0).neighbours, places)
+        kind = Csma if section.kind == "csma" else Tdma
+        self.medium: Medium = kind(
+            section, self.timeline, reach, self._hear, stations=len(places), step_s=1.0, rng=random.Random(seed),
+            record=None,
+        )  # fmt: skip
+        self.channel = section.channel
+
+    def _hear(self, hearers: Any, sender: int, frame: bytes, since: float, now: float) -> None:
+        self.heard += [(sender, hearer, frame, now) for hearer in hearers]
+
+    def send(self, sender: int, at: float, frame: bytes = FRAME) -> None:
+        self.timeline.at(at, Order.TURN, lambda now: self.medium.send(sender, frame, now, now))
+
+    def run(self) -> list[tuple[int, int, bytes, float]]:
+        self.timeline.run(float("inf"))
+        return self.heard
+
+
+LINE: list[Position] = [(0.0, 0.0), (9.0, 0.0), (18.0, 0.0)]
+
+
+def test_events_happen_by_time_then_by_order_then_as_they_were_added() -> None:
+    timeline, happened = Timeline(), list[str]()
+    for time, order, name in [
+        (2.0, Order.STRIKE, "later"), (1.0, Order.AIR, "air"), (1.0, Order.TURN, "first turn"),
+        (1.0, Order.TURN, "second turn"), (1.0, Order.STRIKE, "strike"),
+    ]:  # fmt: skip
+        timeline.at(time, order, lambda now, name=name: happened.append(name))  # type: ignore[misc]
+    timeline.run(2.0)
+    assert happened == ["strike", "first turn", "second turn", "air"]
+    timeline.run(2.1)
+    assert happened[-1] == "later"
+
+
+def test_a_frame_is_heard_when_its_last_bit_has_arrived() -> None:
+    air = Air(LINE)
+    air.send(0, 1.0)
+    # Preamble 20 us, 164 bytes at 6 Mbit/s.
+    ((sender, hearer, frame, now),) = air.run()
+    assert (sender, hearer, frame) == (0, 1, FRAME)
+    assert now == pytest.approx(1.0 + 20e-6 + 8 * 164 / 6e6)
+
+
+def test_a_radio_waits_for_the_one_that_it_hears() -> None:
+    air = Air(LINE)
+    air.send(0, 1.0)
+    air.send(1, 1.0 + 50e-6)
+    assert [(sender, hearer) for sender, hearer, _, _ in air.run()] == [(0, 1), (1, 0), (1, 2)]
+    assert air.medium.collided == 0
+
+
+def test_hidden_radios_collide_at_the_one_between_them() -> None:
+    air = Air(LINE)
+    air.send(0, 1.0)
+    air.send(2, 1.0 + 50e-6)
+    assert air.run() == []
+    assert air.medium.collided == 2
+
+
+def test_no_radio_is_hidden_if_all_notice_each_other_at_twice_the_range() -> None:
+    air = Air(LINE, sense=2.0)
+    air.send(0, 1.0)
+    air.send(2, 1.0 + 50e-6)
+    assert [(sender, hearer) for sender, hearer, _, _ in air.run()] == [(0, 1), (2, 1)]
+
+
+def test_a_radio_that_sends_hears_nothing() -> None:
+    air = Air(LINE[:2])
+    # At the same moment: neither notices the other in time.
+    air.send(0, 1.0)
+    air.send(1, 1.0)
+    assert air.run() == []
+    assert air.medium.collided == 2
+
+
+def test_the_much_stronger_of_two_frames_is_captured() -> None:
+    places = [(0.0, 0.0), (1.0, 0.0), (10.5, 0.0)]
+    for capture_db, heard in ((10.0, [0]), (40.0, [])):
+        air = Air(places, capture_db=capture_db)
+        air.send(0, 1.0)
+        air.send(2, 1.0 + 50e-6)
+        assert [sender for sender, _, _, _ in air.run()] == heard
+
+
+def test_radios_with_slots_of_their_own_never_collide() -> None:
+    air = Air(LINE, preset="sik-64k")
+    for sender in (0, 1, 2):
+        for _ in range(5):
+            air.send(sender, 1.0)
+    heard = air.run()
+    assert Counter((sender, hearer) for sender, hearer, _, _ in heard) == {(0, 1): 5, (1, 0): 5, (1, 2): 5, (2, 1): 5}
+    slot_s = air.channel.slot_s
+    assert {(int(now / slot_s) % 3, sender) for sender, _, _, now in heard} == {(0, 0), (1, 1), (2, 2)}
+    assert max(now for *_, now in heard) > 3 * slot_s
+
+
+def test_radios_that_share_a_slot_collide() -> None:
+    air = Air(LINE, preset="sik-64k", slots=2)
+    air.send(0, 0.0)
+    air.send(2, 0.0)
+    assert air.run() == []
+
+
+def test_a_full_radio_drops_frames() -> None:
+    air = Air(LINE, queue_bytes=250)
+    for _ in range(5):
+        air.send(0, 1.0)
+    assert len(air.run()) == 2
+    assert air.medium.overflow == 3
+
+
+def test_a_frame_breaks_off_when_its_radio_is_switched_off() -> None:
+    air = Air(LINE)
+    air.send(0, 1.0)
+    air.send(0, 1.0)
+    air.timeline.at(1.0 + 100e-6, Order.TURN, lambda now: air.medium.switch_off(0))
+    assert air.run() == []
+
+
+def test_half_of_the_frames_arrive_at_the_range_and_few_beyond() -> None:
+    share = {}
+    for distance in (7.0, 10.0, 13.0):
+        air = Air([(0.0, 0.0), (distance, 0.0)], path_loss=3.0)
+        for number in range(400):
+            air.send(0, 1.0 + 0.01 * number)
+        share[distance] = len(air.run()) / 400
+    assert share[7.0] > 0.95
+    assert 0.4 < share[10.0] < 0.6
+    assert share[13.0] < 0.05
+
+
+def test_shadowing_makes_single_links_better_and_worse_for_good() -> None:
+    shares = []
+    for seed in range(20):
+        air = Air([(0.0, 0.0), (10.0, 0.0)], seed, path_loss=3.0, shadowing_db=8.0)
+        for number in range(50):
+            air.send(0, 1.0 + 0.01 * number)
+        shares.append(len(air.run()) / 50)
+    assert sum(share < 0.1 for share in shares) >= 4
+    assert sum(share > 0.9 for share in shares) >= 4
+
+
+@given(
+    places=st.lists(st.tuples(st.floats(0, 40), st.floats(0, 40)), min_size=2, max_size=8),
+    sends=st.lists(st.tuples(st.integers(0, 7), st.floats(0, 0.01), st.integers(20, 158)), max_size=40),
+    preset=st.sampled_from(sorted(PRESETS)),
+    sense=st.sampled_from([1.0, 1.5, 2.0]),
+)
+@settings(max_examples=examples(100), deadline=None)
+def test_every_frame_is_heard_or_lost_once_by_each_node_in_reach(
+    places: list[Position], sends: list[tuple[int, float, int]], preset: str, sense: float
+) -> None:
+    air = Air(places, preset=preset, sense=sense, queue_bytes=10**6)
+    for sender, at, size in sends:
+        air.send(sender % len(places), at, bytes(size))
+    heard = air.run()
+    medium = air.medium
+    hearers = RangeGraph(places, 10.0).neighbours
+    assert medium.sent == len(sends)
+    assert medium.heard == len(heard)
+    assert medium.heard + medium.collided == sum(len(hearers[sender % len(places)]) for sender, _, _ in sends)
+    assert not any(station.waiting or station.heard or station.sends for station in medium.stations)
+    # A radio sends one frame at a time.
+    for node in range(len(places)):
+        ends = sorted({(now, frame) for sender, _, frame, now in heard if sender == node})
+        for (before, _), (after, frame) in pairwise(ends):
+            assert after - air.channel.airtime(len(frame)) >= before - 1e-9
+
+
+def test_a_frame_is_struck_as_likely_as_a_stored_datum() -> None:
+    exposure = Exposure(2, random.Random(1))
+    for time in range(10):
+        exposure.strike({1: 0.1}, float(time))
+
+    def struck(node: int, since: float, until: float) -> float:
+        return sum(exposure.touched(node, FRAME, since, until) != FRAME for _ in range(2000)) / 2000
+
+    assert struck(0, -1.0, 20.0) == 0.0
+    assert struck(1, 3.2, 3.8) == 0.0
+    assert struck(1, 2.5, 3.5) == pytest.approx(0.1, abs=0.03)
+    assert struck(1, -1.0, 20.0) == pytest.approx(1 - 0.9**10, abs=0.04)
+
+
+SMALL = {"nodes": 16, "steps": 25, "data": {"interval_steps": 5}}
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_a_swarm_delivers_on_every_preset(preset: str) -> None:
+    step_s = {"wifi-6m": 0.2, "wifi-1m": 0.2}.get(preset, 20.0)
+    keys = {**SMALL, "radio": {"preset": preset}, "node": {"step_s": step_s}, "radiation": {"corruption": False}}
+    world = World(convert(keys, Scenario, "test"))
+    world.run(world.scenario.steps, after=check)
+    summary = world.statistics.summary()
+    assert summary["delivered"] > 0.5 * summary["created"] > 0
+    assert sum(summary["lost"].values()) == 0
+    assert 0 < summary["air"]["busy"] < 1
+
+
+@pytest.mark.no_cover
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
+    def digest(seed: int) -> str:
+        keys = {**SMALL, "seed": seed, "radio": {"preset": "wifi-1m"}, "radiation": {"strikes_per_step": 3}}
+        world = World(convert(keys, Scenario, "test"))
+        world.run(20, after=check)
+        return world.air.tally.sha256
+
+    assert digest(1) == digest(1) != digest(2)
+
+
+def test_turns_have_phases_of_their_own_without_an_air_that_takes_time() -> None:
+    keys = {**SMALL, "node": {"phases": "random"}, "radiation": {"strikes_per_step": 4}}
+    world = World(convert(keys, Scenario, "test"))
+    world.run(world.scenario.steps, after=check)
+    lockstep = World(convert(SMALL, Scenario, "test"))
+    lockstep.run(lockstep.scenario.steps)
+    assert world.ledger.arrived
+    assert lockstep.ledger.arrived
+    assert world.air.tally.sha256 != lockstep.air.tally.sha256
+    assert "air" not in world.statistics.summary()
+
+
+def test_strikes_through_the_step_hit_as_often_as_one_at_its_beginning() -> None:
+    def struck(strikes: int) -> int:
+        keys = {
+            "nodes": 30, "steps": 40, "arena_m": 200, "topology": "grid", "custody": {"mirror": False},
+            "radiation": {"strikes_per_step": strikes, "random_sources": 0, "sources": [[0, 0, 1]], "decay": 0.001},
+        }  # fmt: skip
+        world = World(convert(keys, Scenario, "test"))
+        world.run(world.scenario.steps, after=check)
+        return world.ledger.losses()["corrupted"]
+
+    once, often = struck(1), struck(5)
+    assert once > 30
+    assert often == pytest.approx(once, rel=0.25)
+
+
+def test_drones_that_fail_leave_the_air() -> None:
+    keys = {
+        **SMALL, "steps": 40, "radio": {"preset": "sik-250k"}, "node": {"step_s": 5},
+        "failures": {"reboot_rate": 0.02, "wipe_rate": 0.01, "die_fraction": 0.1, "reboot_steps": 3},
+    }  # fmt: skip
+    world = World(convert(keys, Scenario, "test"))
+    world.run(world.scenario.steps, after=check)
+    assert world.failures is not None
+    assert world.failures.counts["rebooted"] > 0
+    assert world.ledger.arrived
+
+
+@pytest.mark.no_cover
+def test_attackers_and_disks_work_on_an_air_that_takes_time() -> None:
+    keys = {
+        **SMALL, "radio": {"preset": "wifi-6m"}, "radiation": {"corruption": False},
+        "disk": {"cut_rate": 0.01, "commit_steps": 1}, "failures": {"reboot_steps": 2},
+        "hostile": [{"kind": "replayer", "near": 5}],
+    }  # fmt: skip
+    world = World(convert(keys, Scenario, "test"))
+    world.run(world.scenario.steps, after=check)
+    assert world.ledger.arrived
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"radio": {"air": "csma"}}, "radio.bitrate: expected a number > 0"),
+        ({"radio": {"preset": "lora", "latency_steps": 1}}, "radio.latency_steps: expected 0 with radio.air csma"),
+        ({"radio": {"shadowing_db": 3}}, "radio.shadowing_db: expected 0 unless radio.path_loss is given"),
+        ({"radio": {"preset": "sik-64k", "gap_s": 1.0}}, "radio.gap_s: expected less than radio.slot_s"),
+        ({"radio": {"preset": "wifi-9m"}}, "radio.preset"),
+        ({"transport": "udp", "radio": {"preset": "wifi-6m"}}, "radio.air: expected none"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message.replace("(", r"\(")):
+        convert(keys, Scenario, "test")
+
+
+def test_a_preset_gives_what_is_not_set() -> None:
+    radio = RadioSection(preset="wifi-1m", bitrate=2e6)
+    assert radio.channel == PRESETS["wifi-1m"]._replace(bitrate=2e6)
+    assert not RadioSection().takes_time
+    assert not RadioSection(preset="lora", air="none").takes_time

@@ -1,0 +1,138 @@
+"""Whole swarms with a captured drone inside, which has the link key and a certificate of its own: it cannot speak for
+others, so nobody deletes a copy because of what it says in their name."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.world import World
+from tests.extent import extents
+
+#: What these do is in other nodes' names, or repeated, or altered.
+SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
+#: These send in other nodes' streams, and these beacons in their names.
+IN_OTHERS_STREAMS = ("timestamp-jumper", "timestamp-squatter", "timestamp-overtaker")
+SHADOWERS = ("shadower", "turn-shadower", "fitness-shadower")
+
+
+def swarm(kind: str, *keys: str, end: int = 120) -> World:
+    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: {end}, captured: true}}]"
+    return World(load_scenario("hostile", {}, ["keys=true", attacker, *keys]))
+
+
+def not_believed(world: World) -> Counter[str]:
+    """Of all nodes."""
+    counts: Counter[str] = Counter()
+    for agent in world.agents:
+        report = agent.peers.tags.report()
+        assert report is not None
+        counts.update(report["not_believed"])
+    return counts
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("mirror", ["true", "false"])
+@pytest.mark.parametrize("kind", SPEAKERS)
+@pytest.mark.parametrize("made", extents(70, 130))
+def test_a_captured_drone_cannot_speak_for_others(made: int, kind: str, mirror: str) -> None:
+    """`made`: data are created until this step."""
+    world = swarm(kind, f"custody.mirror={mirror}", f"data.until_step={made}", end=made - 10)
+    world.run(made + 70)
+    summary = world.statistics.summary()
+    assert summary["created"] == 2.4 * made
+    assert summary["delivered"] == summary["created"]
+    assert summary["lost"]["unfounded"] == 0
+    assert summary["altered"] == 0
+    signed = world.agents[12].peers.signed
+    assert signed is not None
+    assert signed.streams.report(0.0)["known"] == len(world.neighbours[12]) + 1, "it was heard"
+
+
+@pytest.mark.no_cover
+def test_nor_while_nodes_start_again() -> None:
+    """Their certificates are exchanged again. No datum is lost but those that die with a drone."""
+    world = swarm("committed-forger", "failures.reboot_rate=0.01", "failures.reboot_steps=3", "data.until_step=150")
+    world.run(250)
+    summary = world.statistics.summary()
+    assert summary["lost"]["unfounded"] == 0
+    assert summary["delivered"] == summary["created"]
+
+
+@pytest.mark.no_cover
+def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() -> None:
+    world = swarm("crowd", "data.until_step=110")
+    world.run(119, after=check)
+    agent, beside = world.agents[12], set(world.neighbours[12])
+    assert set(agent.node.routing.neighbours) == beside | {world.scenario.nodes}, "and the one that is captured"
+    signed, tags = agent.peers.signed, agent.peers.tags.report()
+    assert signed is not None
+    assert tags is not None
+    assert tags["certificates"] == signed.streams.report(0.0)["known"] == len(beside) + 1
+    assert signed.streams.refused.strange > 1000, "it was there"
+    world.run(40)
+    summary = world.statistics.summary()
+    assert summary["delivered"] == summary["created"] == 24 * 11
+
+
+@pytest.mark.no_cover
+def test_honest_nodes_believe_each_other() -> None:
+    world = World(load_scenario("demo", {}, ["keys=true", "nodes=25", "radio.loss=0.1", "radio.reorder=0.1"]))
+    world.run(30, after=check)
+    before = not_believed(world)
+    assert before.total() < 60, "only while they do not know each other"
+    world.run(50, after=check)
+    assert not_believed(world) == before
+
+
+@pytest.mark.no_cover
+def test_a_drone_that_is_honest_to_its_neighbours_only_is_found_out() -> None:
+    """It delivers what they have created. What they relay arrives by other ways."""
+    attacker = "hostile=[{kind: two-faced, near: 12, begin: 50, captured: true}]"
+    world = World(load_scenario("hostile", {}, ["keys=true", attacker, "seed=14", "data.until_step=350"]))
+    world.run(400)
+    summary = world.statistics.summary()
+    assert summary["delivered"] >= 0.98 * summary["created"]
+    assert summary["lost"]["unfounded"] == 0
+    it = world.scenario.nodes
+    doubts = [it in {n.id for n in agent.node.routing.neighbours.values() if n.doubted} for agent in world.agents]
+    assert sum(doubts) >= 3
+
+
+BASE, MIDDLE = 0, 12
+
+
+def beside(kind: str, near: int) -> World:
+    """It comes in step 20 and leaves in step 60. Data are created until step 140."""
+    attacker = f"hostile=[{{kind: {kind}, near: {near}, begin: 20, end: 60, captured: true}}]"
+    return World(load_scenario("hostile", {}, ["keys=true", attacker, "data.until_step=140"]))
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize(
+    ("kind", "near"),
+    [(kind, near) for kind in (*IN_OTHERS_STREAMS, *SHADOWERS) for near in (BASE, MIDDLE)],
+)
+def test_what_it_says_in_others_streams_and_names_delays_hardly_anything(kind: str, near: int) -> None:
+    """Nor does anything of it remain: later data arrive as usual."""
+    world = beside(kind, near)
+    world.run(60)
+    born, arrived = world.ledger.born, world.ledger.arrived
+    late = sum(step < 50 and id not in arrived for id, step in born.items())
+    assert late <= 0.02 * 24 * 5
+    world.run(140)
+    summary = world.statistics.summary()
+    assert summary["delivered"] == summary["created"] == 24 * 14
+    delays = [arrived[id] - step for id, step in born.items() if step >= 120]
+    assert sum(delays) <= 2 * len(delays)
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("near", [BASE, MIDDLE])
+def test_it_reports_no_losses_of_others(near: int) -> None:
+    world = beside("loss-liar", near)
+    world.run(100)
+    assert world.statistics.summary()["hostile"]["false_losses"] == 0

@@ -1,0 +1,209 @@
+"""`rass-mav try`: real nodes on this machine, a mock vehicle, and data that one sees arrive."""
+
+from __future__ import annotations
+
+import json
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from rass_mav.app.config import load_config
+from rass_mav.cli import main
+from rass_mav.commands.desk import arrival_line, opening_lines
+from rass_mav.core.datum import DatumId, Kind
+from rass_mav.core.seals import SEALED
+from rass_mav.ground.entry import Entry
+from rass_mav.lab.fleet.children import Children
+from rass_mav.lab.fleet.demo import MAX_DRONES, RADIUS_M, ROUND_S, SOURCE, STEP_S, Desk, MockVehicle
+from rass_mav.lab.fleet.wires import Wires
+from rass_mav.lab.swarm.autopilot import METRES_PER_DEGREE
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
+from rass_mav.store.reader import SqliteReader
+from rass_mav.wire.file import Manifest, PartHead, cut_file
+from rass_mav.wire.measurement import Measurement
+from rass_mav.wire.nodestatus import NodeStatus
+
+DEADLINE_S = 60.0
+#: What a drone's installation need not have.
+WITHOUT = """
+import sys
+sys.modules["msgspec"] = sys.modules["mavsdk"] = sys.modules["tqdm"] = None
+from rass_mav.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+class Trial:
+    """A `rass-mav try` that runs, and its lines."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen([sys.executable, "-c", WITHOUT, "try", *options], stdout=subprocess.PIPE)
+        self.lines: list[str] = []
+
+    def until(self, wanted: Callable[[str], bool]) -> None:
+        """Until such a line."""
+        assert self.process.stdout is not None
+        while not (self.lines and wanted(self.lines[-1])):
+            ready, _, _ = select.select([self.process.stdout], [], [], DEADLINE_S)
+            assert ready, self.lines
+            line = self.process.stdout.readline()
+            assert line, self.lines
+            self.lines.append(line.decode().rstrip("\n"))
+
+
+def test_data_arrive_and_one_can_take_part_until_it_is_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # However long the directory's name: the sockets, whose names have a limit, are elsewhere.
+    keep = tmp_path / ("kept " * 30)
+    trial = Trial("--keep", str(keep))
+    try:
+        trial.until(lambda line: " at 45.0" in line and " reading " in line)
+        assert any(str(keep) in line for line in trial.lines)
+        drone, base = str(keep / "drone-2.yaml"), str(keep / "base.yaml")
+        assert main(["put", "-c", drone, "--line", "hello"]) == 0
+        trial.until(lambda line: line.endswith("node 2 hello"))
+        capsys.readouterr()
+        pids = []
+        for config in (drone, base):
+            assert main(["status", config, "--json"]) == 0
+            pids.append(json.loads(capsys.readouterr().out)["pid"])
+        nodes = [psutil.Process(pid) for pid in pids]
+        trial.process.send_signal(signal.SIGINT)
+        trial.until(lambda line: " data created, " in line)
+        assert trial.process.wait(DEADLINE_S) == 0
+        assert not any(node.is_running() for node in nodes)
+    finally:
+        trial.process.kill()
+        trial.process.communicate()
+    with SqliteReader(keep / "base.db") as store:
+        arrived = len(store.ids())
+    assert arrived >= 2
+    found = re.search(
+        r"(\d+) data created, (\d+) arrived at the base, (\d+) still on the drones, 0 lost", trial.lines[-1]
+    )
+    assert found is not None
+    created, delivered, held = map(int, found.groups())
+    assert (delivered, created) == (arrived, delivered + held)
+
+
+def test_as_json_it_says_one_object_and_keeps_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["try", "--json", "--for", "0.01"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["drones"], summary["directory"], summary["altered"]) == (1, None, 0)
+    assert summary["created"] == summary["delivered"] + summary["held"]
+    assert not any(summary["lost"].values())
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (["--drones", "0"], f"--drones: expected 1 to {MAX_DRONES}, got 0"),
+        (["--drones", "17"], f"--drones: expected 1 to {MAX_DRONES}, got 17"),
+        (["--for", "-1"], "--for: expected seconds above 0, got -1"),
+        (["--for", "nan"], "--for: expected seconds above 0, got nan"),
+        (["--keep", "{}"], "{}: expected a new or empty directory"),
+    ],
+)
+def test_what_it_cannot_do_it_says_in_one_line(
+    options: list[str], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").touch()
+    assert main(["try", *(option.format(tmp_path) for option in options)]) == 2
+    assert capsys.readouterr().err == error.format(tmp_path) + "\n"
+
+
+def test_the_configurations_are_like_those_of_real_nodes(tmp_path: Path) -> None:
+    with closing(Wires()) as wires:
+        nodes = Desk(3, tmp_path, tmp_path, Children(), wires)
+        nodes.configure()
+        lines = list(opening_lines(nodes, kept=False))
+    configs = [load_config(node.config) for node in nodes.nodes]
+    assert [(config.node_id, config.node.role, config.node.step_s) for config in configs] == [
+        (1, "base", STEP_S), (2, "drone", STEP_S), (3, "drone", STEP_S), (4, "drone", STEP_S),
+    ]  # fmt: skip
+    listening = {config.links[0].listen for config in configs}
+    assert len(listening) == 4
+    for config in configs:
+        [link] = config.links
+        assert {link.listen} | {peer.address for peer in link.peers} == listening
+        assert (config.autopilot.url is None) is config.base
+    assert "nodes 2 to 4 are drones" in lines[0]
+    assert f"{tmp_path} (--keep DIR keeps them)" in lines[1]
+
+
+def test_the_vehicle_flies_past_the_source() -> None:
+    with closing(Wires()) as wires, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as node:
+        vehicle = MockVehicle(2, 0.0, wires)
+        node.settimeout(DEADLINE_S)
+        node.connect(("127.0.0.1", vehicle.wire.port))
+        node.send(b"it learns where its node is")
+        wires.poll(DEADLINE_S)
+        telemetry, reader = Telemetry(2), FrameReader()
+        readings, places = [], set()
+        for second in range(int(ROUND_S)):
+            vehicle.fly(float(second))
+            before = telemetry.reading
+            while telemetry.reading is before:  # the last that it says
+                for frame in reader.datagram(node.recv(300)):
+                    telemetry.handle(frame, float(second))
+            assert telemetry.reading is not None
+            assert telemetry.position is not None
+            readings.append(telemetry.reading.value)
+            places.add(telemetry.position[:2])
+    assert readings[0] == pytest.approx(SOURCE.intensity)
+    assert min(readings) == pytest.approx(readings[int(ROUND_S) // 2])
+    assert len(places) == ROUND_S
+    north = [latitude for latitude, _ in places]
+    assert max(north) - min(north) == pytest.approx(2 * RADIUS_M / METRES_PER_DEGREE, rel=0.01)
+
+
+CUT = cut_file(100_000, 100_000, bytes(32), 0, 1 << 15)
+MEASUREMENT = Measurement(45.0, -73.0, 110.0, 1.5, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("fields", "content", "shown"),
+    [
+        ({"measurement": MEASUREMENT}, b"", "at 45.000000 -73.000000 110 m, reading 1.50, risk 0.25"),
+        ({"measurement": MEASUREMENT._replace(latitude=None)}, b"", "no position yet, reading 1.50, risk 0.25"),
+        (
+            {"measurement": MEASUREMENT._replace(reading=None, risk=1.0)},
+            b"",
+            "at 45.000000 -73.000000 110 m, no reading yet, risk 1.00",
+        ),
+        ({"file": "a\x1b.jpg"}, b"", "file a\\x1b.jpg"),
+        ({}, b"hello\x07", "hello\\x07"),
+        ({}, b"x" * 61, "x" * 60 + " ..."),
+        ({}, b"\x89PNG\r\n" + bytes(200), "206 bytes"),
+        ({"kind": Kind.PART, "part": PartHead(CUT, 2)}, b"\xff\xd8raw", "part 3 of 4 of a file"),
+        ({"kind": Kind.PART, "malformed": "truncated"}, b"raw", "part, 3 bytes"),
+        (
+            {"kind": Kind.MANIFEST, "file": "a.jpg", "manifest": Manifest(CUT, "a.jpg", 100_000, bytes(32))},
+            b"raw",
+            "file a.jpg, 100000 bytes in 4 parts",
+        ),
+        (
+            {"kind": Kind.STATUS, "status": NodeStatus(3, 1, 0, None, 0.25, 1, 60, None, {}, {})},
+            b"raw",
+            "status: 3 data in custody, 1 of them nowhere else, risk 0.25",
+        ),
+        ({"kind": Kind.BYTES | SEALED}, b"raw", "sealed, 3 bytes"),
+        ({"kind": 77}, b"raw", "kind 77, 3 bytes"),
+    ],
+)
+def test_how_a_datum_is_shown(fields: dict[str, Any], content: bytes, shown: str) -> None:
+    entry = Entry(1, DatumId(2, 0x0123ABCD, 4), 0, Kind.BYTES, len(content), 1, 0.0, None, False, 1.0)
+    line = arrival_line(entry._replace(**fields), content)
+    assert line[8:] == f" node 2 {shown}"

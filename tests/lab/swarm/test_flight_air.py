@@ -1,0 +1,348 @@
+"""The air between vehicles that fly: range between true places, cables, readings."""
+
+from __future__ import annotations
+
+import csv
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rass_mav.errors import LinkError
+from rass_mav.lab.medium.settings import RadioSection
+from rass_mav.lab.sitl.air import FlightAir, FlightOrder
+from rass_mav.lab.sitl.scenario import FlightScenario, to_arena
+from rass_mav.lab.swarm.autopilot import ORIGIN, to_earth
+from rass_mav.lab.swarm.scenario import MobilitySection, RadiationSection, system_id
+from rass_mav.mavlink.dialect import common
+from rass_mav.mavlink.frames import Frame, FrameWriter
+from rass_mav.mavlink.messages import (
+    HEARTBEAT,
+    NAMED_VALUE_FLOAT,
+    TUNNEL,
+    autopilot_heartbeat,
+    companion_heartbeat,
+    parse,
+)
+from rass_mav.mavlink.mission import SIM_STATE, sim_state
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.mavlink.telemetry import Telemetry
+from tests.telemetry import global_position_int
+
+#: A base and two drones; nobody is in range of anybody.
+SCENARIO = FlightScenario(
+    nodes=3,
+    topology="positions",
+    arena_m=1000,
+    mobility=MobilitySection(positions=[(0, 0), (100, 0), (0, 100)]),
+    radio=RadioSection(range_m=50),
+    radiation=RadiationSection(sources=[(100, 30, 200)], decay=0.01, noise=0.0),
+)
+
+
+class End:
+    """A process at the other end of a wire."""
+
+    def __init__(self, port: int, system: int, component: int) -> None:
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sock.connect(("127.0.0.1", port))
+        self._sock.setblocking(False)
+        self._reader = FrameReader()
+        self.writer = FrameWriter(system, component)
+
+    def put(self, raw: bytes) -> bytes:
+        self._sock.send(raw)
+        return raw
+
+    def say(self, message: object) -> bytes:
+        return self.put(self.writer.message(message))
+
+    def tunnel(self, text: bytes = b"hello") -> bytes:
+        return self.put(self.writer.tunnel(text, payload_type=SCENARIO.mavlink.payload_type))
+
+    def heard(self) -> list[Frame]:
+        frames = []
+        while True:
+            try:
+                frames += self._reader.feed(self._sock.recv(4096))
+            except BlockingIOError:
+                return frames
+
+    def close(self) -> None:
+        self._sock.close()
+
+
+class Desk:
+    """The air, and all that is wired to it."""
+
+    def __init__(self, air: FlightAir, track: Path) -> None:
+        self.air = air
+        self.track = track
+        ports = air.ports
+        ids = {node: system_id(node) for node in range(SCENARIO.nodes)}
+        self.node = {n: End(ports.air[n], ids[n], 191) for n in ids}
+        self.companion = {n: End(ports.vehicle[n], ids[n], 191) for n in (1, 2)}
+        self.station = {n: End(ports.station[n], 245, 190) for n in (1, 2)}
+        self.serial = {
+            (n, number): End(of[n], ids[n], 1)
+            for n in (1, 2)
+            for number, of in enumerate((ports.serial0, ports.serial1, ports.serial2))
+        }
+        for n in (1, 2):
+            self.station[n].say(companion_heartbeat())
+            self.companion[n].say(companion_heartbeat())
+            for number in range(3):
+                self.serial[n, number].say(autopilot_heartbeat())
+        for end in self.node.values():
+            end.tunnel(b"")
+        self.settle()
+        for end in self.ends:
+            end.heard()
+
+    @property
+    def ends(self) -> list[End]:
+        wired = (self.node, self.companion, self.station, self.serial)
+        return [end for ends in wired for end in ends.values()]
+
+    def settle(self) -> None:
+        """What has been sent on this machine's own network lies in the sockets already: handle all of it."""
+        for _ in range(3):
+            self.air.wires.poll(0.0)
+
+    def fly(self, node: int, x: float, y: float, height: float = 10.0) -> None:
+        place = to_earth(x, y)
+        self.serial[node, 0].say(sim_state(*place, ORIGIN[2] + height, (0.0, 0.0, 0.0)))
+        self.settle()
+        self.air.look(0.0)
+
+    def tunnels(self, end: End) -> list[int]:
+        return [frame.system_id for frame in end.heard() if frame.message_id == TUNNEL]
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
+    made: list[Desk] = []
+
+    def make(*, through: bool = False, readings: bool = False) -> Desk:
+        track = tmp_path / f"track-{len(made)}.csv"
+        order = FlightOrder(scenario=SCENARIO, through=through, px4=False, readings=readings, track=str(track))
+        made.append(Desk(FlightAir(order), track))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.air.close()
+        for end in one.ends:
+            end.close()
+
+
+def test_range_is_that_between_true_places(desk: Callable[..., Desk]) -> None:
+    d = desk()
+    # It believes to be at the base; the simulator knows better.
+    d.serial[1, 0].say(global_position_int(*to_earth(0.0, 0.0), ORIGIN[2], 0.0, 1000))
+    d.fly(1, 51.0, 0.0)
+    d.node[1].tunnel()
+    d.settle()
+    assert d.tunnels(d.node[0]) == []
+    d.fly(1, 49.9, 0.0)
+    d.node[1].tunnel()
+    d.node[0].tunnel()
+    d.settle()
+    assert d.tunnels(d.node[0]) == [system_id(1)]
+    assert d.tunnels(d.node[1]) == [system_id(0)]
+    assert d.tunnels(d.node[2]) == []
+    d.fly(2, 49.0, 49.0)
+    d.node[1].tunnel()
+    d.settle()
+    assert [d.tunnels(d.node[n]) for n in (0, 1, 2)] == [[system_id(1)], [], [system_id(1)]]
+    figures = d.air.figures()
+    assert (figures.sent, figures.received, figures.telemetry) == (4 + 3, 1 + 1 + 2, 0)
+
+
+def test_the_track_holds_true_places_and_levels(desk: Callable[..., Desk]) -> None:
+    d = desk()
+    d.fly(1, 100.0, 20.0, 10.0)
+    d.fly(1, 100.0, 30.0, 20.0)
+    figures = d.air.figures()
+    d.air.close()
+    with d.track.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["node"]) for row in rows] == [1, 1]
+    places = [[float(row[axis]) for axis in ("x", "y", "height")] for row in rows]
+    # Degrees times 1e7 are good to a centimetre.
+    assert places[0] == pytest.approx([100.0, 20.0, 10.0], abs=0.02)
+    assert places[1] == pytest.approx([100.0, 30.0, 20.0], abs=0.02)
+    # 200 / (1 + 0.01 d^2), the height counted in: 10 m beside and 10 m up, and 20 m straight up.
+    assert [float(row["level"]) for row in rows] == pytest.approx([200 / 3, 200 / 5], rel=1e-3)
+    flew = (figures.flew_m[1], figures.farthest_m[1], figures.highest_m[1])
+    assert flew == pytest.approx((30.0, 30.0, 20.0), abs=0.05)
+    assert figures.truth == [0, 2, 0]
+
+
+def test_readings_come_as_the_autopilots_own(desk: Callable[..., Desk]) -> None:
+    d = desk(readings=True)
+    d.fly(1, 100.0, 30.0, 10.0)  # the first look of all says the readings too
+    d.companion[1].heard()
+    d.air.look(1.5)
+    frames = d.companion[1].heard()
+    assert [frame.message_id for frame in frames] == [NAMED_VALUE_FLOAT]
+    node = Telemetry(system_id(1))
+    assert node.handle(frames[0], 0.0)
+    assert node.reading is not None
+    assert node.reading.value == pytest.approx(200 / 2, rel=1e-3)
+    d.air.look(1.6)  # once a second
+    assert d.companion[1].heard() == []
+    quiet = desk(readings=False)
+    quiet.air.look(1.5)
+    assert quiet.companion[1].heard() == []
+
+
+def test_cables_carry_everything_verbatim(desk: Callable[..., Desk]) -> None:
+    d = desk()
+    for one, other in (
+        (d.companion[1], d.serial[1, 2]),
+        (d.serial[1, 2], d.companion[1]),
+        (d.station[1], d.serial[1, 0]),
+        (d.serial[1, 0], d.station[1]),
+    ):
+        one.say(autopilot_heartbeat())
+        d.settle()
+        assert [frame.message_id for frame in other.heard()] == [HEARTBEAT]
+    assert not any(end.heard() for end in d.ends)
+    # What a vehicle repeats of others is not for its ground station: that has a wire to each.
+    d.serial[1, 0].writer = FrameWriter(system_id(2), 1)
+    d.serial[1, 0].say(autopilot_heartbeat())
+    d.settle()
+    assert d.station[1].heard() == []
+
+
+def test_through_the_autopilots_telem1_is_the_radio(desk: Callable[..., Desk]) -> None:
+    d = desk(through=True)
+    d.fly(1, 30.0, 0.0)
+    d.fly(2, 0.0, 30.0)
+    d.serial[1, 1].writer = FrameWriter(system_id(1), 191)
+    raw = d.serial[1, 1].writer.tunnel(b"one", payload_type=SCENARIO.mavlink.payload_type)
+    # An autopilot puts several frames into one datagram.
+    d.serial[1, 1].put(raw + FrameWriter(system_id(1), 1).message(autopilot_heartbeat()))
+    d.settle()
+    for end in (d.serial[2, 1], d.node[0]):
+        assert [(f.message_id, f.component_id) for f in end.heard()] == [(TUNNEL, 191), (HEARTBEAT, 1)]
+    assert not any(end.heard() for end in (d.node[1], d.node[2], d.serial[1, 1], d.companion[2]))
+    d.node[0].tunnel()
+    d.settle()
+    assert [d.tunnels(d.serial[n, 1]) for n in (1, 2)] == [[system_id(0)]] * 2
+    # The heartbeats at the start were on the air as well.
+    assert d.air.figures().telemetry == 1 + 2
+    d.fly(2, 0.0, 90.0)
+    d.serial[1, 1].put(raw)
+    d.settle()
+    assert d.tunnels(d.serial[2, 1]) == []
+
+
+def test_beside_the_autopilots_telem1_is_not_on_the_air(desk: Callable[..., Desk]) -> None:
+    d = desk()
+    d.fly(1, 30.0, 0.0)
+    before = d.air.figures().sent
+    d.serial[1, 1].tunnel()
+    d.settle()
+    assert d.air.figures().sent == before
+    assert d.node[0].heard() == []
+
+
+def test_it_asks_for_the_truth_until_it_is_heard(desk: Callable[..., Desk]) -> None:
+    d = desk()
+    d.air.look(0.0)
+    asked = [parse(frame) for frame in d.serial[1, 0].heard()]
+    assert (common.MAV_CMD_SET_MESSAGE_INTERVAL, SIM_STATE) in {(m.command, int(m.param1)) for m in asked}
+    assert {m.target_system for m in asked} == {system_id(1)}
+
+
+def test_a_node_that_is_dead_hears_nothing(desk: Callable[..., Desk]) -> None:
+    d = desk()
+    d.fly(1, 30.0, 0.0)
+    d.node[1].tunnel()  # its last words lie in the socket
+    d.air.off(1)
+    assert d.tunnels(d.node[0]) == [system_id(1)]
+    d.node[0].tunnel()
+    d.settle()
+    assert d.node[1].heard() == []
+    d.node[1].tunnel()
+    d.settle()
+    d.node[0].tunnel()
+    d.settle()
+    assert d.tunnels(d.node[1]) == [system_id(0)]
+
+
+def test_px4_has_ports_of_its_own(tmp_path: Path) -> None:
+    track = str(tmp_path / "track.csv")
+    order = FlightOrder(scenario=SCENARIO, through=False, px4=True, readings=False, track=track)
+    try:
+        air = FlightAir(order)
+    except LinkError as error:
+        pytest.skip(f"PX4's ports are in use here: {error}")
+    try:
+        ports = air.ports
+        assert ports.serial0 == ports.serial2 == [0, 14541, 14542]
+        vehicle = End(14541, system_id(1), 1)
+        truth = End(19411, system_id(1), 1)
+        companion = End(ports.vehicle[1], system_id(1), 191)
+        station = End(ports.station[1], 245, 190)
+        for end in (companion, station):
+            end.say(companion_heartbeat())
+        vehicle.say(autopilot_heartbeat())
+        latitude, longitude = to_earth(20.0, 10.0)
+        place = round(latitude * 1e7), round(longitude * 1e7), round((ORIGIN[2] + 5) * 1000)
+        still = [0] * 8
+        truth.say(common.MAVLink_hil_state_quaternion_message(0, [1.0, 0, 0, 0], 0, 0, 0, *place, *still))
+        for _ in range(3):
+            air.wires.poll(0.0)
+        assert [end.heard()[0].message_id for end in (companion, station)] == [HEARTBEAT, HEARTBEAT]
+        assert air.places[1] == pytest.approx((20.0, 10.0, 5.0), abs=0.02)
+        for end in (vehicle, truth, companion, station):
+            end.close()
+    finally:
+        air.close()
+
+
+def test_px4s_radio_is_a_link_of_its_own(tmp_path: Path) -> None:
+    """It repeats on it what others say to it, also its ground station. That is not on the air."""
+    near = replace(SCENARIO, radio=RadioSection(range_m=500))
+    order = FlightOrder(scenario=near, through=True, px4=True, readings=False, track=str(tmp_path / "track.csv"))
+    try:
+        air = FlightAir(order)
+    except LinkError as error:
+        pytest.skip(f"PX4's ports are in use here: {error}")
+    try:
+        ports = air.ports
+        assert ports.serial1 == [0, 14031, 14032]
+        assert ports.serial0 == ports.serial2 == [0, 14541, 14542]
+        radios = [End(14030 + node, system_id(node), 1) for node in (1, 2)]
+        base = End(ports.air[0], system_id(0), 191)
+        ends = [*radios, base]
+
+        def heard() -> list[list[tuple[int, int]]]:
+            for _ in range(3):
+                air.wires.poll(0.0)
+            return [[(frame.system_id, frame.message_id) for frame in end.heard()] for end in ends]
+
+        for end in ends:
+            end.say(companion_heartbeat())
+        heard()
+        first = system_id(1)
+        radios[0].say(autopilot_heartbeat())
+        assert heard() == [[], [(first, HEARTBEAT)], [(first, HEARTBEAT)]]
+        radios[0].tunnel()
+        assert heard() == [[], [(first, TUNNEL)], [(first, TUNNEL)]]
+        radios[0].put(FrameWriter(245, 190).message(companion_heartbeat()))
+        assert heard() == [[], [], []]
+        for end in ends:
+            end.close()
+    finally:
+        air.close()
+
+
+def test_arena_and_earth_are_inverse() -> None:
+    for x, y in ((0.0, 0.0), (123.4, -567.8), (-5000.0, 4000.0)):
+        assert to_arena(*to_earth(x, y)) == pytest.approx((x, y), abs=1e-6)

@@ -1,0 +1,42 @@
+"""Swarms on the air of a slow Wi-Fi, where two nodes that do not hear each other collide at a third."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rass_mav.config.loading import convert
+from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.world import World
+
+pytestmark = pytest.mark.no_cover
+
+
+def run(seed: int, **custody: Any) -> dict[str, Any]:
+    """The summary of a grid in which a tenth of the frames collides. Its invariants are checked after each step."""
+    keys = {
+        "nodes": 49, "steps": 60, "seed": seed, "radio": {"preset": "wifi-1m"}, "custody": custody,
+        "data": {"interval_steps": 5, "until_step": 40},
+    }  # fmt: skip
+    world = World(convert(keys, Scenario, "test"))
+    world.run(60, after=check)
+    return world.statistics.summary()
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_lost_answers_do_not_multiply_the_load(seed: int) -> None:
+    found = run(seed)
+    assert found["created"] == 384
+    assert found["delivered"] >= 0.98 * found["created"]
+    assert found["reliability"] >= 0.995
+    assert found["altered"] == 0
+    assert found["transmissions_per_datum"] <= 9
+    assert 0.05 < found["air"]["collided"] < 0.2, "there are hidden nodes, and they do not feed each other"
+    assert found["routing"]["loops"] == 0
+
+
+def test_repetitions_at_a_fixed_time_cost_more() -> None:
+    measured, fixed = run(1), run(1, retries="fixed")
+    assert fixed["transmissions_per_datum"] > 1.1 * measured["transmissions_per_datum"]

@@ -1,0 +1,85 @@
+"""Scenarios from files: all that is wrong with one is told at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rass_mav.errors import ConfigError
+from rass_mav.lab.swarm.catalogue import load_scenario
+
+SEVERAL = """
+nodes: 3
+bases: 4
+topolgy: line
+radio: {loss: 2}
+mobility: {pitch: 1}
+radiation: {tolerance: [0.5, 0.1], cylinder_m: 1}
+failures: {base_off: [[5, 3]], recharge_steps: 7}
+policy: {name: surival}
+hostile: [{kind: liar, near: 7}]
+"""
+
+
+def complaints(path: Path, *assignments: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(str(path), {}, assignments)
+    return caught.value.lines()
+
+
+def test_all_mistakes_of_a_scenario_are_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(SEVERAL)
+    found = complaints(path, "steps", "radio.range_m=0")
+    assert [line for line in found if "kind" not in line] == [
+        "--set: expected key.path=value, got 'steps'",
+        "mine.yaml: topolgy: unknown key (did you mean 'topology'?)",
+        "mine.yaml: radio.loss: expected a number >= 0 and <= 1, got 2",
+        "mine.yaml: radio.range_m: expected a number > 0, got 0",
+        "mine.yaml: mobility.pitch: unknown key (did you mean 'pitch_m'?)",
+        "mine.yaml: radiation.tolerance: expected two rising numbers, got [0.5, 0.1]",
+        "mine.yaml: radiation.cylinder_m: expected 0 unless the sources are given and do not move",
+        "mine.yaml: failures.recharge_steps: expected null unless failures.battery_steps is given",
+        "mine.yaml: failures.base_off: expected [from, to] one after the other, each from below its to, got [[5, 3]]",
+        "mine.yaml: policy.name: expected one of hop-count, rass, rass-literal, stigmergy, survival, got 'surival'",
+    ]
+    # Which attackers there are is their registry's business.
+    assert [line.partition(": expected one of")[0] for line in found if "kind" in line] == [
+        "mine.yaml: hostile[0].kind"
+    ]
+
+
+def test_what_dose_rates_and_surveys_need(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("{mobility: {area_m: [100], strip_m: 0}, radiation: {tube: none, page_dose: 0}}")
+    assert complaints(path) == [
+        "mine.yaml: mobility.area_m: expected a list of 2 values, got [100]",
+        "mine.yaml: mobility.strip_m: expected a number > 0, got 0",
+        "mine.yaml: radiation.tube: expected one of j305, lnd-7317, m4011, safecast, sbm-20, got 'none'",
+        "mine.yaml: radiation.page_dose: expected a number > 0, got 0",
+    ]
+    path.write_text("{mobility: {speed_m_s: [9, 3]}, radiation: {law: dose, rule: threshold, strength: [2, 1]}}")
+    assert complaints(path) == [
+        "mine.yaml: mobility.speed_m_s: expected two numbers in ascending order, got [9.0, 3.0]",
+        "mine.yaml: radiation.strength: expected two numbers in ascending order, got [2.0, 1.0]",
+        "mine.yaml: radiation.rule: expected probability with radiation.law dose, got threshold",
+    ]
+    path.write_text("{failures: {die_rate: 0.1}, radiation: {law: dose}}")
+    assert complaints(path) == [
+        "mine.yaml: failures.die_rate: expected 0 with radiation.law dose; failures.die_dose is for doses"
+    ]
+    path.write_text("failures: {die_dose: 10}")
+    assert complaints(path) == ["mine.yaml: failures.die_dose: expected null with radiation.law paper"]
+
+
+def test_what_the_sections_of_a_scenario_say_of_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("{nodes: 3, bases: 4, topology: positions, disk: {}, transport: udp, policy: {alpha: -1}}")
+    assert complaints(path) == [
+        "mine.yaml: policy.alpha: expected a number >= 0, got -1",
+        "mine.yaml: bases: expected at most nodes (3), got 4",
+        "mine.yaml: mobility.positions: expected one [x, y] for each of 3 nodes, got 0",
+        "mine.yaml: disk: expected null unless the transport is loopback; processes have the machine's disk",
+        "mine.yaml: radiation.corruption: expected false with a disk; disk.flip_rate flips bits on the disk",
+    ]

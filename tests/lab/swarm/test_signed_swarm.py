@@ -1,0 +1,117 @@
+"""Whole swarms with signed links: strangers cost nothing, and nothing that holds in an open swarm is lost."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from rass_mav.errors import ConfigError
+from rass_mav.lab.fleet.processes import run
+from rass_mav.lab.hostile.kinds import KINDS
+from rass_mav.lab.swarm.catalogue import load_scenario
+from rass_mav.lab.swarm.invariants import check
+from rass_mav.lab.swarm.scenario import Scenario
+from rass_mav.lab.swarm.world import World
+from rass_mav.trust.streams import Refused
+from tests.extent import extents
+
+
+def swarm(name: str, *keys: str) -> World:
+    return World(load_scenario(name, {}, ["keys=true", *keys]))
+
+
+def refused(world: World) -> Refused:
+    """Of all nodes."""
+    counts = [agent.peers.signed.streams.refused for agent in world.agents if agent.peers.signed is not None]
+    assert len(counts) == len(world.agents)
+    return Refused(*map(sum, zip(*counts, strict=True)))
+
+
+def ignored(world: World) -> int:
+    """Frames that were not signed, or by somebody else."""
+    checks = [agent.peers.reader.check for agent in world.agents]
+    return sum(check.unsigned + check.forged for check in checks if check is not None)
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("made", extents(60, 130))
+def test_a_stranger_costs_not_one_datum(made: int, kind: str) -> None:
+    """`made`: data are created until this step."""
+    attacker = f"hostile=[{{kind: {kind}, near: 12, begin: 20, end: {made - 10}}}]"
+    world = swarm("hostile", attacker, f"data.until_step={made}")
+    world.run(made + 50)
+    summary = world.statistics.summary()
+    assert summary["created"] == 2.4 * made
+    assert summary["delivered"] == summary["created"]
+    assert summary["altered"] == 0
+    assert summary["hostile"]["false_delivered"] == 0
+    assert not any(summary["hostile"]["alarms"].values())
+    assert ignored(world) + refused(world).again > 0, "it was there"
+
+
+@pytest.mark.no_cover
+def test_a_captured_drone_is_heard() -> None:
+    """Otherwise what others show about it would show nothing."""
+    attacker = "hostile=[{kind: sinkhole, near: 12, begin: 20, end: 120, captured: true}]"
+    world = swarm("hostile", attacker, "custody.mirror=false")
+    world.run(60)
+    assert world.statistics.summary()["lost"]["unfounded"] > 20
+
+
+@pytest.mark.no_cover
+def test_the_same_seed_is_the_same_mission() -> None:
+    digests = []
+    for seed in (1, 1, 2):
+        world = swarm("hostile", f"seed={seed}")
+        world.run(20)
+        digests.append(world.air.tally.sha256)
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_what_holds_in_an_open_swarm_holds_with_keys() -> None:
+    """Under radiation, with frames that are lost, doubled and overtaken."""
+    world = swarm("demo", "nodes=25", "radio.loss=0.1", "radio.duplicate=0.1", "radio.reorder=0.1")
+    world.run(80, after=check)
+    assert world.statistics.summary()["delivered"] > 0
+    # A frame that came twice is taken once.
+    assert refused(world).again > 0
+
+
+@pytest.mark.no_cover
+def test_power_cuts_lock_nobody_out() -> None:
+    """Disks on which commits take time, and lives that end in the middle of them."""
+    scenario = load_scenario("power-cuts", {}, ["keys=true", "disk.cut_rate=0.02", "failures.reboot_steps=2"])
+    # Of each node: link id and timestamp of its frames.
+    used: dict[int, list[bytes]] = {}
+    world = World(scenario, record=lambda frame, step: used.setdefault(frame[5], []).append(frame[-13:-6]))
+    world.run(250)
+    summary = world.statistics.summary()
+    assert summary["power"]["cuts"] > 30
+    assert summary["delivered"] > 0.8 * summary["created"]
+    assert all(len(stamps) == len(set(stamps)) for stamps in used.values())
+
+
+@pytest.mark.no_cover
+def test_radios_with_queues_do_not_reorder_beyond_the_window() -> None:
+    for name in ("field-sik-64k", "field-lora"):
+        world = swarm(name, "nodes=25")
+        world.run(60)
+        assert refused(world).late == 0, name
+
+
+def test_more_nodes_than_system_ids_have_no_keys() -> None:
+    with pytest.raises(ConfigError, match=re.escape("keys: expected false with more than 255 nodes")):
+        load_scenario("thousand", {}, ["keys=true"])
+
+
+@pytest.mark.no_cover
+def test_a_swarm_of_processes_with_keys_delivers() -> None:
+    scenario: Scenario = load_scenario(
+        "udp-line", {"steps": 40}, ["keys=true", "node.step_s=0.2", "failures.kill_every_s=3"]
+    )
+    summary = run(scenario)
+    assert summary["created"] > 0
+    assert summary["delivered"] == summary["created"]
+    assert summary["frames"]["malformed"] == 0
