@@ -65,7 +65,9 @@ def test_nobody_names_a_policy_but_its_module() -> None:
     # `rass` is also the name of the whole, so it counts only where it stands alone.
     names = "|".join(re.escape(name) for name in policies() if name != "rass")
     naming = re.compile(rf"rass|.*(?<![\w-])({names})(?![\w-]).*", re.S)
-    found = [(where, text) for where, tree in outside("policy", "lab/experiment", "lab/baselines") for text in texts(tree)]
+    found = [
+        (where, text) for where, tree in outside("policy", "lab/experiment", "lab/baselines") for text in texts(tree)
+    ]
     assert [each for each in found if naming.fullmatch(each[1])] == [
         ("commands/service.py", "rass")  # the system's user
     ]
