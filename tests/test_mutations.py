@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tools.mutations import draw, is_killed, mutants_of, tests_of
+from tools.mutations import draw, is_killed, mutants_of, selected
 
 SOURCE = '''"""Prose 1."""
 
@@ -31,7 +31,7 @@ def test_prose_and_types_are_left_alone_and_the_seed_decides(tmp_path: Path) -> 
         ("a < b", "a <= b"), ("return a if a < b else b", "return None"),
     }  # fmt: skip
     assert draw(tmp_path, 1, 3) == draw(tmp_path, 1, 3)
-    assert tests_of(path, tmp_path) == ["tests/test_numbers.py"]
+    assert selected(path, tmp_path) == ["tests/test_numbers.py"]
 
 
 def test_what_the_tests_notice_is_killed_and_the_file_is_as_before(tmp_path: Path) -> None:

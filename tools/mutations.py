@@ -110,7 +110,7 @@ def draw(root: Path, count: int, seed: int) -> list[Mutant]:
     return drawn
 
 
-def tests_of(path: Path, root: Path) -> list[str]:
+def selected(path: Path, root: Path) -> list[str]:
     """The tests that know a module: first those that import it, then those of its room."""
     module = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
     files = sorted((root / "tests").rglob("test_*.py"))
@@ -127,7 +127,7 @@ def is_killed(mutant: Mutant, root: Path, limit_s: float) -> bool:
     file = root / mutant.path
     source = file.read_bytes()
     file.write_bytes(source[: mutant.begin] + mutant.after.encode() + source[mutant.end :])
-    tests = tests_of(mutant.path, root) or ["tests"]
+    tests = selected(mutant.path, root) or ["tests"]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", *tests]
     try:
         environment = {**os.environ, "PYTHONPATH": str(root)}
