@@ -1,4 +1,4 @@
-"""Real nodes for the tests: `rass-mav run` as processes, and patience with a deadline."""
+"""Real nodes for the tests: `rass-mav run` as processes."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from rass_mav.cli import main
 from rass_mav.ground.archive import Archive
 from rass_mav.ground.entry import Entry
 from tests.environment import unmeasured
+from tests.forked import Forked
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,19 +80,15 @@ def command(directory: Path, *arguments: str, stdin: bytes = b"") -> subprocess.
 @contextmanager
 def said_by(directory: Path, *arguments: str) -> Iterator[Iterator[bytes]]:
     """The lines that a command prints, one after the other while it runs. It is killed at the end."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "rass_mav", *arguments], cwd=directory, env=environment(), stdout=subprocess.PIPE,
-        bufsize=0,
-    )  # fmt: skip
+    running = Forked(arguments, cwd=directory, env=environment())
 
     def lines() -> Iterator[bytes]:
-        assert process.stdout is not None
         said = b""
         while True:
             while b"\n" not in said:
-                ready, _, _ = select.select([process.stdout], [], [], PATIENCE_S)
+                ready, _, _ = select.select([running.stdout], [], [], PATIENCE_S)
                 assert ready
-                some = process.stdout.read(4096)
+                some = running.stdout.read(4096)
                 assert some, "it has ended"
                 said += some
             line, _, said = said.partition(b"\n")
@@ -100,8 +97,9 @@ def said_by(directory: Path, *arguments: str) -> Iterator[Iterator[bytes]]:
     try:
         yield lines()
     finally:
-        process.kill()
-        process.communicate()
+        running.send_signal(signal.SIGKILL)
+        running.wait(PATIENCE_S)
+        running.stdout.close()
 
 
 def environment() -> dict[str, str]:
@@ -115,7 +113,7 @@ class RunningNode:
         self.directory = directory
         self.name = name or f"n{node_id}"
         self.config = f"{self.name}.yaml"
-        self.process: subprocess.Popen[bytes] | None = None
+        self.process: Forked | subprocess.Popen[bytes] | None = None
         self.faulty = False
         """Whether it is expected to hit faults."""
         node = {"id": node_id, "step_s": STEP_S, **sections.pop("node", {})}
@@ -124,19 +122,14 @@ class RunningNode:
         plain = {"node": node, "data": data, "store": store, **sections}
         (directory / self.config).write_text(yaml.safe_dump(plain))
 
-    def start(self, *, measured: bool = True) -> RunningNode:
+    def start(self, *, measured: bool = True, forked: bool = True) -> RunningNode:
         """Returns when it runs.
 
         :param measured: with its coverage, which takes long. Without it where other tests reach the same code.
+        :param forked: False: an interpreter of its own, as a user starts it.
         """
-        with (self.directory / f"{self.name}.log").open("ab") as log:
-            self.process = subprocess.Popen(
-                self.arguments(),
-                cwd=self.directory,
-                env=environment() if measured else unmeasured(PYTHONPATH=str(ROOT)),
-                stdout=subprocess.PIPE,
-                stderr=log,
-            )
+        env = environment() if measured else unmeasured(PYTHONPATH=str(ROOT))
+        self.process = self.fork(env) if forked else self.spawn(env)
         assert self.process.stdout is not None
         ready, _, _ = select.select([self.process.stdout], [], [], PATIENCE_S)
         line = self.process.stdout.readline() if ready else b""
@@ -144,9 +137,20 @@ class RunningNode:
         self.about = json.loads(line)
         return self
 
+    def fork(self, env: dict[str, str]) -> Forked:
+        return Forked(self.arguments(), cwd=self.directory, env=env, stderr=self.directory / f"{self.name}.log")
+
+    def spawn(self, env: dict[str, str]) -> subprocess.Popen[bytes]:
+        command = [sys.executable, *self.program(), *self.arguments()]
+        with (self.directory / f"{self.name}.log").open("ab") as log:
+            return subprocess.Popen(command, cwd=self.directory, env=env, stdout=subprocess.PIPE, stderr=log)
+
+    def program(self) -> list[str]:
+        """What an interpreter of its own runs."""
+        return ["-m", "rass_mav"]
+
     def arguments(self) -> list[str]:
-        """What is run."""
-        return [sys.executable, "-m", "rass_mav", "run", self.config, "--json", "-v"]
+        return ["run", self.config, "--json", "-v"]
 
     def client(self) -> ControlClient:
         return ControlClient(os.path.relpath(self.directory / f"{self.name}.sock"))

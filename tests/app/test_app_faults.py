@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import signal
 import socket
-import sys
 from itertools import count
 from pathlib import Path
 
@@ -111,6 +110,7 @@ class Superstitious(FitnessPolicy):
 POLICIES = (PolicyKind("superstitious", 77, lambda settings: Superstitious(settings.name, alpha=1.0, beta=50.0)),)
 """
 WITH_POLICY = """
+import subprocess
 import sys
 import rass_mav.policy
 from rass_mav.cli import main
@@ -156,9 +156,9 @@ class Neighbour:
 class NodeWithPolicy(RunningNode):
     """With a policy that somebody has added."""
 
-    def arguments(self) -> list[str]:
+    def program(self) -> list[str]:
         (self.directory / "superstitious.py").write_text(POLICY)
-        return [sys.executable, "-c", WITH_POLICY, str(self.directory), "run", self.config, "--json", "-v"]
+        return ["-c", WITH_POLICY, str(self.directory)]
 
 
 def test_a_process_whose_policy_has_a_fault_goes_on(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_process_whose_policy_has_a_fault_goes_on(tmp_path: Path) -> None:
     node.faulty = True
     base = Neighbour(port, 3, node_port)
     try:
-        node.start()
+        node.start(forked=False)
         base.until(Beacon)
         own = Beacon(1, 5, 0, BEACON_BASE, 1, 5, 0, 0, 0, 0, 0, UNBOUNDED_FREE, 77, POTENTIAL_BASE, 0)
         base.say(own)

@@ -204,7 +204,7 @@ def fails(tmp_path: Path, config: str, code: int) -> str:
 def test_what_is_in_use_is_one_line_and_exit_code_1(tmp_path: Path, tidy: Tidy) -> None:
     port, other, vehicle = free_ports(3)
     links = [{"listen": f"127.0.0.1:{port}", "peers": [{"address": f"127.0.0.1:{other}"}]}]
-    first = tidy(RunningNode(tmp_path, 1, links=links)).start()
+    first = tidy(RunningNode(tmp_path, 1, links=links)).start(forked=False)
     RunningNode(tmp_path, 2, links=links)
     assert first.process is not None
     said = fails(tmp_path, "n2.yaml", 1)
