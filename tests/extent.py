@@ -10,7 +10,7 @@ from hypothesis import settings
 T = TypeVar("T")
 
 #: Examples of a property that names no number of its own, in the suite and in a soak.
-EXAMPLES, SOAK_EXAMPLES = 50, 2000
+EXAMPLES, SOAK_EXAMPLES = 25, 2000
 
 
 def extents(short: T, long: T) -> list[pytest.ParameterSet]:
@@ -23,6 +23,7 @@ def seeds(short: int, long: int) -> list[pytest.ParameterSet]:
     return [pytest.param(seed, marks=[] if seed < short else [pytest.mark.soak]) for seed in range(long)]
 
 
-def examples(number: int) -> int:
-    """`max_examples` of a property that the suite tries `number` times; a soak tries it as many times more often."""
-    return number * settings().max_examples // EXAMPLES
+def examples(short: int, long: int | None = None) -> int:
+    """`max_examples` of a property: what the suite tries, and a soak, by default 40 times as many."""
+    soak = settings().max_examples == SOAK_EXAMPLES
+    return short if not soak else 40 * short if long is None else long

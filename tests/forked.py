@@ -39,7 +39,9 @@ class Forked:
         self.pid = self._process.pid
 
     def send_signal(self, number: int) -> None:
-        os.kill(self.pid, number)
+        """To one that has ended: nothing."""
+        if self._process.exitcode is None:
+            os.kill(self.pid, number)
 
     def wait(self, timeout: float) -> int:
         """The exit code, or minus the signal that ended it."""

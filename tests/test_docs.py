@@ -137,8 +137,12 @@ def test_the_readmes_configurations_are_valid(tmp_path: Path) -> None:
     assert roles == ["drone", "base"]
 
 
+#: The demo takes as long as hundreds of tests. `.ci/run` has just run it, and says where its lines are; otherwise it is
+#: for a soak.
+WITH_THE_DEMO: list[pytest.MarkDecorator] = [] if "RASS_DEMO" in os.environ else [pytest.mark.soak]
+
+
 def printed_by_the_demo() -> list[str]:
-    """The lines. `.ci/run` has just run the demo, and says where they are: it takes as long as hundreds of tests."""
     if file := os.environ.get("RASS_DEMO"):
         return Path(file).read_text(encoding="utf-8").splitlines()
     command = [sys.executable, "-m", "rass_mav", "swarm"]
@@ -148,8 +152,9 @@ def printed_by_the_demo() -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_the_readme_shows_what_the_demo_prints() -> None:
-    (shown,) = (code.splitlines() for language, code in FENCE.findall(README) if language == "text")
+@pytest.mark.parametrize("page", [pytest.param(README, id="README", marks=WITH_THE_DEMO)])
+def test_the_readme_shows_what_the_demo_prints(page: str) -> None:
+    (shown,) = (code.splitlines() for language, code in FENCE.findall(page) if language == "text")
     # `make` may have said something before. The last line tells how long it took.
     assert shown[:-1] == printed_by_the_demo()[-len(shown) : -1]
 

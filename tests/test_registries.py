@@ -7,6 +7,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -57,7 +58,12 @@ def outside(*rooms: str) -> Iterator[tuple[str, ast.Module]]:
     for path in FILES:
         where = path.relative_to(PACKAGE)
         if not any(where.is_relative_to(room) for room in rooms):
-            yield str(where), ast.parse(path.read_text(encoding="utf-8"))
+            yield str(where), parsed(path)
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def test_nobody_names_a_policy_but_its_module() -> None:

@@ -32,7 +32,7 @@ from rass_mav.trust.lettertable import MAX_ASKED, MAX_LETTERS
 from rass_mav.trust.streams import Streams
 from rass_mav.wire import encode
 from rass_mav.wire.letters import Roll, decode_roll, enclose, encode_roll, is_about_keys, is_letter
-from tests.extent import seeds
+from tests.extent import examples, seeds
 from tests.wire.samples import NOW, SAMPLES
 
 from .crew import Crew, agent_with_keys
@@ -186,7 +186,7 @@ def test_a_change_goes_from_hop_to_hop() -> None:
 
 @pytest.mark.no_cover
 @given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.2, 0.5]))
-@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=examples(3, 320), suppress_health_check=[HealthCheck.too_slow])
 def test_a_change_arrives_whatever_is_lost(seed: int, loss: float) -> None:
     rng = random.Random(seed)
     crew = Changing(1, 7, 8, 9)

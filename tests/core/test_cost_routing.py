@@ -107,7 +107,7 @@ def test_no_cycles_where_the_base_comes_and_goes_and_risks_change(seed: int) -> 
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(60), deadline=None, phases=ONLY)
+@settings(max_examples=examples(25, 2400), deadline=None, phases=ONLY)
 @given(st.integers(0, 1 << 32))
 def test_no_cycles_where_queues_come_and_go(seed: int) -> None:
     rng = random.Random(seed)

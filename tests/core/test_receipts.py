@@ -234,7 +234,7 @@ def test_who_is_not_heard_is_not_talked_to_for_ever() -> None:
     st.sampled_from([line(5), {(i, j) for i in range(5) for j in range(5) if i != j}]),
     st.sampled_from([1, 3]),
 )
-@settings(max_examples=examples(25))
+@settings(max_examples=examples(12, 1000))
 def test_nodes_that_have_to_forget_do_not_talk_for_ever(
     bounds: list[int], seed: int, loss: float, links: set[tuple[int, int]], bases: int
 ) -> None:

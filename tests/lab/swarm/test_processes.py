@@ -26,7 +26,7 @@ from tests.patience import PATIENCE_S
 
 def line(*assignments: str) -> Scenario:
     """A short and quick line; the base at one end."""
-    return load_scenario("udp-line", assignments=["nodes=5", "steps=40", "node.step_s=0.05", *assignments])
+    return load_scenario("udp-line", assignments=["nodes=4", "steps=40", "node.step_s=0.05", *assignments])
 
 
 _before: set[psutil.Process] = set()
