@@ -40,8 +40,12 @@ class Forked:
 
     def send_signal(self, number: int) -> None:
         """To one that has ended: nothing."""
-        if self._process.exitcode is None:
+        if self.poll() is None:
             os.kill(self.pid, number)
+
+    def poll(self) -> int | None:
+        """The exit code of one that has ended."""
+        return self._process.exitcode
 
     def wait(self, timeout: float) -> int:
         """The exit code, or minus the signal that ended it."""

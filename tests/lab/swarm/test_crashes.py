@@ -226,7 +226,7 @@ def test_with_custody_nothing_vanishes_however_many_answers_are_lost(nodes: int)
     assert summary["lost"]["vanished"] == 0
 
 
-@settings(max_examples=examples(10), suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(4, 400), suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10**6), loss=st.sampled_from([0.0, 0.2]), bases=st.integers(1, 2), mirror=st.booleans()
 )  # fmt: skip

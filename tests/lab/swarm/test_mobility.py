@@ -92,7 +92,7 @@ def test_several_bases_start_in_different_corners(name: str) -> None:
 
 
 @pytest.mark.no_cover
-@settings(max_examples=examples(15))
+@settings(max_examples=examples(5, 600))
 @given(seeds)
 def test_every_walker_moves_15_cm_a_step_and_stays_inside_the_walls(seed: int) -> None:
     taken = track(make("random-walk", seed), 150)
