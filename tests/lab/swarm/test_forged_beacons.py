@@ -107,12 +107,12 @@ HEARERS = {"all": range(1, 36), "near": (1, 6, 7), "far": (34, 35, 29, 28), "mid
 
 
 def forgeries() -> Iterator[pytest.ParameterSet]:
-    """Each lie, each place and each policy with each other; the suite takes every pair of a lie and a policy."""
+    """Each lie, each place and each policy with each other; the suite takes each lie, place and policy."""
     for (i, what), (j, policy) in product(
         enumerate(["ahead", "other-life", "slow", "half"]), enumerate(["survival", "hop-count", "rass"])
     ):
         for k, where in enumerate(HEARERS):
-            soak = [] if k == (i + j) % len(HEARERS) else [pytest.mark.soak]
+            soak = [] if k == i and j == i % 3 else [pytest.mark.soak]
             yield pytest.param(what, where, policy, marks=soak)
 
 

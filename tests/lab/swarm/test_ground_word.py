@@ -34,7 +34,8 @@ def counts(world: World) -> Counter[str]:
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize(("kind", "policy"), [(kind, "survival") for kind in LIARS] + [
-    ("false-base", "rass"), ("impostor", "rass"), ("route-forger", "rass"),
+    ("false-base", "rass"),
+    *(pytest.param(kind, "rass", marks=pytest.mark.soak) for kind in ("impostor", "route-forger")),
 ])  # fmt: skip
 @pytest.mark.parametrize("made", extents(70, 130))
 def test_a_captured_drone_that_lies_about_bases_costs_nothing(made: int, kind: str, policy: str) -> None:

@@ -89,7 +89,7 @@ def test_a_change_amid_losses_and_restarts_loses_nothing() -> None:
     assert summary["created"] > 300
 
 
-@pytest.mark.parametrize("revoked", [12, 24])
+@pytest.mark.parametrize("revoked", [12, pytest.param(24, marks=pytest.mark.soak)])
 def test_a_revoked_drone_takes_only_what_it_has(revoked: int) -> None:
     """In the middle of the grid, and at its edge. What it created until then and had handed on is safe."""
     world = swarm("hostile", "hostile=[]", "data.until_step=150")
