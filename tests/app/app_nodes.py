@@ -126,7 +126,7 @@ class RunningNode:
         """Returns when it runs.
 
         :param measured: with its coverage, which takes long. Without it where other tests reach the same code.
-        :param forked: False: an interpreter of its own, as a user starts it.
+        :param forked: False: an interpreter of its own, as a user starts it. In another network namespace, too.
         """
         env = environment() if measured else unmeasured(PYTHONPATH=str(ROOT))
         self.process = self.fork(env) if forked else self.spawn(env)

@@ -60,7 +60,7 @@ def test_check_warns_of_what_does_not_fit_this_computer(setup: tuple[str, ...], 
 def test_a_node_goes_on_without_its_network_and_finds_it_later(tmp_path: Path) -> None:
     def work() -> tuple[list[Any], list[list[str]], str]:
         os.chdir(tmp_path)
-        node = RunningNode(tmp_path, 1, node={"role": "base"}, links=[LINK]).start()
+        node = RunningNode(tmp_path, 1, node={"role": "base"}, links=[LINK]).start(forked=False)
         links, lines = [], []
         try:
             for change in ("", "addr add 192.168.4.7/24 dev wlan0", "link set air down", "link set wlan0 down"):
