@@ -110,7 +110,7 @@ async def _hand_over(directory: Path, scrub_items: int | None, trusts: dict[str,
             for (side, link), executor in zip(links.items(), (first, second), strict=True):
                 agent = Agent(
                     _agent_settings(side, scrub_items), stores[side], random.Random(SIDES[side]), now=clock.now(),
-                    observer=watch if side == "drone" else None, newborn=True, trust=trusts.get(side),
+                    observer=watch if side == "drone" else None, newborn=True, keys=trusts.get(side),
                 )  # fmt: skip
                 drivers[side] = Driver(agent, [link], None, clock.now, executor)
             held = drivers["drone"].agent.node.holdings.custody

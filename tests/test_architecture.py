@@ -24,11 +24,12 @@ MAY_IMPORT: dict[str, set[str]] = {"config": set(), "core": {"config"}}
 for _room in ("policy", "wire", "mavlink", "link", "store", "sensor"):
     MAY_IMPORT[_room] = {"config", "core"}
 MAY_IMPORT["params"] = {"core", "mavlink", "link"}
-MAY_IMPORT["trust"] = {"config", "core", "mavlink", "wire"}
-_BELOW = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor", "trust"}
+_BELOW = {"config", "core", "policy", "wire", "mavlink", "link", "store", "sensor"}
 MAY_IMPORT["agent"] = _BELOW | {"station"}
 MAY_IMPORT["station"] = _BELOW | {"agent"}
-MAY_IMPORT["app"] = _BELOW | {"agent", "station"}
+#: Keys are behind the agent's seam: only what creates a node with keys knows them.
+MAY_IMPORT["trust"] = {"config", "core", "mavlink", "wire", "agent"}
+MAY_IMPORT["app"] = _BELOW | {"agent", "station", "trust"}
 MAY_IMPORT["doctor"] = MAY_IMPORT["app"] | {"app", "params"}
 #: The two wings that no drone needs: what flies imports neither.
 MAY_IMPORT["ground"] = MAY_IMPORT["app"] | {"app"}

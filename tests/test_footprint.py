@@ -79,8 +79,14 @@ def test_a_node_does_not_load_sensors_that_it_does_not_have(loaded: set[str]) ->
     assert not {f"rass_mav.sensor.{kind}" for kind in kinds} & loaded
 
 
-def test_a_node_does_not_load_the_mock_swarm(loaded: set[str]) -> None:
-    assert not [name for name in loaded if name.startswith("rass_mav.lab")]
+def test_a_node_without_keys_loads_nothing_of_trust(loaded: set[str]) -> None:
+    assert not [name for name in loaded if name.startswith("rass_mav.trust")]
+    assert "rass_mav.agent.seam" in loaded
+
+
+@pytest.mark.parametrize("wing", ["ground", "lab"])
+def test_a_node_does_not_load_the_other_wings(wing: str, loaded: set[str]) -> None:
+    assert not [name for name in loaded if name.startswith(f"rass_mav.{wing}")]
     assert "rass_mav.app.driver" in loaded
 
 

@@ -7,12 +7,13 @@ import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import Protocol
 
 from rass_mav.agent.answers import Answers
 from rass_mav.agent.guard import Guard, Unguarded
 from rass_mav.agent.outgoing import Outgoing, Way, aside
 from rass_mav.agent.peers import Peers, head_of, open_datagram
+from rass_mav.agent.seam import KEYLESS, Keys, Released
 from rass_mav.agent.settings import AgentSettings
 from rass_mav.agent.turns import Turns
 from rass_mav.core.datum import DatumId, Kind
@@ -35,14 +36,7 @@ from rass_mav.station.heartbeats import Heartbeats
 from rass_mav.station.parameters import recall
 from rass_mav.station.reports import Reports
 from rass_mav.station.statuses import Statuses
-from rass_mav.trust.signed import Signed
-from rass_mav.trust.tags import OPEN, NoTags
-from rass_mav.trust.vouchers import Held
-from rass_mav.trust.word import Word
 from rass_mav.wire.measurement import Measurement, encode_measurement
-
-if TYPE_CHECKING:
-    from rass_mav.trust.trust import Trust
 
 log = logging.getLogger(__name__)
 
@@ -73,14 +67,6 @@ class VehicleService(Protocol):
         """Called once a step."""
 
 
-class _Makings(NamedTuple):
-    """What each life of the node is made with, besides settings and store."""
-
-    participant: type[Participant] | None
-    trust: Trust | None
-    tags: NoTags
-
-
 class Agent:
     """Bytes in, frames out. The driver provides time, links and commits (docs/architecture.md).
 
@@ -91,7 +77,7 @@ class Agent:
     # In the mock swarm a thousand agents share a processor's cache.
     __slots__ = (
         "_beats",
-        "_makings",
+        "_participant",
         "_reports",
         "_rng",
         "_said",
@@ -108,6 +94,7 @@ class Agent:
         "steps",
         "store",
         "telemetry",
+        "trust",
         "vehicle_reader",
         "vehicle_writer",
     )
@@ -123,14 +110,14 @@ class Agent:
         newborn: bool = False,
         forgiving: bool = False,
         participant: type[Participant] | None = None,
-        trust: Trust | None = None,
+        keys: Keys | None = None,
     ) -> None:
         """`now`: seconds on the timeline of all later calls. `rng` makes all random choices.
 
         `newborn`: no other node can remember this one from an earlier life (as when a mock swarm starts). `forgiving`:
         a frame that hits a fault in this program is dropped, and the node continues (`agent.guard`). Otherwise the
         fault raises. `participant`: what handles the messages; None: what the policy asks for. Experiments compare
-        others with it. `trust`: what the node's keys do for it; None: it has no keys.
+        others with it. `keys`: the node's; None: it has none.
         """
         configured = settings
         unfit: list[str] = []
@@ -139,8 +126,9 @@ class Agent:
         self.settings = settings
         self._rng = rng
         self.store = store
-        tags = OPEN if trust is None else trust.tags(store, rng, settings.step_s)
-        self._makings = _Makings(participant, trust, tags)
+        self.trust = KEYLESS if keys is None else keys.life(settings.node_id, store, rng, settings.step_s)
+        """What the node's keys do for it."""
+        self._participant = participant
         self.answers = Answers(rng)
         """Those to neighbours. The driver knows whether they have to wait, and may ride."""
         self.guard = Guard(self) if forgiving else Unguarded()
@@ -153,12 +141,8 @@ class Agent:
             # Autopilots never forget a sender, so use the right id from the first frame on, if it is known.
             system_id = store.get_meta(_SYSTEM_ID) or system_id
         writer = FrameWriter(system_id, mavlink.component_id)
-        signed = None
-        if trust is not None:
-            signed = Signed(settings.node_id, trust.letters, writer, store, rng, mavlink.payload_type)
-        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, signed, tags)
-        if trust is not None and trust.word is not None:
-            self.peers.word = Word(settings.node_id, trust.word, store, rng, self.node)
+        self.trust.connect(writer, mavlink.payload_type)
+        self.peers = Peers(settings.node_id, writer, mavlink.payload_type, self.trust)
         self._fit_peers()
         self.vehicle_writer = FrameWriter(system_id, mavlink.component_id)
         self.vehicle_reader = FrameReader()
@@ -178,8 +162,7 @@ class Agent:
             self.services.append(Statuses(self, settings.data.status_s, now))
         self.ground = None if settings.ground is None else Ground(self, settings.ground, configured, now)
         """None: there is no ground station."""
-        if signed is not None:
-            signed.letters.begin(signed.use, self.tell_ground)
+        self.trust.begin(self.tell_ground)
         for error in unfit:
             self.tell_ground(_WARNING, f"RASS: not restored: {error}")
 
@@ -188,18 +171,16 @@ class Agent:
     ) -> Participant:
         settings = self.settings
         policy = settings.policy.make()
-        kind = self._makings.participant or (Replica if policy.replicates else Node)
-        trust = self._makings.trust
-        seals = None if trust is None else trust.seals(self.store)
+        kind = self._participant or (Replica if policy.replicates else Node)
         return kind(
             self._node_settings(), self.store, policy, settings.risk.estimator(policy), self._rng,
-            now=now, observer=observer, newborn=newborn, seals=seals, prints=self._makings.tags.prints, before=before,
+            now=now, observer=observer, newborn=newborn, seals=self.trust.seals(self.store),
+            prints=self.trust.prints, before=before,
         )  # fmt: skip
 
     def _node_settings(self) -> NodeSettings:
         settings = self.settings.node_settings()
-        trust = self._makings.trust
-        return replace(settings, vouched=True) if trust is not None and trust.word is not None else settings
+        return replace(settings, vouched=True) if self.trust.vouched else settings
 
     def take_over(self, settings: AgentSettings, now: float, *, rebirth: bool) -> None:
         """Continue with other settings, between two steps.
@@ -244,16 +225,13 @@ class Agent:
         """A new node takes over the store, as after a restart."""
         self.node = self._make_node(now, self.node.observer, False, self.node if keep_routes else None)
         self.answers.forget()
-        if self.peers.word is not None:
-            self.peers.word.node = self.node
         self._fit_peers()
         self._observe_again()
 
     def _fit_peers(self) -> None:
         """There is another node."""
         self.peers.overhears = self.node.overhears
-        if self.peers.signed is not None:
-            self.node.number_beacons(self.peers.signed.timestamps.index)
+        self.trust.serve(self.node)
 
     def _observe_again(self) -> None:
         if self.last_reading is not None:
@@ -262,8 +240,7 @@ class Agent:
     def share_port(self) -> None:
         """Neighbours are reached through the autopilot's port, where listeners expect one sequence of frames."""
         self.vehicle_writer = self.peers.writer
-        if self.peers.signed is not None:
-            self.vehicle_reader.check = self.peers.signed.check(lambda message_id: message_id == TUNNEL)
+        self.vehicle_reader.check = self.trust.check(lambda message_id: message_id == TUNNEL)
         if self.ground is not None:
             self.ground.outboxes[Way.VEHICLE].writer = self.peers.writer
 
@@ -348,7 +325,7 @@ class Agent:
             message = self.peers.understood(frame, now)
             if message is None:
                 return ()
-            if self.guard.shuts_out(message, link, now, proven=self.peers.tags.proves(message)):
+            if self.guard.shuts_out(message, link, now, proven=self.trust.proves(message)):
                 return ()
             if type(message) is Beacon and message.sender != self.settings.node_id:
                 if may_be_neighbour is not None and not may_be_neighbour(message.sender):
@@ -382,27 +359,26 @@ class Agent:
             service.step(now)
         # Before the beacon, which counts where the answer has been heard.
         out = self.peers.about_links(now, self.node.pace)
-        if self.peers.word is not None:
-            self._hear_released(self.peers.word, now)
+        self._hear_released(now)
         node = self.node
         if self._turns.due(node.pace.turn_s, self.settings.step_s, now, self._rng):
             out += self.peers.frames_of_turn(node.step(now), self.store, now)
         self._reports.look(node, now, self.tell_ground)
         if self.peers.other_versions:
             self._reports.versions(node.id, self.peers.other_versions, now, self.tell_ground)
-        if self.peers.signed is not None:
-            self._reports.twins(self.peers.signed.streams, now, self.tell_ground)
+        if self.trust.twins:
+            self._reports.twins(self.trust.twins, self.peers.writer, now, self.tell_ground)
         if self._is_measured() and any(self.known(now)):
             self.measure(now)
             out += self.forward(now)
         self.steps += 1
         return out + self._take_said() if self._said else out
 
-    def _hear_released(self, word: Word, now: float) -> None:
+    def _hear_released(self, now: float) -> None:
         """Let core hear the statements for which the ground has vouched meanwhile. It answers none."""
-        for held in word.released():
+        for held in self.trust.released():
 
-            def hear(frame: Frame | None, now: float, held: Held = held) -> None:
+            def hear(frame: Frame | None, now: float, held: Released = held) -> None:
                 for _ in range(held.times):
                     self.node.receive(held.message, now)
 

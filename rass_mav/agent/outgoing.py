@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
+from rass_mav.agent.seam import KEYLESS, Keyless
 from rass_mav.core.messages import BROADCAST, KINDS, Message, Urgency, destination
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.trust.tags import OPEN, NoTags
 
 
 class Way(IntEnum):
@@ -41,7 +41,12 @@ def aside(frame: bytes, way: Way, *, promises: bool = False) -> Outgoing:
 
 
 def frames_of(
-    messages: Sequence[Message], writer: FrameWriter, payload_type: int, store: Store, now: float, tags: NoTags = OPEN
+    messages: Sequence[Message],
+    writer: FrameWriter,
+    payload_type: int,
+    store: Store,
+    now: float,
+    trust: Keyless = KEYLESS,
 ) -> list[Outgoing]:
     """The messages as frames of `writer`, in the same order. `now`: seconds on the node's timeline, for ages."""
     tunnel, unwritten = writer.tunnel, store.unwritten
@@ -53,7 +58,7 @@ def frames_of(
             data = KINDS[type(message)].rests(message)
             # Data that are on disk leave at once, so a node whose disk is full can still hand over its data.
             promises = data is None or not all(map(store.durable, data))
-        for payload in tags.encoded(message, store, now):
+        for payload in trust.encoded(message, store, now):
             out.append(Outgoing(tunnel(payload, payload_type=payload_type), target, promises, urgency))
     return out
 

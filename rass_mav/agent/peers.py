@@ -8,24 +8,18 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 from rass_mav.agent.outgoing import Outgoing, frames_about_links, frames_of, held_back
-from rass_mav.core.messages import BROADCAST, Beacon, Message, Urgency
+from rass_mav.agent.seam import KEYLESS, Keyless
+from rass_mav.core.messages import BROADCAST, Message, Urgency
 from rass_mav.core.pace import Pace
 from rass_mav.core.store import Store
 from rass_mav.errors import MalformedError
-from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream
+from rass_mav.mavlink.frames import Frame, FrameWriter, Stream
 from rass_mav.mavlink.identity import addressed_to
 from rass_mav.mavlink.messages import TUNNEL
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.mavlink.tunnel import TUNNEL_AHEAD, decode_tunnel, tunnel_from_datagram
-from rass_mav.trust.signed import Signed
-from rass_mav.trust.streams import Verdict
-from rass_mav.trust.tags import OPEN, NoTags
-from rass_mav.trust.word import Word
-from rass_mav.wire import beacon_sender, decode, is_overheard, target_of
+from rass_mav.wire import decode, is_overheard, target_of
 from rass_mav.wire.codec import MORE_HEAD, VERSION, ForeignError
-from rass_mav.wire.introduction import is_introduction
-from rass_mav.wire.word import is_word
 
 log = logging.getLogger(__name__)
 
@@ -44,14 +38,6 @@ def open_datagram(data: bytes) -> Opened | None:
     """Open a datagram that is exactly one frame with a TUNNEL message, whoever signed it. None: it is anything else."""
     fields = tunnel_from_datagram(data)
     return None if fields is None else (*fields[2:], target_of(fields[5]))
-
-
-@lru_cache(maxsize=16)
-def stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
-    """Stream and timestamp of a datagram that is exactly one frame. None: the key has not signed it."""
-    if not data[2] & FLAG_SIGNED or not key.made(data):
-        return None
-    return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
 
 
 def head_of(frame: Frame) -> bytes:
@@ -73,27 +59,19 @@ class Peers:
     """Decodes and counts what is heard from the neighbours."""
 
     __slots__ = (
-        "_node_id", "_payload_type", "foreign", "malformed", "other_versions", "overhears", "reader", "received",
-        "signed", "system_ids", "tags", "word", "writer",
+        "_node_id", "_payload_type", "_trust", "foreign", "malformed", "other_versions", "overhears", "reader",
+        "received", "system_ids", "writer",
     )  # fmt: skip
 
-    def __init__(
-        self, node_id: int, writer: FrameWriter, payload_type: int, signed: Signed | None = None, tags: NoTags = OPEN
-    ) -> None:
+    def __init__(self, node_id: int, writer: FrameWriter, payload_type: int, trust: Keyless = KEYLESS) -> None:
         """:param payload_type: of the swarm's TUNNEL messages.
-        :param signed: of this `writer`; None: frames are not signed, and signatures not checked.
-        :param tags: prove this node's words, and doubt others'.
+        :param trust: what keys do at its links; it sends with this `writer`.
         """
         self._node_id = node_id
         self._payload_type = payload_type
-        self.signed = signed
-        self.tags = tags
-        if signed is not None:
-            tags.use(signed.streams)
-        self.word: Word | None = None
-        """What is known of the ground's word; None: there are no keys, and bases are believed."""
+        self._trust = trust
         self.writer = writer
-        self.reader = FrameReader(None if signed is None else signed.check())
+        self.reader = FrameReader(trust.check())
         self.overhears = False
         """Whether data for other nodes are for this node too."""
         self.received = 0
@@ -118,51 +96,25 @@ class Peers:
         except MalformedError as error:
             self._count(error, now)
             return None
-        opened = (*tunnel, target_of(tunnel.payload))
-        if not self._admits(frame.stream, frame.timestamp, opened, now):
-            return None
-        return self._believed(self.message(opened, now, frame.stream), tunnel.payload, frame.stream, frame)
+        return self._message((*tunnel, target_of(tunnel.payload)), frame.stream, frame.timestamp, frame, now)
 
     def heard(self, datagram: bytes, opened: Opened, now: float) -> Message | None:
         """The same for the datagram that `open_datagram` has opened."""
-        stream = (0, 0, 0)
-        if self.signed is not None:
-            stamp = stamp_of(datagram, self.signed.key)
-            if stamp is None:
-                # It refuses the frame too, and counts it.
-                self.reader.datagram(datagram)
-                return None
-            stream = stamp[0]
-            if not self._admits(*stamp, opened, now):
-                return None
-        return self._believed(self.message(opened, now, stream), opened[3], stream, None)
+        stamp = self._trust.stamp(datagram)
+        if stamp is None:
+            # It refuses the frame too, and counts it.
+            self.reader.datagram(datagram)
+            return None
+        return self._message(opened, *stamp, None, now)
 
-    def _believed(self, message: Message | None, payload: bytes, stream: Stream, frame: Frame | None) -> Message | None:
-        if self.word is None or message is None:
-            return message
-        return self.word.admit(message, payload, self._bringer(stream), frame)
-
-    def _bringer(self, stream: Stream) -> Stream:
-        return stream if self.signed is None else self.signed.streams.bringer(stream)
-
-    def _admits(self, stream: Stream, timestamp: int, opened: Opened, now: float) -> bool:
-        """Whether a frame is new, and the node may look at it. Introductions are, since they show that themselves."""
-        if self.signed is None:
-            return True
-        payload = opened[3] if opened[2] == self._payload_type else b""
-        if is_introduction(payload):
-            return True
-        verdict = self.signed.admit(stream, timestamp, payload, now)
-        if verdict is Verdict.STRANGE or verdict is Verdict.LATE:
-            sender = beacon_sender(payload)
-            if sender is not None and sender != self._node_id:
-                self.tags.meet(sender, now, stream)
-        return verdict is Verdict.NEW
-
-    def message(self, opened: Opened, now: float, stream: Stream = (0, 0, 0)) -> Message | None:
-        """The message in a frame that is open, and new. `stream`: whose it is, if it is signed."""
+    def _message(
+        self, opened: Opened, stream: Stream, timestamp: int, frame: Frame | None, now: float
+    ) -> Message | None:
         system, component, payload_type, payload, target = opened
-        if payload_type != self._payload_type:
+        trust, ours = self._trust, payload_type == self._payload_type
+        if trust is not KEYLESS and not trust.admit(stream, timestamp, payload if ours else b"", now):
+            return None
+        if not ours:
             self.foreign += 1
             return None
         self.received += 1
@@ -173,13 +125,10 @@ class Peers:
         ):
             return None
         try:
-            if payload[:1] == MORE_HEAD:
-                if self.tags.introduced(payload, now, stream):
-                    return None
-                if self.word is not None and is_word(payload):
-                    self.word.hear(payload, self._bringer(stream))
-                    return None
-            return self.tags.believed(decode(payload, now), payload, now, stream)
+            if payload[:1] == MORE_HEAD and trust.takes(payload, stream, now):
+                return None
+            message = decode(payload, now)
+            return message if trust is KEYLESS else trust.believe(message, payload, stream, frame, now)
         except MalformedError as error:
             self._count(error, now)
             return None
@@ -210,38 +159,28 @@ class Peers:
         if not messages:
             return []
         # Before the words that they prove.
-        frames = frames_about_links(self.tags.introductions(now), self.writer, self._payload_type)
-        return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self.tags))
+        frames = frames_about_links(self._trust.introductions(now), self.writer, self._payload_type)
+        return self._claimed(frames + frames_of(messages, self.writer, self._payload_type, store, now, self._trust))
 
     def frames_of_turn(self, messages: Sequence[Message], store: Store, now: float) -> list[Outgoing]:
         """The frames of a turn: with keys, what shows that bases are heard, and asks for it, is among them."""
-        messages = [self.tags.shown(message) if type(message) is Beacon else message for message in messages]
-        if self.word is None:
-            return self.frames(messages, store, now)
-        payloads, messages = self.word.turn(messages)
+        payloads, messages = self._trust.turn(messages)
         about = frames_about_links(payloads, self.writer, self._payload_type, Urgency.DATA)
         return self._claimed(about) + self.frames(messages, store, now)
 
     def about_links(self, now: float, pace: Pace) -> list[Outgoing]:
         """The frames in which this node asks others who they are, and answers them, and those about a change of the
         link key. Call it in each step."""
-        signed = self.signed
-        if signed is None:
-            return []
-        rolls, letters = signed.letters.due(now, pace.turn_s, pace.items)
-        payloads = rolls + self.tags.introductions(now)
-        out = frames_about_links(payloads, self.writer, self._payload_type)
-        return self._claimed(out + frames_about_links(letters, self.writer, self._payload_type, Urgency.DATA))
+        urgent, others = self._trust.due(now, pace)
+        out = frames_about_links(urgent, self.writer, self._payload_type)
+        return self._claimed(out + frames_about_links(others, self.writer, self._payload_type, Urgency.DATA))
 
     def _claimed(self, frames: list[Outgoing]) -> list[Outgoing]:
         """These frames, held back if their timestamps are not claimed on disk yet."""
-        return frames if self.signed is None or self.signed.timestamps.cover() else held_back(frames)
+        return frames if self._trust.covers() else held_back(frames)
 
     def leaving(self, outgoing: Outgoing) -> Outgoing:
-        """A frame to the neighbours as it leaves: with its signature. Call it when the frame has not to wait any more.
-
-        Signed earlier, what waits for the disk would be overtaken by too many others.
-        """
-        if self.signed is None:
+        """A frame to the neighbours as it leaves, with its signature. Call it when the frame need not wait any more."""
+        if self._trust is KEYLESS:
             return outgoing
-        return outgoing._replace(frame=self.signed.timestamps.sign(outgoing.frame))
+        return outgoing._replace(frame=self._trust.sign(outgoing.frame))

@@ -12,10 +12,9 @@ from rass_mav.agent.outgoing import Outgoing
 from rass_mav.app.duplicates import Duplicates
 from rass_mav.link.airtime import Budget, Pacer, Queued
 from rass_mav.link.backlog import Backlog
-from rass_mav.mavlink.frames import Frame, timestamp_of
+from rass_mav.mavlink.frames import Frame
 from rass_mav.mavlink.messages import RADIO_STATUS, TUNNEL, radio_txbuf
 from rass_mav.mavlink.reader import FrameReader
-from rass_mav.trust.timestamps import COUNT_BITS
 
 #: A radio sends RADIO_STATUS about once a second. More than this many in this many seconds are forged.
 MOST_RADIO_STATUS, WATCH_S = 30, 10.0
@@ -46,8 +45,7 @@ class Lane:
         self.agent = agent
         self._name = name
         self.duplicates = duplicates
-        signed = agent.peers.signed
-        self.check = None if signed is None else signed.check()
+        self.check = agent.trust.check()
         """Counts the frames that are not signed rightly; None: signatures are not checked."""
         self.reader = FrameReader(self.check)
         self.pacer = None if budget is None else Pacer(budget, rng, now=now, step_s=agent.settings.step_s)
@@ -134,17 +132,13 @@ class Lane:
     def pop(self, now: float) -> Queued | None:
         """The frame that leaves now, or None. Ask again until None."""
         queued = self._queue.pop(now)
-        signed = self.agent.peers.signed
-        if queued is None or signed is None or (timestamp := timestamp_of(queued.frame)) is None:
+        if queued is None:
+            return None
+        frame, self._newest = self.agent.trust.refresh(queued.frame, self._newest)
+        if frame is queued.frame:
             return queued
-        if timestamp >> COUNT_BITS < self._newest >> COUNT_BITS:
-            # A beacon has overtaken it: hearers would soon refuse it as late.
-            frame = signed.timestamps.sign_again(queued.frame)
-            self.duplicates.said(frame, now)
-            queued = queued._replace(frame=frame)
-            timestamp = timestamp_of(frame) or 0
-        self._newest = max(self._newest, timestamp)
-        return queued
+        self.duplicates.said(frame, now)
+        return queued._replace(frame=frame)
 
     def next_at(self, now: float) -> float | None:
         """When to `pop` next; None: nothing waits."""

@@ -169,7 +169,7 @@ class Runtime:
             # One thread: one write at a time.
             executor = stack.enter_context(ThreadPoolExecutor(1, "store"))
             rng = random.Random(secrets.randbits(128))
-            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, trust=self._trust)
+            agent = Agent(settings, store, rng, now=clock.now(), forgiving=True, keys=self._trust)
             self._watch_keys(agent, executor)
             vehicle = self._sign(agent, vehicle)
             if store.report.reason:

@@ -83,9 +83,7 @@ def status(driver: Driver, started: float) -> dict[str, Any]:
             for n in sorted(routing.neighbours.values(), key=_id)
         ],
         "shared_system_ids": _shared_system_ids(driver),
-        "words": agent.peers.tags.report(),
-        "ground_word": None if agent.peers.word is None else agent.peers.word.report(),
-        "streams": None if agent.peers.signed is None else agent.peers.signed.streams.report(now),
+        **agent.trust.report(now),
         "store": _store(driver),
         "ledger": {**node.store.counters(), **node.figures()},
         "commits": {

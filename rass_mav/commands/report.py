@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rass_mav.config.keys import in_words
-from rass_mav.ground.entry import UNIT_NAMES
 
 from .common import clean
 
@@ -16,6 +15,8 @@ _BAR = 20
 
 def status_lines(status: dict[str, Any]) -> Iterator[str]:
     """The answer of `status` in lines."""
+    from rass_mav.ground.entry import UNIT_NAMES
+
     s = status
     yield f"node {s['node_id']} ({s['role']}), epoch {s['epoch']}, up {s['uptime_s']:.0f} s, {s['steps']} steps"
     yield from _keys(s)

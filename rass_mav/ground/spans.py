@@ -1,4 +1,4 @@
-"""Lengths of time for people. The command line loads this module, so it imports nothing."""
+"""Lengths of time for people."""
 
 from __future__ import annotations
 

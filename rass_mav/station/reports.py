@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from rass_mav.agent.peers import OtherVersion
 from rass_mav.core.alarms import Alarm
 from rass_mav.core.participant import Participant
-from rass_mav.trust.streams import Streams
+from rass_mav.mavlink.frames import FrameWriter
 from rass_mav.wire.codec import VERSION
 
 #: Seconds between two reports of the same trouble, at least.
@@ -73,15 +73,15 @@ class Reports:
             tell(_WARNING, f"RASS: node {node_id} uses version {version}, this one {VERSION}: update node {behind}")
             return
 
-    def twins(self, streams: Streams, now: float, tell: Tell) -> None:
-        """Once a step: another node with this node's system and component id was heard."""
+    def twins(self, twins: Mapping[int, float], own: FrameWriter, now: float, tell: Tell) -> None:
+        """Once a step: other nodes with this node's system and component id were heard, by node id, and when."""
         if now < self._twins_at:
             return
-        recent = [node_id for node_id, at in streams.twins.items() if now - at <= REPORT_S]
+        recent = [node_id for node_id, at in twins.items() if now - at <= REPORT_S]
         if recent:
             self._twins_at = now + REPORT_S
-            system, component, _ = streams.own
-            tell(_CRITICAL, f"RASS: node {recent[-1]} has our system id {system} and component {component}: change one")
+            ids = f"system id {own.system_id} and component {own.component_id}"
+            tell(_CRITICAL, f"RASS: node {recent[-1]} has our {ids}: change one")
 
     def full(self, now: float, tell: Tell) -> None:
         """A measurement was refused because the store is full."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Protocol
 
-from rass_mav.agent.peers import Peers
+from rass_mav.agent.seam import Keyless
 from rass_mav.agent.settings import LEAST_STATUS_TURNS, USUAL_STATUS_S, AgentSettings
 from rass_mav.core.datum import Kind
 from rass_mav.core.participant import Participant
@@ -33,7 +33,7 @@ class Host(Protocol):
     settings: AgentSettings
     node: Participant
     telemetry: Telemetry
-    peers: Peers
+    trust: Keyless
     steps: int
 
 
@@ -79,7 +79,6 @@ class Statuses:
     def _status(self, now: float) -> NodeStatus:
         node, position = self._agent.node, self._agent.telemetry.position
         holdings, route, free = node.holdings, node.routing.route, node.holdings.free()
-        signed = self._agent.peers.signed
         # At a base data are at their goal, and no risk matters.
         alone = {} if node.base else holdings.alone()
         return NodeStatus(
@@ -95,5 +94,5 @@ class Statuses:
             alone_by_origin=alone,
             base=node.base,
             next_hop=node.routing.next_hop,
-            link_key=None if signed is None else signed.letters.link.number,
+            link_key=self._agent.trust.link_key,
         )

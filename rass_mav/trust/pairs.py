@@ -20,7 +20,6 @@ from rass_mav.mavlink.frames import Stream
 from rass_mav.trust.acquaintances import Acquaintances, IsOut, Links
 from rass_mav.trust.keys.identity import NodeKeys
 from rass_mav.trust.keys.pairs import TAG_SIZE
-from rass_mav.trust.tags import NoTags
 from rass_mav.wire import encode
 from rass_mav.wire.codec import COMMITTED
 from rass_mav.wire.introduction import decode_introduction, is_introduction
@@ -61,7 +60,7 @@ def _print(person: bytes, data: bytes) -> int:
     return int.from_bytes(blake2b(data, digest_size=16, person=person).digest(), "little") << 32
 
 
-class PairTags(NoTags):
+class PairTags:
     """Proves one node's words, and doubts others'."""
 
     __slots__ = (
@@ -94,6 +93,7 @@ class PairTags(NoTags):
     # -- what goes out -------------------------------------------------------------------------------------------------
 
     def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
+        """The TUNNEL payloads of a message of this node."""
         offered = self._offered
         for number, fingerprint in of_offers(message, self.prints, store.get):
             offered.pop(number, None)
@@ -103,9 +103,11 @@ class PairTags(NoTags):
         return encode(message, now, self)
 
     def use(self, links: Links) -> None:
+        """Set the streams of the links whose frames are signed."""
         self.acquaintances.links = links
 
     def introductions(self, now: float) -> list[bytes]:
+        """What this node has to say of itself now, as TUNNEL payloads for everybody."""
         return self.acquaintances.due(now)
 
     def of_answer(self, to: int, said: bytes) -> bytes:
@@ -125,19 +127,24 @@ class PairTags(NoTags):
     # -- what comes in -------------------------------------------------------------------------------------------------
 
     def meet(self, node_id: int, now: float, stream: Stream) -> None:
+        """A beacon in the name of a node was heard in a stream in which it has not proved itself, or not lately."""
         self.acquaintances.heard(node_id, now, stream)
         self.acquaintances.ask(node_id, now)
 
     def shown(self, beacon: Beacon) -> Beacon:
+        """This node's own beacon as it leaves."""
         return self.acquaintances.shown(beacon)
 
     def introduced(self, payload: bytes, now: float, stream: Stream) -> bool:
+        """Take a TUNNEL payload that only introduces another node. False: it is something else."""
         if not is_introduction(payload):
             return False
         self.acquaintances.hear(decode_introduction(payload), now, stream)
         return True
 
     def believed(self, message: Message, payload: bytes, now: float, stream: Stream) -> Message | None:
+        """A message that was heard, without what its sender has not said; None: nothing is left of it. `payload`: of
+        its TUNNEL. `stream`: in which it came."""
         self._now = now
         if (
             type(message) is Beacon
@@ -157,6 +164,7 @@ class PairTags(NoTags):
         return heard
 
     def proves(self, message: Message) -> bool:
+        """Whether nobody but its sender can have said a message that is `believed`."""
         return is_tagged(message)
 
     def fingerprint(self, number: int) -> int | None:

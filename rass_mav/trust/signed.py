@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from rass_mav.agent.seam import all_but_radio
 from rass_mav.core.store import Store
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter, Stream
-from rass_mav.mavlink.messages import RADIO_STATUS
 from rass_mav.mavlink.signing import SignatureCheck, SigningKey
 from rass_mav.mavlink.tunnel import tunnel_from_datagram
 from rass_mav.trust.streams import Streams, Verdict
@@ -25,23 +24,23 @@ class Signed:
     __slots__ = ("_checks", "_payload_type", "key", "letters", "streams", "timestamps")
 
     def __init__(
-        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, rng: random.Random, payload_type: int
+        self, node_id: int, letters: Letters, writer: FrameWriter, store: Store, start: int, payload_type: int
     ) -> None:
         """:param letters: bring the key, and later ones.
         :param writer: its TUNNEL messages are signed from now on.
-        :param rng: draws where its beacons begin.
+        :param start: 15 bits, where its beacons begin.
         :param payload_type: of the swarm's TUNNEL messages.
         """
         writer.tunnel_flags = FLAG_SIGNED
         self.key = key = letters.signing
         # A store that may have lost numbers has a new epoch, and so this node a new stream.
-        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), rng.getrandbits(15))
+        self.timestamps = Timestamps(store, key.signer(store.epoch & 0xFF, 0), start)
         self.streams = Streams(node_id, writer, self.timestamps)
         self.letters = letters
         self._payload_type = payload_type
         self._checks: list[SignatureCheck] = []
 
-    def check(self, needed: Callable[[int], bool] = lambda message_id: message_id != RADIO_STATUS) -> SignatureCheck:
+    def check(self, needed: Callable[[int], bool] = all_but_radio) -> SignatureCheck:
         """For a reader. `needed`: returns whether messages with this id must be signed; by default all but
         RADIO_STATUS, which the node's own radio sends."""
         check = SignatureCheck(self.key, needed, self._hear_other_key)

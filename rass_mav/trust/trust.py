@@ -1,20 +1,172 @@
-"""All that a node's keys do for it. A node without keys does not load this module, which needs PyNaCl."""
+"""A node with keys: what they do for it over all its lives (`Trust`), and in one of them (`Keyed`).
+
+A node without keys does not load this module, which needs PyNaCl.
+"""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
+from rass_mav.agent.seam import Keyless, Released, all_but_radio
+from rass_mav.core.messages import Beacon, Message
+from rass_mav.core.pace import Pace
+from rass_mav.core.participant import Participant
 from rass_mav.core.seals import NoSeals
 from rass_mav.core.store import Store
+from rass_mav.mavlink.frames import FLAG_SIGNED, Frame, FrameWriter, Stream, timestamp_of
+from rass_mav.mavlink.signing import SIGNATURE_SIZE, SignatureCheck, SigningKey
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.word import GroundWord
 from rass_mav.trust.letters import Letters
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.seals import DataKeys
-from rass_mav.trust.tags import NoTags
+from rass_mav.trust.signed import Signed
+from rass_mav.trust.streams import Verdict
+from rass_mav.trust.timestamps import COUNT_BITS
+from rass_mav.trust.word import Word
+from rass_mav.wire import beacon_sender
+from rass_mav.wire.introduction import is_introduction
+from rass_mav.wire.word import is_word
+
+
+# In a mock swarm all receivers of a frame ask one after another.
+@lru_cache(maxsize=16)
+def _stamp_of(data: bytes, key: SigningKey) -> tuple[Stream, int] | None:
+    if not data[2] & FLAG_SIGNED or not key.made(data):
+        return None
+    return (data[5], data[6], data[-SIGNATURE_SIZE]), int.from_bytes(data[-12:-6], "little")
+
+
+class Keyed(Keyless):
+    """What a node's keys decide in one of its lives."""
+
+    __slots__ = ("_node_id", "_rng", "_store", "_trust", "prints", "signed", "tags", "vouched", "word")
+
+    def __init__(self, trust: Trust, node_id: int, store: Store, rng: random.Random, step_s: float) -> None:
+        self._trust = trust
+        self._node_id = node_id
+        self._store = store
+        self._rng = rng
+        self.tags: PairTags = trust.tags(store, rng, step_s)
+        """Prove this node's words, and doubt others'."""
+        self.prints = self.tags.prints  # type: ignore[misc]  # of the class where there are no keys
+        self.vouched = trust.word is not None  # type: ignore[misc]
+        self.signed: Signed
+        """The links. Set by `connect`."""
+        self.word: Word | None = None
+        """What is known of the ground's word; None: bases are believed."""
+
+    def seals(self, store: Store) -> NoSeals:
+        return self._trust.seals(store)
+
+    def connect(self, writer: FrameWriter, payload_type: int, start: int | None = None) -> None:
+        start = self._rng.getrandbits(15) if start is None else start
+        self.signed = Signed(self._node_id, self._trust.letters, writer, self._store, start, payload_type)
+        self.tags.use(self.signed.streams)
+        if self._trust.word is not None:
+            self.word = Word(self._node_id, self._trust.word, self._store, self._rng, None)
+
+    def serve(self, node: Participant) -> None:
+        if self.word is not None:
+            self.word.node = node
+        node.number_beacons(self.signed.timestamps.index)
+
+    def begin(self, tell: Callable[[int, str], None]) -> None:
+        self._trust.letters.begin(self.signed.use, tell)
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def check(self, needed: Callable[[int], bool] = all_but_radio) -> SignatureCheck:
+        return self.signed.check(needed)
+
+    def stamp(self, datagram: bytes) -> tuple[Stream, int] | None:
+        return _stamp_of(datagram, self.signed.key)
+
+    def admit(self, stream: Stream, timestamp: int, payload: bytes, now: float) -> bool:
+        if is_introduction(payload):
+            # It shows itself whether it is new.
+            return True
+        verdict = self.signed.admit(stream, timestamp, payload, now)
+        if verdict is Verdict.STRANGE or verdict is Verdict.LATE:
+            sender = beacon_sender(payload)
+            if sender is not None and sender != self._node_id:
+                self.tags.meet(sender, now, stream)
+        return verdict is Verdict.NEW
+
+    def takes(self, payload: bytes, stream: Stream, now: float) -> bool:
+        if self.tags.introduced(payload, now, stream):
+            return True
+        if self.word is not None and is_word(payload):
+            self.word.hear(payload, self.signed.streams.bringer(stream))
+            return True
+        return False
+
+    def believe(
+        self, message: Message, payload: bytes, stream: Stream, frame: Frame | None, now: float
+    ) -> Message | None:
+        believed = self.tags.believed(message, payload, now, stream)
+        if self.word is None or believed is None:
+            return believed
+        return self.word.admit(believed, payload, self.signed.streams.bringer(stream), frame)
+
+    def proves(self, message: Message) -> bool:
+        return self.tags.proves(message)
+
+    def released(self) -> Sequence[Released]:
+        return () if self.word is None else self.word.released()
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def encoded(self, message: Message, store: Store, now: float) -> list[bytes]:
+        return self.tags.encoded(message, store, now)
+
+    def turn(self, messages: Sequence[Message]) -> tuple[list[bytes], Sequence[Message]]:
+        messages = [self.tags.shown(message) if type(message) is Beacon else message for message in messages]
+        return ([], messages) if self.word is None else self.word.turn(messages)
+
+    def introductions(self, now: float) -> list[bytes]:
+        return self.tags.introductions(now)
+
+    def due(self, now: float, pace: Pace) -> tuple[list[bytes], list[bytes]]:
+        rolls, letters = self.signed.letters.due(now, pace.turn_s, pace.items)
+        return rolls + self.tags.introductions(now), letters
+
+    def covers(self) -> bool:
+        return self.signed.timestamps.cover()
+
+    def sign(self, frame: bytes) -> bytes:
+        # Signed earlier, what waits for the disk would be overtaken by too many others.
+        return self.signed.timestamps.sign(frame)
+
+    def refresh(self, frame: bytes, newest: int) -> tuple[bytes, int]:
+        timestamp = timestamp_of(frame)
+        if timestamp is None:
+            return frame, newest
+        if timestamp >> COUNT_BITS < newest >> COUNT_BITS:
+            # A beacon has overtaken it: hearers would soon refuse it as late.
+            frame = self.signed.timestamps.sign_again(frame)
+            timestamp = timestamp_of(frame) or 0
+        return frame, max(newest, timestamp)
+
+    # -- for people ----------------------------------------------------------------------------------------------------
+
+    @property
+    def link_key(self) -> int:
+        return self.signed.letters.link.number
+
+    @property
+    def twins(self) -> Mapping[int, float]:
+        return self.signed.streams.twins
+
+    def report(self, now: float) -> dict[str, Any]:
+        return {
+            "words": self.tags.report(),
+            "ground_word": None if self.word is None else self.word.report(),
+            "streams": self.signed.streams.report(now),
+        }
 
 
 class Trust(NamedTuple):
@@ -22,12 +174,16 @@ class Trust(NamedTuple):
 
     letters: Letters
     """Bring the keys of its links."""
-    tags: Callable[[Store, random.Random, float], NoTags]
+    tags: Callable[[Store, random.Random, float], PairTags]
     """Prove its words to other nodes. Called for each life, with its store, its generator and the seconds of a step."""
     seals: Callable[[Store], NoSeals]
     """What its keys do to data. Called for each life with its store."""
     word: GroundWord | None
     """Of the ground, without which no base is believed; None: all are."""
+
+    def life(self, node_id: int, store: Store, rng: random.Random, step_s: float) -> Keyed:
+        """What they do in a life that begins (`agent.seam.Keys`)."""
+        return Keyed(self, node_id, store, rng, step_s)
 
 
 def trust_of(

@@ -20,6 +20,7 @@ from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.letters import Letters
 from rass_mav.trust.pairs import PairTags
 from rass_mav.trust.trust import Trust
+from tests.keyed import keyed
 
 from .conversation import SECTIONS
 
@@ -50,7 +51,7 @@ def agent_with_keys(
     rng = random.Random(f"{node_id}:{life}")
     keyring = keyring_in(ground, node_id, base=base) if letters is None else letters._keyring
     trust = links_alone(keyring, Letters(keyring, random.Random(node_id), 1.0) if letters is None else letters)
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, trust=trust)
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, keys=trust)
 
 
 class Crew:
@@ -103,6 +104,4 @@ class Crew:
 
     def report(self, position: int) -> dict[str, Any]:
         """What an agent's status says about streams."""
-        signed = self.agents[position].peers.signed
-        assert signed is not None
-        return signed.streams.report(self.now)
+        return keyed(self.agents[position]).signed.streams.report(self.now)

@@ -18,6 +18,7 @@ from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.keys.word import GroundWord
 from rass_mav.trust.letters import Letters
 from rass_mav.trust.word import Word
+from tests.keyed import keyed
 
 from .conversation import SECTIONS
 from .crew import Crew, keyring_in, links_alone
@@ -41,7 +42,7 @@ def member(
     trust = links_alone(keyring, Letters(keyring, random.Random(node_id), 1.0))._replace(
         word=BASE_WORD if base else DRONE_WORD
     )
-    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, trust=trust)
+    return Agent(convert(raw, AgentSettings, "test"), store, rng, now=now, forgiving=forgiving, keys=trust)
 
 
 class GroundCrew(Crew):
@@ -74,5 +75,6 @@ class GroundCrew(Crew):
 
 
 def word_of(agent: Agent) -> Word:
-    assert agent.peers.word is not None
-    return agent.peers.word
+    word = keyed(agent).word
+    assert word is not None
+    return word

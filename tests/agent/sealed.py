@@ -50,7 +50,7 @@ def make(
         if sealing:
             trust = trust._replace(seals=whole.seals)
     rng = random.Random(node_id)
-    return Agent(settings, store or MemoryStore(1000 + node_id), rng, now=0.0, newborn=True, trust=trust)
+    return Agent(settings, store or MemoryStore(1000 + node_id), rng, now=0.0, newborn=True, keys=trust)
 
 
 class Row:

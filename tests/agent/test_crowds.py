@@ -20,6 +20,7 @@ from rass_mav.trust.names import MAX_LATE, Intake, Names
 from rass_mav.trust.pairs import PairTags
 from rass_mav.wire import encode
 from rass_mav.wire.introduction import Introduction, encode_introduction
+from tests.keyed import keyed
 from tests.wire.samples import SAMPLES
 
 from .crew import KEY, Crew, agent_with_keys
@@ -83,7 +84,7 @@ def turn(crew: Crew, crowd: Crowd, frames: int) -> None:
 
 
 def check_bounds(agent: Agent) -> None:
-    signed, tags = agent.peers.signed, agent.peers.tags
+    signed, tags = keyed(agent).signed, keyed(agent).tags
     assert signed is not None
     assert isinstance(tags, PairTags)
     known = tags.acquaintances
@@ -150,7 +151,7 @@ def test_a_stream_holds_one_name_and_takes_none_from_another(brought: list[tuple
 @given(st.lists(st.tuples(st.integers(2, 6), st.integers(0, 5), st.integers(0, 2**32 - 1), st.booleans()), max_size=80))
 def test_each_node_has_one_stream_and_nobody_else_moves_it(done: list[tuple[int, int, int, bool]]) -> None:
     """Five nodes prove themselves in any of six streams, or are forgotten."""
-    signed = agent_with_keys(1).peers.signed
+    signed = keyed(agent_with_keys(1)).signed
     assert signed is not None
     table, proven = signed.streams, dict[int, tuple[Stream, int]]()
     for node_id, number, index, proves in done:
@@ -169,7 +170,7 @@ def test_each_node_has_one_stream_and_nobody_else_moves_it(done: list[tuple[int,
 
 def test_what_is_remembered_of_a_stream_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "MAX_REMEMBERED", 10)
-    signed = agent_with_keys(1).peers.signed
+    signed = keyed(agent_with_keys(1)).signed
     assert signed is not None
     table, stream = signed.streams, (20, 191, 0)
     table.prove(2, stream, 5)

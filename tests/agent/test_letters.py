@@ -29,7 +29,9 @@ from rass_mav.trust.keys.letters import LETTER_SIZE, Letter, letters_in, letters
 from rass_mav.trust.keys.secret import Secret
 from rass_mav.trust.letters import MAX_VERIFIED, Letters
 from rass_mav.trust.lettertable import MAX_ASKED, MAX_LETTERS
+from rass_mav.trust.signed import Signed
 from rass_mav.trust.streams import Streams
+from rass_mav.trust.word import Word
 from rass_mav.wire import encode
 from rass_mav.wire.letters import Roll, decode_roll, enclose, encode_roll, is_about_keys, is_letter
 from tests.extent import examples, seeds
@@ -83,7 +85,7 @@ def letters_of(node_id: int, ground: Ground = GROUND, kept: Iterable[bytes] = ()
 
 
 def state(agent: Agent) -> object:
-    return picture([agent, agent.node, agent.store], without=(Streams, FrameReader, Peers, Letters))
+    return picture([agent, agent.node, agent.store], without=(Streams, FrameReader, Peers, Letters, Signed, Word))
 
 
 def frame_of(payload: bytes, key: SigningKey, timestamp: int = 5, system: int = 66) -> bytes:

@@ -34,6 +34,7 @@ from rass_mav.wire import decode
 from rass_mav.wire.measurement import decode_measurement
 from rass_mav.wire.nodestatus import decode_status
 from tests.core.durable import DurableStore
+from tests.keyed import keyed
 
 from .sealed import BASE, GROUND, OPENER, Row, arrived, forged_by, handed, keyring, make, opened, with_crc
 from .test_agent import on
@@ -283,7 +284,7 @@ def test_forged_data_fill_no_more_than_their_place_and_stay_with_nobody() -> Non
         lie = forged_by(7, DatumId(8, 77, sequence))
         answers = base.node.receive(handed(7, BASE, lie, sequence + 1), 1.0)
         said = [answer.committed for answer in answers if isinstance(answer, Committed)]
-        assert said == [((sequence + 1, base.peers.tags.prints.of(lie)),)]
+        assert said == [((sequence + 1, keyed(base).tags.prints.of(lie)),)]
     assert len(list(base.store.apart())) == MAX_APART
     assert base.store.counters()["forged"] == MAX_APART + 10
 

@@ -31,6 +31,7 @@ from rass_mav.trust.signed import Signed
 from rass_mav.trust.streams import Streams
 from rass_mav.wire import beacon_sender, decode, encode
 from rass_mav.wire.introduction import is_introduction
+from tests.keyed import keyed
 from tests.store.store_helpers import open_store
 from tests.wire.samples import NOW, SAMPLES
 
@@ -42,7 +43,7 @@ PAYLOADS = [payload for message in SAMPLES.values() for payload in encode(messag
 BEACON = cast(Beacon, SAMPLES["beacon-drone"])
 #: Counters and the tables of who has proved himself are not the state of a node, nor who has asked or will be asked,
 #: nor what a crew is told of another node with the same id: such a one signs as this node itself.
-NOT_STATE = (Streams, FrameReader, Peers, Letters, PairTags, Alarms)
+NOT_STATE = (Streams, FrameReader, Peers, Letters, PairTags, Alarms, Signed)
 
 
 def state(agent: Agent) -> object:
@@ -53,8 +54,7 @@ def state(agent: Agent) -> object:
 
 
 def signed_of(agent: Agent) -> Signed:
-    assert agent.peers.signed is not None
-    return agent.peers.signed
+    return keyed(agent).signed
 
 
 def beacon_of(agent: Agent) -> bytes:
@@ -420,7 +420,7 @@ def test_beacons_are_believed_over_the_ends_of_chains() -> None:
         crew.deaf = {0}
         crew.steps(12)
         crew.deaf = set()
-    acquaintances = crew.agents[0].peers.tags.report()
+    acquaintances = keyed(crew.agents[0]).tags.report()
     assert acquaintances is not None
     assert acquaintances["beacons_refused"] == 0
 

@@ -19,6 +19,7 @@ from rass_mav.trust.vouchers import LATEST, MAX_ASKED_FOR, MAX_HELD, MAX_KNOWN, 
 from rass_mav.trust.word import MAX_OF_STREAM, MAX_STREAMS, MAX_VERIFIED, Word
 from rass_mav.wire import encode
 from rass_mav.wire.word import VOUCHER, Ask, Signed, Voucher, body_of, decode_word, encode_ask, is_word
+from tests.keyed import keyed
 
 from .ground_crew import BASE_WORD, DRONE_WORD, GroundCrew, member, word_of
 from .picture import picture
@@ -216,7 +217,7 @@ def test_a_base_that_starts_again_is_believed() -> None:
 def test_an_open_base_is_not_believed() -> None:
     crew = flying()
     known = crew.known(1) | crew.known(2)
-    crew.agents[0].peers.word = None
+    keyed(crew.agents[0]).word = None
     crew.steps(40)
     for agent in crew.agents[1:]:
         assert agent.node.routing.route is None

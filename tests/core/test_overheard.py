@@ -13,7 +13,8 @@ from rass_mav.core.messages import Accept, Committed, Data, Handover, LossNote, 
 from rass_mav.core.node import Node
 from rass_mav.core.spares.overheard import KEPT_TURNS, PART
 from rass_mav.mavlink.frames import FrameWriter
-from rass_mav.wire import encode, target_of
+from rass_mav.mavlink.reader import FrameReader
+from rass_mav.wire import encode
 
 from .books import check_node
 from .build import beacon, data, datum, loss, make_node, of, statement
@@ -277,5 +278,6 @@ def test_only_hand_overs_to_others_are_let_through_and_only_on_request() -> None
         (answer, True, False),
     ):
         peers.overhears = overhears
-        message = peers.message((0, 0, 33200, payload, target_of(payload)), 0.0)
+        [frame] = FrameReader().datagram(FrameWriter(2, 191).tunnel(payload, payload_type=33200))
+        message = peers.understood(frame, 0.0)
         assert (message is not None) == heard

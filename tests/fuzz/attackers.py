@@ -59,6 +59,7 @@ from rass_mav.wire import MAX_TUNNEL, decode, encode
 from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
+from tests.keyed import keyed
 from tests.wire.samples import SAMPLES
 
 from .forging import EDGES, sealed
@@ -422,7 +423,7 @@ class World:
         raw |= {"mavlink": {"system_id": id}, "data": {"interval_steps": 0}, **self.settings}
         agent = Agent(
             convert(raw, AgentSettings, "test"), self.stores[id], random.Random(self.lives), now=self.now,
-            newborn=self.lives <= len(self.stores), trust=self.trusts.get(id),
+            newborn=self.lives <= len(self.stores), keys=self.trusts.get(id),
         )  # fmt: skip
         agent.answers.spread_s = self.spread_s
         self.stores[id].commit()
@@ -531,7 +532,7 @@ class World:
             try:
                 said = sealed(said)
                 if self.keys:
-                    tags = self.agents[attacker.id].peers.tags
+                    tags = keyed(self.agents[attacker.id]).tags
                     payloads = tags.encoded(said, self.stores[attacker.id], self.now)
                 else:
                     payloads = encode(said, self.now)
@@ -556,11 +557,11 @@ class World:
         if choices.random() < 0.7:
             frame = peers.writer.tunnel(payload, payload_type=TYPE)
             return peers.leaving(Outgoing(frame, BROADCAST, False)).frame
-        assert peers.signed is not None
+        trust = keyed(self.agents[attacker.id])
         system = choices.choice(self.honest)
         link = self.stores[system].epoch & 0xFF
         timestamp = choices.choice((0, 1 << 24, (1 << 24) + 1000, 1 << 40, (1 << 47) + 5, (1 << 48) - 99))
-        signer = peers.signed.key.signer(link, timestamp + choices.randrange(64))
+        signer = trust.signed.key.signer(link, timestamp + choices.randrange(64))
         return FrameWriter(system, 191, signer).tunnel(payload, payload_type=TYPE)
 
     # -- what must hold ------------------------------------------------------------------------------------------------

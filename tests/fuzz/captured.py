@@ -36,7 +36,7 @@ from rass_mav.trust.keys.identity import Ground
 from rass_mav.trust.keys.keyring import Keyring
 from rass_mav.trust.keys.letters import write_letter
 from rass_mav.trust.keys.secret import Secret
-from rass_mav.trust.pairs import MAX_OFFERED, PairTags
+from rass_mav.trust.pairs import MAX_OFFERED
 from rass_mav.trust.trust import trust_of
 from rass_mav.wire import MAX_TUNNEL, decode, encode
 from rass_mav.wire.codec import BEACON, MORE, VERSION
@@ -44,6 +44,7 @@ from rass_mav.wire.word import ANCHOR
 from tests.agent.conversation import SECTIONS
 from tests.core.books import check_node
 from tests.core.durable import DurableStore
+from tests.keyed import keyed
 from tests.wire.kinds import beside
 
 from .forging import Liar, changed, sealed
@@ -124,7 +125,7 @@ class _Talk:
         self.lives += 1
         agent = Agent(
             settings_of(id, self.mirror), self.stores[id], random.Random(self.lives), now=self.now,
-            newborn=self.lives <= len(self.stores), forgiving=self.forgiving, trust=self.trusts[id],
+            newborn=self.lives <= len(self.stores), forgiving=self.forgiving, keys=self.trusts[id],
         )  # fmt: skip
         self.stores[id].commit()
         return agent
@@ -197,7 +198,7 @@ class _Talk:
         """The same with a message, whoever is named in it."""
         try:
             message = sealed(make())
-            tags = self.agents[CAPTURED].peers.tags
+            tags = keyed(self.agents[CAPTURED]).tags
             said = tags.encoded(message, self.stores[CAPTURED], self.now) if self.speaks else encode(message, self.now)
         except (ValueError, OverflowError, struct.error):
             return
@@ -259,15 +260,13 @@ class _Talk:
         assert LETTERS.issuperset(self.trusts[agent.settings.node_id].letters.packed())
 
     def check_bounds(self, id: int) -> None:
-        peers = self.agents[id].peers
-        assert peers.signed is not None
-        assert peers.word is not None
-        assert isinstance(peers.tags, PairTags)
-        heard = peers.signed.streams
+        trust = keyed(self.agents[id])
+        assert trust.word is not None
+        heard = trust.signed.streams
         assert all(one.nodes for one in heard._proven.values())
         assert all(len(one.recent) <= streams.MAX_REMEMBERED for one in heard._proven.values())
-        assert len(peers.signed.streams.twins) <= streams.MAX_TWINS
-        known = peers.tags.acquaintances
+        assert len(trust.signed.streams.twins) <= streams.MAX_TWINS
+        known = trust.tags.acquaintances
         assert heard._of.keys() <= known._known.keys()
         assert len(known) - len(known._names) <= acquaintances.MAX_KNOWN
         assert not known._names.disagreement()
@@ -275,14 +274,14 @@ class _Talk:
         assert all(len(nonces) <= acquaintances.QUESTIONS_OF_ONE for nonces in known._questions.values())
         assert known._asks.keys() | known._questions.keys() <= known._known.keys()
         assert len(known._nonces) <= acquaintances.MAX_NONCES
-        assert len(peers.tags._offered) <= MAX_OFFERED
+        assert len(trust.tags._offered) <= MAX_OFFERED
         letters = self.trusts[id].letters
         assert len(letters._table) <= lettertable.MAX_LETTERS
         queue = letters._queue
         assert max(len(queue._asked), len(queue._awaited)) <= lettertable.MAX_ASKED
-        assert len(peers.word._queue) <= word.MAX_STREAMS
-        assert all(len(waiting) <= word.MAX_OF_STREAM for waiting in peers.word._queue.values())
-        told, routes = peers.word.vouchers, peers.word.routes
+        assert len(trust.word._queue) <= word.MAX_STREAMS
+        assert all(len(waiting) <= word.MAX_OF_STREAM for waiting in trust.word._queue.values())
+        told, routes = trust.word.vouchers, trust.word.routes
         assert told.held == sum(len(wait.held) for wait in told._waiting.values()) <= vouchers.MAX_HELD
         assert len(told._known) <= vouchers.MAX_KNOWN
         assert len(told._asked_for) <= vouchers.MAX_ASKED_FOR
@@ -418,7 +417,7 @@ def _other_stream(talk: _Talk, whom: int) -> None:
     link = talk.stores[system].epoch & 0xFF if system in talk.stores else how >> 4
     timestamp = talk.source.pick((0, 1 << 24, (1 << 24) + 100, 1 << 40, (1 << 48) - 2))
     payload = talk.recorded_payload() if how & 1 else talk.junk()
-    signed = talk.agents[CAPTURED].peers.signed
+    signed = keyed(talk.agents[CAPTURED]).signed
     assert signed is not None
     writer = FrameWriter(system, 191, signed.key.signer(link, timestamp))
     talk.attack(whom, writer.tunnel(payload[:MAX_TUNNEL] or b"\0", payload_type=TYPE))
@@ -427,7 +426,7 @@ def _other_stream(talk: _Talk, whom: int) -> None:
 def _flood(talk: _Talk, whom: int) -> None:
     """One payload in many names: of streams, and of nodes where it names its sender."""
     payload = talk.recorded_payload() if talk.source.byte() & 1 else talk.junk()
-    signed = talk.agents[CAPTURED].peers.signed
+    signed = keyed(talk.agents[CAPTURED]).signed
     assert signed is not None
     at = talk.source.byte() % 16
     for name in range(talk.source.byte()):

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rass_mav.commands.data import datum_line
-from rass_mav.commands.mission import report_lines
+from rass_mav.commands.reportlines import report_lines
 from rass_mav.core.datum import DatumId, Fate, Kind, make_datum
 from rass_mav.errors import ConfigError, StoreError
 from rass_mav.ground.archive import DATE_ERROR_S, Archive

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rass_mav.agent.outgoing import frames_about_links
 from rass_mav.agent.peers import Opened, Peers, open_datagram
+from rass_mav.agent.seam import KEYLESS
 from rass_mav.core.messages import NO_ROUTE, Beacon, Message
 from rass_mav.core.pace import Pace
 from rass_mav.errors import MalformedError
@@ -16,16 +17,13 @@ from rass_mav.lab.swarm.scenario import HostileSection
 from rass_mav.mavlink.frames import FLAG_SIGNED, FrameWriter
 from rass_mav.mavlink.signing import SIGNATURE_SIZE, SigningKey
 from rass_mav.store.memory import MemoryStore
-from rass_mav.trust.signed import Signed
-from rass_mav.trust.tags import OPEN
-from rass_mav.trust.word import Word
 from rass_mav.wire import decode
 
 from .attacker import Attacker, Disguised, Said
 from .kinds import KINDS
 
 if TYPE_CHECKING:
-    from rass_mav.trust.trust import Trust
+    from rass_mav.trust.trust import Keyed, Trust
 
 #: The most frames that an attacker sends in a step: the air has no limit, but a run has an end.
 MOST_FRAMES = 300
@@ -42,21 +40,21 @@ class _Member:
         self._payload_type = payload_type
         self._writer = FrameWriter(attacker.id % 255 + 1, 191)
         self._store = MemoryStore(attacker.id)
-        signed, tags = None, OPEN
+        self._keyed: Keyed | None = None
         self._key: SigningKey | None = None
         self._timestamp = 0
         """Of the last frame in other streams than its own."""
         self._has_beaconed = False
         if trust is not None:
             self._key = trust.letters.signing
-            signed = Signed(attacker.id, trust.letters, self._writer, self._store, attacker.rng, payload_type)
-            tags = trust.tags(self._store, attacker.rng, step_s)
-            attacker.seals = trust.seals(self._store)
+            start = attacker.rng.getrandbits(15)
+            self._keyed = trust.life(attacker.id, self._store, attacker.rng, step_s)
+            self._keyed.connect(self._writer, payload_type, start)
+            attacker.seals = self._keyed.seals(self._store)
+        self._trust = self._keyed or KEYLESS
         self._pace = Pace(step_s, 0, keeps=False)
-        self._peers = Peers(attacker.id, self._writer, payload_type, signed, tags)
-        attacker.prints = tags.prints
-        if trust is not None and trust.word is not None:
-            self._peers.word = Word(attacker.id, trust.word, self._store, attacker.rng, None)
+        self._peers = Peers(attacker.id, self._writer, payload_type, self._trust)
+        attacker.prints = self._trust.prints
 
     def is_there(self, t: int) -> bool:
         section = self.section
@@ -78,11 +76,13 @@ class _Member:
 
     def _shown(self, beacon: Beacon) -> Beacon:
         """With a better proof than that of the beacon it imitates, if it can, and its own key if it is its own."""
-        peers = self._peers
-        if beacon.sender == self.attacker.id and peers.signed is not None:
+        keyed = self._keyed
+        if keyed is None:
+            return beacon
+        if beacon.sender == self.attacker.id:
             self._has_beaconed = True
-            beacon = peers.tags.shown(beacon._replace(number=peers.signed.timestamps.index + 1 & 0xFFFF))
-        return beacon if peers.word is None else peers.word.routes.shown(beacon)
+            beacon = keyed.tags.shown(beacon._replace(number=keyed.signed.timestamps.index + 1 & 0xFFFF))
+        return beacon if keyed.word is None else keyed.word.routes.shown(beacon)
 
     def _disguised(self, disguised: Disguised, now: float) -> Iterator[bytes]:
         """Without keys streams mean nothing."""
@@ -96,7 +96,7 @@ class _Member:
                 yield FrameWriter(system_id, component_id, signer).tunnel(payload, payload_type=self._payload_type)
 
     def _payloads(self, said: Message | bytes, now: float) -> list[bytes]:
-        return [said] if isinstance(said, bytes) else self._peers.tags.encoded(said, self._store, now)
+        return [said] if isinstance(said, bytes) else self._trust.encoded(said, self._store, now)
 
     def hear(self, frame: bytes, opened: Opened, now: float) -> None:
         """Note whose frame it is. If captured: note who asks whether this stream of frames, or this node, is there."""
@@ -114,9 +114,8 @@ class _Member:
             yield from self.frames([own], now)
         self._has_beaconed = False
         outgoings = self._peers.about_links(now, self._pace)
-        if self._peers.word is not None:
-            self._peers.word.released()
-            outgoings += frames_about_links(self._peers.word.turn(())[0], self._writer, self._payload_type)
+        self._trust.released()
+        outgoings += frames_about_links(self._trust.turn(())[0], self._writer, self._payload_type)
         for outgoing in outgoings:
             yield self._peers.leaving(outgoing).frame
 

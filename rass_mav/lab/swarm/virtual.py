@@ -141,7 +141,7 @@ class VirtualSwarm(ABC):
             self.agents.append(
                 Agent(
                     settings, store, rng, now=0.0, observer=observer, newborn=True, participant=participant,
-                    trust=self._trusts.get(settings.node_id),
+                    keys=self._trusts.get(settings.node_id),
                 )
             )  # fmt: skip
             self.air.start(settings.node_id, self.agents[-1], 0.0)
@@ -379,7 +379,7 @@ class VirtualSwarm(ABC):
         old = self.agents[node_id]
         agent = Agent(
             old.settings, store, rng, now=start * self.step_s, observer=old.node.observer, participant=type(old.node),
-            trust=self._trusts.get(node_id),
+            keys=self._trusts.get(node_id),
         )  # fmt: skip
         # So its data are due in the same steps as if it had never been off.
         agent.steps = start

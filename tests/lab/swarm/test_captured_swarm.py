@@ -11,6 +11,7 @@ from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
 from tests.extent import extents
+from tests.keyed import keyed
 
 #: What these do is in other nodes' names, or repeated, or altered.
 SPEAKERS = ("committed-forger", "replayer", "bit-flipper")
@@ -28,7 +29,7 @@ def not_believed(world: World) -> Counter[str]:
     """Of all nodes."""
     counts: Counter[str] = Counter()
     for agent in world.agents:
-        report = agent.peers.tags.report()
+        report = keyed(agent).tags.report()
         assert report is not None
         counts.update(report["not_believed"])
     return counts
@@ -54,7 +55,7 @@ def test_a_captured_drone_cannot_speak_for_others(made: int, kind: str, mirror: 
     assert summary["delivered"] == summary["created"]
     assert summary["lost"]["unfounded"] == 0
     assert summary["altered"] == 0
-    signed = world.agents[12].peers.signed
+    signed = keyed(world.agents[12]).signed
     assert signed is not None
     assert signed.streams.report(0.0)["known"] == len(world.neighbours[12]) + 1, "it was heard"
 
@@ -75,7 +76,7 @@ def test_a_crowd_of_invented_nodes_takes_no_place_from_those_that_are_there() ->
     world.run(119, after=check)
     agent, beside = world.agents[12], set(world.neighbours[12])
     assert set(agent.node.routing.neighbours) == beside | {world.scenario.nodes}, "and the one that is captured"
-    signed, tags = agent.peers.signed, agent.peers.tags.report()
+    signed, tags = keyed(agent).signed, keyed(agent).tags.report()
     assert signed is not None
     assert tags is not None
     assert tags["certificates"] == signed.streams.report(0.0)["known"] == len(beside) + 1

@@ -12,6 +12,7 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.world import World
 from rass_mav.wire.word import ANCHOR, ASK, VOUCHER
 from tests.extent import extents
+from tests.keyed import keyed
 
 #: What says something in a base's name.
 LIARS = (
@@ -27,8 +28,9 @@ def counts(world: World) -> Counter[str]:
     """What the nodes' `status` says, of all nodes."""
     total: Counter[str] = Counter()
     for agent in world.agents:
-        assert agent.peers.word is not None
-        total.update(agent.peers.word.report())
+        word = keyed(agent).word
+        assert word is not None
+        total.update(word.report())
     return total
 
 
@@ -60,7 +62,7 @@ def test_a_captured_drone_that_lies_about_bases_costs_nothing(made: int, kind: s
 
 
 def beacons_refused(world: World) -> int:
-    reports = [agent.peers.tags.report() for agent in world.agents]
+    reports = [keyed(agent).tags.report() for agent in world.agents]
     return sum(report["beacons_refused"] for report in reports if report is not None)
 
 

@@ -12,6 +12,7 @@ from rass_mav.lab.swarm.invariants import check
 from rass_mav.lab.swarm.mission import ground_of, keyring_of
 from rass_mav.lab.swarm.world import World
 from rass_mav.trust.letters import Letters
+from tests.keyed import keyed
 
 
 class Rekeyed(World):
@@ -35,9 +36,7 @@ def swarm(name: str, *keys: str) -> Rekeyed:
 
 
 def letters(world: World, node_id: int) -> Letters:
-    signed = world.agents[node_id].peers.signed
-    assert signed is not None
-    return signed.letters
+    return keyed(world.agents[node_id]).signed.letters
 
 
 def ground_changes(world: World, number: int, revoked: frozenset[int] = frozenset(), base: int = 0) -> None:

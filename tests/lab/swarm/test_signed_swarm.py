@@ -15,6 +15,7 @@ from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 from rass_mav.trust.streams import Refused
 from tests.extent import extents
+from tests.keyed import keyed
 
 
 def swarm(name: str, *keys: str) -> World:
@@ -23,7 +24,7 @@ def swarm(name: str, *keys: str) -> World:
 
 def refused(world: World) -> Refused:
     """Of all nodes."""
-    counts = [agent.peers.signed.streams.refused for agent in world.agents if agent.peers.signed is not None]
+    counts = [keyed(agent).signed.streams.refused for agent in world.agents]
     assert len(counts) == len(world.agents)
     return Refused(*map(sum, zip(*counts, strict=True)))
 
