@@ -1,15 +1,32 @@
-"""Finds the process that uses a UDP port, so that an error message can name it."""
+"""The UDP sockets of this computer, and which process uses a port, so that an error message can name it."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .sockets import udp_table
-
 #: How much of a command line is shown, characters.
 _MAX_COMMAND = 80
+
+
+class UdpEntry(NamedTuple):
+    """A UDP socket of this computer."""
+
+    port: int
+    inode: str
+    drops: int
+    """Datagrams that found its receive buffer full."""
+
+
+def udp_table() -> Iterator[UdpEntry]:
+    """All UDP sockets (proc_pid_net(5)). Raises `OSError` where the system does not list them."""
+    with Path("/proc/net/udp").open(encoding="ascii") as table:
+        for line in table:
+            fields = line.split()
+            if len(fields) >= 13 and fields[0] != "sl":
+                yield UdpEntry(int(fields[1].rpartition(":")[2], 16), fields[9], int(fields[12]))
 
 
 class Holder(NamedTuple):

@@ -8,13 +8,12 @@ import logging
 import os
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Callable
 
 from rass_mav.errors import LinkError, why
 
 from .base import MAX_OUTBOX, Address, Datagram, Inbox
+from .holders import holder, udp_table
 
 log = logging.getLogger(__name__)
 
@@ -42,8 +41,6 @@ def bound_socket(name: str, address: Address) -> socket.socket:
 
 def in_use(name: str, port: int) -> LinkError:
     """The error for a UDP port in use. It names the process, if this user may see it."""
-    from .holders import holder
-
     who = holder(port)
     if who is not None and who.pid == os.getpid():
         asks = "this process has it itself: each link, autopilot.url and ground.url needs a port of its own;"
@@ -197,24 +194,6 @@ def kernel_drops(sock: socket.socket) -> int:
         return next((entry.drops for entry in udp_table() if entry.inode == inode), 0)
     except OSError:
         return 0
-
-
-class UdpEntry(NamedTuple):
-    """A UDP socket of this computer."""
-
-    port: int
-    inode: str
-    drops: int
-    """Datagrams that found its receive buffer full."""
-
-
-def udp_table() -> Iterator[UdpEntry]:
-    """All UDP sockets (proc_pid_net(5)). Raises `OSError` where the system does not list them."""
-    with Path("/proc/net/udp").open(encoding="ascii") as table:
-        for line in table:
-            fields = line.split()
-            if len(fields) >= 13 and fields[0] != "sl":
-                yield UdpEntry(int(fields[1].rpartition(":")[2], 16), fields[9], int(fields[12]))
 
 
 def is_local(host: str) -> bool:
