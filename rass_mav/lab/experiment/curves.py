@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 from rass_mav.lab.experiment.figures import Curve, policy_style
 from rass_mav.lab.experiment.measures import Series
@@ -57,16 +57,3 @@ def over_time(
     style = policy_style(results[0].policy)
     rows = [values(result.series) for result in results]
     return mean_curve(label or style.label, style.color, style.marker, results[0].series.step, rows)
-
-
-def by_policy(results: Iterable[Result]) -> dict[str, list[Result]]:
-    """Results by policy, in order of first occurrence."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault(result.policy, []).append(result)
-    return groups
-
-
-def memory_used(result: Result) -> float:
-    """Items in a drone, mean over drones and steps, in percent of what the scenario counts as full."""
-    return float(result.summary["memory_used_percent"])

@@ -6,10 +6,9 @@ import functools
 import gc
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -17,7 +16,6 @@ from rass_mav.config.loading import to_plain
 from rass_mav.errors import RassError
 from rass_mav.lab.baselines import PROTOCOLS
 from rass_mav.lab.experiment.measures import MEASURES, Distance, DistanceMeasure, Series, SeriesMeasure, Watcher
-from rass_mav.lab.swarm.catalogue import load_scenario
 from rass_mav.lab.swarm.scenario import Scenario
 from rass_mav.lab.swarm.world import World
 
@@ -85,38 +83,6 @@ class Run:
     def file_name(self) -> str:
         """Where its outcome is kept: readable, and different for different keys."""
         return f"{self.name}_{self.key[:16]}.json"
-
-
-class Extent(NamedTuple):
-    """How many runs an experiment does for each of its cases."""
-
-    runs: int
-    """Seeds first_seed .. first_seed + runs - 1."""
-    steps: int
-    assignments: Sequence[str] = ()
-    """`key.path=value`: they override all other keys."""
-    first_seed: int = 0
-
-    def plan(
-        self,
-        world: str,
-        scenario: str,
-        policies: Iterable[str],
-        *,
-        variant: str = "",
-        keys: Mapping[str, Any] | None = None,
-        measures: tuple[str, ...] = (),
-    ) -> list[Run]:
-        """The runs of a scenario under each policy. `keys`: differences from the scenario. Raises `ConfigError`."""
-        planned = []
-        for policy in policies:
-            options = {"policy.name": policy, "steps": self.steps, **(keys or {})}
-            loaded = load_scenario(scenario, options, self.assignments)
-            planned += [
-                Run(world, variant, replace(loaded, seed=seed), measures)
-                for seed in range(self.first_seed, self.first_seed + self.runs)
-            ]
-        return planned
 
 
 class Result(msgspec.Struct):

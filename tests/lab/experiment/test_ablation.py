@@ -8,14 +8,20 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.lab.experiment import ablation
-from rass_mav.lab.experiment.runs import Extent
+from rass_mav.lab.experiment.declaration import Extent
+from rass_mav.lab.experiment.runs import Run
 from rass_mav.lab.swarm.catalogue import load_scenario
 
 from .test_commands import SMALL, asked, check_files, table
 
 
+def plan(extent: Extent, air: str, topology: str, *off: str) -> list[Run]:
+    chosen = {"air": [air], "topology": [topology], "off": off}
+    return [run for _, run in ablation.experiment().plan(extent, chosen)]
+
+
 def test_each_part_is_switched_off_alone_and_all_together() -> None:
-    planned = ablation.plan(Extent(1, 9), ["none"], ["grid"], list(ablation.SWITCHES))
+    planned = plan(Extent(1, 9), "none", "grid", *ablation.SWITCHES)
     found = {
         run.variant: (s.policy.name, s.node.forward, s.custody.mirror, s.custody.receipts, s.custody.copies)
         for run in planned
@@ -33,9 +39,9 @@ def test_each_part_is_switched_off_alone_and_all_together() -> None:
 
 
 def test_with_nothing_off_it_is_the_product_as_it_comes() -> None:
-    (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["grid"], [ablation.NOTHING])
+    (run,) = plan(Extent(1, 500, first_seed=1), "none", "grid", ablation.NOTHING)
     assert run.scenario == load_scenario("demo")
-    (run,) = ablation.plan(Extent(1, 500, first_seed=1), ["none"], ["islands"], [ablation.NOTHING])
+    (run,) = plan(Extent(1, 500, first_seed=1), "none", "islands", ablation.NOTHING)
     assert run.scenario == load_scenario("islands")
 
 
@@ -47,7 +53,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (summary["done"], summary["reused"]) == (6, 0)
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == ablation.TABLE_COLUMNS
+    assert tuple(columns) == ablation.experiment().csv_columns
     assert [(row["air"], row["topology"], row["off"]) for row in rows] == [
         ("none", "grid", name) for name in ("nothing", "policy", "everything")
     ]
@@ -61,7 +67,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @pytest.mark.parametrize("air", ablation.ALL_AIRS)
 def test_each_air_is_that_of_its_preset(air: str) -> None:
-    (run,) = ablation.plan(Extent(1, 9), [air], ["random-walk"], ["policy"])
+    (run,) = plan(Extent(1, 9), air, "random-walk", "policy")
     radio = run.scenario.radio
     assert (run.world, radio.preset, radio.takes_time) == (air, None if air == "none" else air, air != "none")
 

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
-from msgspec.structs import replace as replace_fields
 
 from rass_mav.cli import main
 from rass_mav.lab.baselines import OURS, PROTOCOLS
 from rass_mav.lab.experiment import baselines as experiment
-from rass_mav.lab.experiment.airs import AIRS
-from rass_mav.lab.experiment.runs import Extent, Result, Run, execute
+from rass_mav.lab.experiment.columns import Group
+from rass_mav.lab.experiment.declaration import Extent
+from rass_mav.lab.experiment.factors import AIRS
+from rass_mav.lab.experiment.runs import Result, Run, execute
 from rass_mav.lab.swarm.catalogue import load_scenario
-from rass_mav.lab.swarm.ledger import LOST
 
 from .test_commands import SMALL, asked, check_files, table
 from .test_policies import result
 
 
-def plan(places: list[str], airs: list[str], protocols: list[str], **options: Any) -> list[Run]:
-    return experiment.plan(Extent(2, 500), places, airs, protocols, **options)
+def plan(places: list[str], airs: list[str], protocols: list[str], own_runs: int | None = None) -> list[Run]:
+    chosen = {"place": places, "air": airs, "protocol": protocols}
+    return [run for _, run in experiment.experiment(own_runs).plan(Extent(2, 500), chosen)]
 
 
 def test_each_protocol_runs_in_each_place_on_each_air_with_the_same_seeds() -> None:
     planned = plan(list(experiment.PLACES), list(AIRS), list(PROTOCOLS))
     found = {(run.world, run.variant, run.protocol, run.scenario.seed) for run in planned}
     assert len(found) == len(planned) == len(experiment.PLACES) * len(AIRS) * len(PROTOCOLS) * 2
-    assert {run.world for run in planned} == experiment.WORLDS.keys()
+    assert {run.world for run in planned} == {f"{place}-{air}" for place in experiment.PLACES for air in AIRS}
     assert all(run.variant == run.protocol for run in planned)
 
 
@@ -45,7 +45,7 @@ def test_ours_may_have_more_runs_which_begin_with_the_same_seeds() -> None:
 def test_all_have_the_same_world_air_and_memory_and_ours_is_the_product_as_it_comes(place: str, air: str) -> None:
     planned = {run.variant: run.scenario for run in plan([place], [air], list(PROTOCOLS)) if not run.scenario.seed}
     ours = planned[OURS]
-    shipped = load_scenario(experiment.PLACES[place].scenario)
+    shipped = load_scenario(experiment.PLACES[place].scenario or "demo")
     assert (ours.policy, ours.custody, ours.routing) == (shipped.policy, shipped.custody, shipped.routing)
     assert ours.radio.kind == ("none" if air == "none" else "csma")
     assert (ours.store.capacity_items, ours.store.bandwidth_items) == (50, 10)
@@ -73,7 +73,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (second["done"], second["reused"]) == (3, 4)
     check_files(tmp_path, second)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == experiment.TABLE_COLUMNS
+    assert tuple(columns) == experiment.experiment().csv_columns
     assert [(row["place"], row["air"], row["protocol"], row["runs"]) for row in rows] == [
         ("grid", "none", OURS, "3"), ("grid", "none", "spray-and-wait", "2"), ("grid", "none", "backpressure", "2"),
     ]  # fmt: skip
@@ -87,21 +87,21 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_the_table_begins_with_the_places_where_another_protocol_loses_less(tmp_path: Path) -> None:
-    def runs(protocol: str, *reliabilities: float) -> list[Result]:
-        of_all = dict.fromkeys((fate.value for fate in LOST), 0)
-        found = [result(seed, reliability, 4.0) for seed, reliability in enumerate(reliabilities)]
-        for one in found:
-            one.summary["lost"] = of_all | one.summary["lost"]
-        return [replace_fields(one, world="walk-wifi-6m", variant=protocol) for one in found]
+    def runs(*reliabilities: float) -> list[Result]:
+        return [result(seed, reliability, 4.0) for seed, reliability in enumerate(reliabilities)]
 
-    def text(*results: Result) -> str:
-        experiment.report(results, tmp_path)
+    def text(**results: list[Result]) -> str:
+        groups = [
+            Group({"place": "walk", "air": "wifi-6m", "protocol": protocol}, found, results.get(OURS, ()))
+            for protocol, found in results.items()
+        ]
+        experiment.experiment().report(groups, tmp_path)
         return (tmp_path / "table.md").read_text(encoding="utf-8")
 
-    ours, worse, better = runs(OURS, 0.9, 0.8), runs("rapid", 0.9, 0.6), runs("epidemic", 0.95, 0.85)
-    assert "None of the protocols loses less than ours anywhere.\n" in text(*ours, *worse)
-    assert "loses less" not in text(*worse)
-    told = text(*ours, *worse, *better)
+    ours, worse, better = runs(0.9, 0.8), runs(0.9, 0.6), runs(0.95, 0.85)
+    assert "None of the protocols loses less than ours anywhere.\n" in text(default=ours, rapid=worse)
+    assert "loses less" not in text(rapid=worse)
+    told = text(default=ours, rapid=worse, epidemic=better)
     assert "- random walk, air wifi-6m: epidemic with receipts, +0.0500 " in told
     assert "RAPID" not in told[: told.index("##")]
 

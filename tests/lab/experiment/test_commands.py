@@ -5,15 +5,16 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rass_mav.cli import main
-from rass_mav.errors import ConfigError
+from rass_mav.commands.experiment import EXPERIMENTS
 from rass_mav.lab.experiment import five_drones, local_maxima, moving_sources, paper
-from rass_mav.lab.experiment.runs import Extent
 from rass_mav.lab.experiment.tables import RUN_COLUMNS
 
 SMALL = ["--set", "nodes=16", "--set", "arena_m=8", "--runs", "2", "--steps", "30", "--jobs", "1"]
@@ -59,6 +60,14 @@ def authors(tmp_path: Path) -> Path:
     return data
 
 
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_a_row_of_the_command_has_the_options_of_its_declaration(name: str) -> None:
+    experiment = import_module(f"rass_mav.lab.experiment.{name.replace('-', '_')}").experiment
+    row = EXPERIMENTS[name]
+    assert {factor.option for factor in experiment().factors} - {""} == row.choices.keys()
+    assert [own.option[2:].replace("-", "_") for own in row.own] == list(signature(experiment).parameters)
+
+
 def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     command = ["paper", "--out", str(out), "--world", "paper", "--topology", "grid", "--reference-data", str(authors)]
@@ -74,7 +83,7 @@ def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]
         (policy, seed) for policy in paper.POLICIES for seed in ("0", "1")
     ]
     columns, rows = table(out / "table1.csv")
-    assert tuple(columns) == paper.TABLE_COLUMNS
+    assert tuple(columns) == paper.experiment().csv_columns
     by_policy = {row["policy"]: row for row in rows}
     rass = by_policy["rass"]
     assert (rass["delay_paper"], rass["memory_paper"], rass["reliability_authors"]) == ("11.45", "1.35", "0.8125")
@@ -138,7 +147,7 @@ def test_five_drones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert summary["done"] == 6
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == five_drones.TABLE_COLUMNS
+    assert tuple(columns) == five_drones.experiment().csv_columns
     kept = {row["policy"]: float(row["from_C_mean"]) for row in rows}
     # C's data go round the source under `rass`, and past it under the others.
     assert kept["rass"] > kept["hop-count"] + 0.5
@@ -154,7 +163,7 @@ def test_moving_sources(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert summary["done"] == 4
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == moving_sources.TABLE_COLUMNS
+    assert tuple(columns) == moving_sources.experiment().csv_columns
     assert [(row["drift_m"], row["policy"]) for row in rows] == [
         ("0.05", "rass"), ("0.05", "hop-count"), ("0.5", "rass"), ("0.5", "hop-count"),
     ]  # fmt: skip
@@ -169,7 +178,7 @@ def test_local_maxima(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert summary["done"] == 6
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == local_maxima.TABLE_COLUMNS
+    assert tuple(columns) == local_maxima.experiment().csv_columns
     on_grid = {row["policy"]: float(row["nodes_in_basins_mean"]) for row in rows if row["topology"] == "grid"}
     # With hops alone there is always a neighbour nearer to the base.
     assert on_grid["hop-count"] < 0.01 < on_grid["rass"]
@@ -193,6 +202,8 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["paper", "--reference-data", "/nowhere"], "--reference-data: /nowhere/curves.csv: no such file"),
         (["paper", "--set", "radio.loss=2"], "radio.loss"),
         (["moving-sources", "--drift", "-1"], "radiation.drift"),
+        (["moving-sources", "--topology", "moon"], "--topology: expected some of grid, scale-free, "),
+        (["five-drones", "--set", "policy.name=rass"], "--set: policy.name is chosen by --policy here"),
         (["counting-to-infinity", "--steps", "60"], "--steps: expected more than 60"),
     ],
 )
@@ -203,12 +214,6 @@ def test_bad_usage_is_one_line(
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
-
-
-def test_a_missing_scenario_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(paper, "shipped", lambda: ["paper-grid"])
-    with pytest.raises(ConfigError, match="no scenario reference-grid"):
-        paper.plan(Extent(runs=1, steps=1), ["reference"], ["grid"], ["rass"])
 
 
 def test_authors_files_of_another_form_are_refused(authors: Path, capsys: pytest.CaptureFixture[str]) -> None:

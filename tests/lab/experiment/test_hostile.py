@@ -8,15 +8,17 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.lab.experiment import hostile
-from rass_mav.lab.experiment.runs import Extent
+from rass_mav.lab.experiment.declaration import Extent
+from rass_mav.lab.experiment.factors import HAND_ON
+from rass_mav.lab.hostile.kinds import KINDS
 
 from .test_commands import asked, check_files, table
 
 
 def test_every_attacker_meets_every_policy_in_every_place_with_and_without_keys() -> None:
-    planned = hostile.plan(Extent(2, 500), hostile.ATTACKERS, hostile.POLICIES, list(hostile.PLACES), 200)
-    assert len(planned) == 2 * len(hostile.ATTACKERS) * len(hostile.POLICIES) * 2 * 3
-    for run in planned:
+    planned = hostile.experiment(leaves=200).plan(Extent(2, 500))
+    assert len(planned) == 2 * (1 + len(KINDS)) * len(HAND_ON) * 2 * 3
+    for _, run in planned:
         variant, place = run.variant.split("-")
         there = [(each.kind, each.near, each.begin, each.end) for each in run.scenario.hostile]
         beside = (run.world, hostile.PLACES[place], hostile.ATTACK, 200)
@@ -50,7 +52,7 @@ def test_a_stranger_costs_nothing_where_links_are_signed(capsys: pytest.CaptureF
     )  # fmt: skip
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == hostile.TABLE_COLUMNS
+    assert tuple(columns) == hostile.experiment().csv_columns
     found = {(row["attacker"], row["variant"]): row for row in rows}
     assert len(found) == 6
     assert float(found["sinkhole", "open"]["unfounded_mean"]) > 0.0

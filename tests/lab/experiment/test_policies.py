@@ -12,25 +12,48 @@ from hypothesis import strategies as st
 
 from rass_mav.cli import main
 from rass_mav.lab.experiment import policies
-from rass_mav.lab.experiment.comparison import compare
+from rass_mav.lab.experiment.columns import (
+    BYTES,
+    DELAY,
+    DELIVERED,
+    LOOPS,
+    LOST_BY_REASON,
+    LOST_PER_MILLION,
+    RELIABILITY,
+    STANDARD,
+    TRANSMISSIONS,
+    Group,
+)
+from rass_mav.lab.experiment.declaration import Extent
+from rass_mav.lab.experiment.factors import POLICIES
 from rass_mav.lab.experiment.measures import Series
-from rass_mav.lab.experiment.policies import FAILING, VARIANTS, WORLD
-from rass_mav.lab.experiment.runs import Extent, Result, Run
+from rass_mav.lab.experiment.policies import (
+    CEILING,
+    CEILING_SHARE,
+    FAILING,
+    GAIN,
+    LOSS_RATIO,
+    REFERENCE,
+    TRANSMISSION_RATIO,
+    VARIANTS,
+    WORLD,
+)
+from rass_mav.lab.experiment.runs import Result, Run
 from tests.extent import extents
 
 from .test_commands import SMALL, asked, check_files, table
 
 
-def plan(*, runs: int = 2, **options: Any) -> list[Run]:
-    given = {"topologies": ["grid"], "policies": policies.POLICIES, "variants": list(VARIANTS)}
-    return policies.plan(Extent(runs, steps=9), **{**given, **options})
+def plan(*, runs: int = 2, failures: float | None = None, **chosen: list[str]) -> list[Run]:
+    levels = {"topology": ["grid"], "policy": POLICIES, "variant": list(VARIANTS), **chosen}
+    return [run for _, run in policies.experiment(failures).plan(Extent(runs, steps=9), levels)]
 
 
 # -- which runs --------------------------------------------------------------------------------------------------------
 
 
 def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_one() -> None:
-    planned = plan(die_fraction=0.25)
+    planned = plan(failures=0.25)
     found = {(run.world, run.policy, run.variant, run.scenario.seed) for run in planned}
     assert len(found) == len(planned) == 2 * (4 * 6 + 1) * 2
     assert {variant for _, policy, variant, _ in found if policy == "stigmergy"} == {"plain"}
@@ -40,7 +63,7 @@ def test_each_policy_runs_in_each_variant_with_the_same_seeds_and_stigmergy_in_o
 
 
 def test_a_variant_sets_its_keys_and_the_rest_is_the_world_paper() -> None:
-    by_variant = {run.variant: run.scenario for run in plan(policies=["survival"], runs=1)}
+    by_variant = {run.variant: run.scenario for run in plan(policy=["survival"], runs=1)}
     found = {
         name: (s.custody.mirror, s.custody.mirror_until, s.custody.receipts, s.custody.copies, s.node.forward)
         for name, s in by_variant.items()
@@ -61,13 +84,13 @@ def test_a_variant_sets_its_keys_and_the_rest_is_the_world_paper() -> None:
 
 def test_only_survival_averages_its_readings() -> None:
     places = list(policies.PLACES)
-    for run in plan(topologies=places, policies=["rass", "hop-count", "survival"], variants=["plain"], runs=1):
+    for run in plan(topology=places, policy=["rass", "hop-count", "survival"], variant=["plain"], runs=1):
         assert run.scenario.risk.gain == (0.1 if run.policy == "survival" else 1.0), run.scenario.topology
 
 
 def test_islands_are_the_papers_grid_but_for_the_split() -> None:
-    (islands,) = plan(topologies=["islands"], policies=["rass"], variants=["plain"], runs=1)
-    (grid,) = plan(policies=["rass"], variants=["plain"], runs=1)
+    (islands,) = plan(topology=["islands"], policy=["rass"], variant=["plain"], runs=1)
+    (grid,) = plan(policy=["rass"], variant=["plain"], runs=1)
     a, b = islands.scenario, grid.scenario
     assert (a.topology, a.mobility.split_step, a.mobility.rejoin_step, a.mobility.gap_m) == ("islands", 100, None, 2.0)
     assert (a.data.interval_steps, a.nodes, a.arena) == (40, 100, 20.0)
@@ -79,8 +102,8 @@ def test_islands_are_the_papers_grid_but_for_the_split() -> None:
     [
         (["--policy", "stigmergy", "--variant", "mirror"], "stigmergy has the variant plain only"),
         (["--set", "radiation.rule=threshold"], "radiation.rule: expected probability"),
-        (["--set", "topology=line"], "chosen by --topology and --policy"),
-        (["--set", "policy.name=rass"], "chosen by --topology and --policy"),
+        (["--set", "topology=line"], "topology is chosen by --topology"),
+        (["--set", "policy.name=rass"], "policy.name is chosen by --policy"),
         (["--failures", "1.5"], "failures.die_fraction"),
     ],
 )
@@ -114,54 +137,57 @@ def test_a_comparison_by_hand() -> None:
     """Seed 2 has no partner: it counts for the means, not for what is compared."""
     reference = [result(0, 0.6, 4.0), result(1, 0.8, 6.0)]
     results = [result(1, 0.9, 9.0, routing={"loops": 2}), result(0, 0.8, 6.0), result(2, 0.4, 3.0, kept=60)]
-    found = compare(results, reference)
-    assert found.standard.reliability.mean == pytest.approx(0.7)
-    assert found.standard.lost_per_million.mean == pytest.approx(300_000)
-    assert found.standard.delivered.values == (0.5, 0.5, 0.5)
-    assert found.standard.transmissions.mean == pytest.approx(6.0)
-    assert found.standard.bytes_per_node_s.mean == 7.0
+    found = Group(REFERENCE, results, reference)
+    assert found.certain(RELIABILITY).mean == pytest.approx(0.7)
+    assert found.certain(LOST_PER_MILLION).mean == pytest.approx(300_000)
+    assert found.certain(DELIVERED).values == (0.5, 0.5, 0.5)
+    assert found.certain(TRANSMISSIONS).mean == pytest.approx(6.0)
+    assert found.certain(BYTES).mean == 7.0
     # Of the 150 that arrived 90 took 2 steps, 20 each 9, 10 and 11.
-    assert (found.standard.delay_p50, found.standard.delay_p95) == (2, 11)
-    assert found.gain is not None
+    assert delays(found) == {"delay_p50": 2, "delay_p95": 11}
     # +0.1 and +0.2: all that two runs can tell.
-    assert found.gain.mean == pytest.approx(0.15)
-    assert found.gain.interval == pytest.approx((0.1, 0.2))
-    assert found.loss_ratio == pytest.approx((0.1 + 0.2) / (0.4 + 0.2))
-    assert found.transmission_ratio == pytest.approx(15 / 10)
-    assert found.ceiling is not None
-    assert found.ceiling.mean == pytest.approx(0.8)
-    assert found.ceiling_share == pytest.approx(0.7 / 0.8)
-    assert found.loops == 2
-    assert found.lost["corrupted"].mean == pytest.approx(0.3)
+    gain = found.certain(GAIN)
+    assert gain.mean == pytest.approx(0.15)
+    assert gain.interval == pytest.approx((0.1, 0.2))
+    assert found[LOSS_RATIO] == pytest.approx((0.1 + 0.2) / (0.4 + 0.2))
+    assert found[TRANSMISSION_RATIO] == pytest.approx(15 / 10)
+    assert found.certain(CEILING).mean == pytest.approx(0.8)
+    assert found[CEILING_SHARE] == pytest.approx(0.7 / 0.8)
+    assert found[LOOPS] == 2
+    assert {c.name: found.certain(c).mean for c in LOST_BY_REASON}["lost_corrupted"] == pytest.approx(0.3)
+
+
+def delays(group: Group) -> dict[str, object]:
+    return {column.name: group[column] for column in STANDARD if column.name.startswith("delay_p")}
 
 
 def test_without_a_reference_nothing_is_compared() -> None:
-    found = compare([result(0, 0.6, 4.0)], [])
-    assert (found.gain, found.loss_ratio, found.transmission_ratio) == (None, None, None)
-    assert found.standard.reliability.mean == 0.6
+    found = Group({}, [result(0, 0.6, 4.0)])
+    assert [found[column] for column in (GAIN, LOSS_RATIO, TRANSMISSION_RATIO)] == [None, None, None]
+    assert found.certain(RELIABILITY).mean == 0.6
 
 
 def test_vanished_data_do_not_count_as_lost() -> None:
     lost = {"corrupted": 10, "vanished": 30}
-    assert compare([result(0, 0.0, 4.0, lost=lost)], []).standard.reliability.mean == 0.9
+    assert Group({}, [result(0, 0.0, 4.0, lost=lost)]).certain(RELIABILITY).mean == 0.9
 
 
 def test_stigmergy_knows_no_base_and_so_no_delay() -> None:
-    found = compare([msgspec.structs.replace(result(0, 0.6, 4.0), policy="stigmergy")], []).standard
-    assert (found.delay, found.delay_p50, found.delay_p95) == (None, None, None)
+    found = Group({}, [msgspec.structs.replace(result(0, 0.6, 4.0), policy="stigmergy")])
+    assert found[DELAY] is None
+    assert delays(found) == {"delay_p50": None, "delay_p95": None}
 
 
 def test_a_reference_that_loses_nothing_gives_no_ratio() -> None:
-    assert compare([result(0, 0.6, 4.0)], [result(0, 1.0, 4.0)]).loss_ratio is None
+    assert Group({}, [result(0, 0.6, 4.0)], [result(0, 1.0, 4.0)])[LOSS_RATIO] is None
 
 
 @given(st.lists(st.tuples(st.floats(0, 0.99), st.floats(0.1, 99)), min_size=2, max_size=5))
 def test_compared_with_itself_nothing_differs(pairs: list[tuple[float, float]]) -> None:
     runs = [result(seed, reliability, sent) for seed, (reliability, sent) in enumerate(pairs)]
-    found = compare(runs, runs)
-    assert found.gain is not None
-    assert (found.gain.mean, found.gain.interval) == (0.0, (0.0, 0.0))
-    assert found.loss_ratio == found.transmission_ratio == 1.0
+    found = Group({}, runs, runs)
+    assert (found.certain(GAIN).mean, found.certain(GAIN).interval) == (0.0, (0.0, 0.0))
+    assert found[LOSS_RATIO] == found[TRANSMISSION_RATIO] == 1.0
 
 
 # -- what is written ---------------------------------------------------------------------------------------------------
@@ -184,10 +210,10 @@ def test_the_command_from_end_to_end(seeds: int, tmp_path: Path, capsys: pytest.
     assert {r["failures.died"] for r in runs if r["world"] == FAILING} == {"3"}
     assert {r["routing.loops"] for r in runs} == {"0"}
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == policies.TABLE_COLUMNS
+    assert tuple(columns) == policies.experiment().csv_columns
     assert len(rows) == 2 * 2 * (2 * 2 + 1)
     for row in rows:
-        if (row["policy"], row["variant"]) == policies.REFERENCE:
+        if row.items() >= REFERENCE.items():
             assert (row["over_reference_mean"], row["losses_in_references"]) == ("0.0", "1.0")
         # The oracle does not depend on who runs.
         same = [r for r in rows if (r["world"], r["topology"]) == (row["world"], row["topology"])]
