@@ -23,10 +23,9 @@ from rass_mav.lab.experiment.columns import (
     ratio,
     transmissions,
 )
-from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, split
+from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, counted_runs, split
 from rass_mav.lab.experiment.factors import AIRS, SLOW_AIRS, TOPOLOGIES, by_air, by_topology
 from rass_mav.lab.experiment.figures import OTHERS, SHARE, Bars, draw_bars
-from rass_mav.lab.experiment.statistics import counted
 from rass_mav.lab.swarm.catalogue import DEFAULT
 
 _PARTS = {
@@ -75,10 +74,7 @@ def experiment() -> Experiment:
         world="{air}",
         variant="{off}",
         reference={"off": NOTHING},
-        intro=lambda groups: (
-            f"{counted(len(groups[0].runs))} of {groups[0].steps} steps. More, x: compared with the defaults in the "
-            "same runs.\n"
-        ),
+        intro="{runs} of {steps} steps. More, x: compared with the defaults in the same runs.\n",
         sections=("topology", "air"),
         section_title=lambda groups: f"{PLACES[groups[0].case['topology']].title}, air {groups[0].case['air']}",
         files=_files,
@@ -87,7 +83,7 @@ def experiment() -> Experiment:
 
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """Bars of reliability and of what was delivered: a figure a topology, a colour an air."""
-    note = f"mean of {counted(len(groups[0].runs), 'error bars')}"
+    note = f"mean of {counted_runs(groups, 'error bars')}"
     for (topology,), here in split(groups, "topology").items():
         names = [off for (off,) in split(here, "off")]
         for column, formula in _SHOWN.items():

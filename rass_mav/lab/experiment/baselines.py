@@ -19,7 +19,6 @@ from rass_mav.lab.experiment.columns import (
     MEMORY,
     RELIABILITY,
     STANDARD,
-    Column,
     Group,
     delivered,
     difference,
@@ -28,10 +27,9 @@ from rass_mav.lab.experiment.columns import (
     number,
     ratio,
 )
-from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, split
+from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, counted_runs, split
 from rass_mav.lab.experiment.factors import AIRS, by_air
-from rass_mav.lab.experiment.figures import SHARE, Point, Scatter, Style, draw_scatter
-from rass_mav.lab.experiment.statistics import counted
+from rass_mav.lab.experiment.figures import SHARE, Point, Scatter, Style, around, draw_scatter
 from rass_mav.lab.experiment.tables import cell
 
 #: By the name that `--place` takes.
@@ -93,9 +91,7 @@ def experiment(own_runs: int | None = None) -> Experiment:
         keys=_keys,
         runs=lambda case, runs: own_runs if own_runs is not None and case["protocol"] == OURS else runs,
         reference={"protocol": OURS},
-        intro=lambda groups: (
-            f"Runs of {groups[0].steps} steps. More, x: compared with our defaults, in the runs that both have.\n"
-        ),
+        intro="Runs of {steps} steps. More, x: compared with our defaults, in the runs that both have.\n",
         before=_verdict,
         sections=("place", "air"),
         section_title=_title,
@@ -129,23 +125,17 @@ def _verdict(groups: Sequence[Group]) -> list[str]:
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """Reliability against bytes on the air: a figure a place, a panel an air."""
     for (place,), here in split(groups, "place").items():
-        lowest = min(_reach(group, RELIABILITY)[0] for group in here)
-        widest = max(_reach(group, BYTES)[1] for group in here)
+        ranges = around([*map(_point, here)])
         panels = [
             Scatter(
                 _title(found), "bytes per node and second", "reliability (1 - lost / created)", [*map(_point, found)],
-                (0.0, 1.08 * widest or 1.0), (max(0.0, math.floor(10 * lowest) / 10), 1.01), SHARE,
+                *ranges, SHARE,
             )
             for found in split(here, "air").values()
         ]  # fmt: skip
         keys = [_style(protocol) for (protocol,) in split(here, "protocol")]
-        runs = max(len(group.runs) for group in here)
         path = out / f"reliability-by-bytes-{place}.png"
-        yield draw_scatter(path, panels, keys, note=f"mean of {counted(runs, 'error bars')}")
-
-
-def _reach(group: Group, column: Column) -> tuple[float, float]:
-    return group.certain(column).reach
+        yield draw_scatter(path, panels, keys, note=f"mean of {counted_runs(here, 'error bars')}")
 
 
 def _point(group: Group) -> Point:

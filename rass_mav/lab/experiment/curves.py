@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from rass_mav.lab.experiment.figures import Curve, policy_style
+from rass_mav.lab.experiment.figures import Curve, Style, policy_style
 from rass_mav.lab.experiment.measures import Series
 from rass_mav.lab.experiment.runs import Result
 from rass_mav.lab.experiment.statistics import ENOUGH_RUNS, Estimate, Share, estimate, estimate_share
@@ -25,17 +25,15 @@ def total_stored(series: Series) -> list[int]:
     return [stored + base for stored, base in zip(series.stored, series.base, strict=True)]
 
 
-def mean_curve(
-    label: str, color: str, marker: str, x: Sequence[float], rows: Sequence[Sequence[float | Share]], *, line: str = "-"
-) -> Curve:
+def mean_curve(style: Style, x: Sequence[float], rows: Sequence[Sequence[float | Share]]) -> Curve:
     """The mean over runs (`rows`: one list for each, as long as `x`; NaN: none there), and how sure it is."""
     found = [estimate_column(column) for column in zip(*rows, strict=True)]
     y = [NAN if e is None else e.mean for e in found]
     if len(rows) < ENOUGH_RUNS:
         singles = [list(map(_number, row)) for row in rows] if len(rows) > 1 else ()
-        return Curve(label, x, y, color, marker, singles=singles, line=line)
+        return Curve(style.label, x, y, style.color, style.marker, singles=singles)
     band = [NOWHERE if e is None or e.drawn is None else e.drawn for e in found]
-    return Curve(label, x, y, color, marker, band, line=line)
+    return Curve(style.label, x, y, style.color, style.marker, band)
 
 
 def estimate_column(column: Sequence[float | Share]) -> Estimate | None:
@@ -50,10 +48,7 @@ def _number(value: float | Share) -> float:
     return value.value if isinstance(value, Share) else value
 
 
-def over_time(
-    results: Sequence[Result], values: Callable[[Series], Sequence[float | Share]], label: str | None = None
-) -> Curve:
+def over_time(results: Sequence[Result], values: Callable[[Series], Sequence[float | Share]]) -> Curve:
     """A quantity over steps, of runs of one policy and of equal length."""
-    style = policy_style(results[0].policy)
     rows = [values(result.series) for result in results]
-    return mean_curve(label or style.label, style.color, style.marker, results[0].series.step, rows)
+    return mean_curve(policy_style(results[0].policy), results[0].series.step, rows)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from rass_mav.errors import ConfigError
 from rass_mav.lab.experiment.columns import NOTE, PAIRED, RUNS, STEPS, Column, Group
 from rass_mav.lab.experiment.runs import Result, Run
+from rass_mav.lab.experiment.statistics import Interval, counted
 from rass_mav.lab.experiment.tables import markdown, write_csv, write_runs, write_text
 from rass_mav.lab.swarm.catalogue import load_scenario
 
@@ -96,8 +97,8 @@ class Experiment:
     """After the factors; a CSV file has `RUNS` and `STEPS` between."""
     scenario: str
     """Its name; {factor} stands for the level."""
-    intro: Callable[[Sequence[Group]], str]
-    """What the tables show, for people."""
+    intro: str
+    """What the tables show, for people; {runs} stands for their number in words, {steps} for their length."""
     files: Callable[[Sequence[Group], Path], Iterable[Path]]
     """Writes figures and further tables to a directory; returns their paths."""
     world: str = ""
@@ -201,7 +202,8 @@ class Experiment:
         return (*(factor.name for factor in self.factors), *columns)
 
     def _text(self, groups: Sequence[Group]) -> str:
-        parts = [f"# {self.title}\n", self.intro(groups), NOTE + (PAIRED if self.reference else "")]
+        intro = self.intro.format(runs=counted_runs(groups), steps=groups[0].steps)
+        parts = [f"# {self.title}\n", intro, NOTE + (PAIRED if self.reference else "")]
         parts += self.before(groups)
         for section in split(groups, *self.sections).values():
             if self.sections:
@@ -225,6 +227,11 @@ def split(groups: Iterable[Group], *factors: str) -> dict[tuple[str, ...], list[
     for group in groups:
         found.setdefault(tuple(group.case[factor] for factor in factors), []).append(group)
     return found
+
+
+def counted_runs(groups: Sequence[Group], interval: Interval | None = None) -> str:
+    """How many runs each group has, in words. `interval`: how a figure shows the confidence interval of several."""
+    return counted(max(len(group.runs) for group in groups), interval)
 
 
 def choose(option: str, given: Sequence[str] | None, known: Collection[str]) -> list[str]:

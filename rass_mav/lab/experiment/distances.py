@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
+from rass_mav.lab.experiment.columns import Group
 from rass_mav.lab.experiment.curves import mean_curve
 from rass_mav.lab.experiment.figures import Panel, Style
 from rass_mav.lab.experiment.measures import OUT_OF_REACH
 from rass_mav.lab.experiment.runs import Result
 from rass_mav.lab.experiment.statistics import estimate
-from rass_mav.lab.experiment.tables import figures_of, triple
+from rass_mav.lab.experiment.tables import figures_of, triple, write_csv
 
-#: Columns of delay-by-distance.csv after those that identify a row's runs.
-COLUMNS = (
+#: Columns of delay-by-distance.csv after those of the case.
+_COLUMNS = (
     "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", *triple("delay_of_runs"),
 )  # fmt: skip
 
 
-def rows(results: Sequence[Result]) -> list[list[object]]:
-    """`COLUMNS`, a row for each distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
+def write(path: Path, groups: Sequence[Group]) -> Path:
+    """A CSV file with a row for each distance in each group."""
+    rows = ([*group.case.values(), *row] for group in groups for row in _rows(group.runs))
+    return write_csv(path, (*groups[0].case, *_COLUMNS), rows)
+
+
+def _rows(results: Sequence[Result]) -> list[list[object]]:
+    """`_COLUMNS`, a row for each distance. delay_mean: over all data; delay_of_runs: over the means of runs."""
     found: list[list[object]] = []
     for hops in sorted({hops for result in results for hops in result.distances}):
         here = [result.distances[hops] for result in results if hops in result.distances]
@@ -42,7 +50,7 @@ def panel(title: str, groups: Iterable[tuple[Style, Sequence[Result]]]) -> Panel
     for style, results in groups:
         hops = sorted({h for result in results for h in result.distances if h != OUT_OF_REACH})
         runs = [[_delay_at(result, h) for h in hops] for result in results]
-        curve = mean_curve(style.label, style.color, style.marker, hops, runs)
+        curve = mean_curve(style, hops, runs)
         if any(map(math.isfinite, curve.y)):
             curves.append(curve)
     # Bands of distances at which hardly any data were created may be huge: the lines set the scale.

@@ -129,6 +129,13 @@ class Scatter:
     """A horizontal line at this y."""
 
 
+def around(points: Sequence[Point]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ranges of x and of y, a share, that show all these points."""
+    widest = max(point.x.reach[1] for point in points)
+    lowest = min(point.y.reach[0] for point in points)
+    return (0.0, 1.08 * widest or 1.0), (max(0.0, math.floor(10 * lowest) / 10), 1.01)
+
+
 def need_matplotlib() -> None:
     """Raises `ConfigError` if figures cannot be drawn: before hours of runs, not after."""
     if importlib.util.find_spec("matplotlib") is None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from rass_mav.lab.experiment.columns import PAIRED, STANDARD, Group, kept, share
 from rass_mav.lab.experiment.curves import mean_curve, over_time, reliability
-from rass_mav.lab.experiment.declaration import Experiment
+from rass_mav.lab.experiment.declaration import Experiment, counted_runs
 from rass_mav.lab.experiment.factors import POLICIES, by_policy
 from rass_mav.lab.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.lab.experiment.runs import Result
-from rass_mav.lab.experiment.statistics import Estimate, Share, counted, estimate_difference, estimate_share
+from rass_mav.lab.experiment.statistics import Estimate, Share, estimate_difference, estimate_share
 from rass_mav.lab.experiment.tables import cell, figures_of, markdown, triple, write_csv
 
 #: The drones' letters in the paper's figure, by node id.
@@ -33,7 +33,7 @@ def experiment() -> Experiment:
         scenario="five-drones",
         world="five-drones",
         measures=("origins",),
-        intro=_intro,
+        intro="{runs} of {steps} steps. The source is beside A; C's data go past it, or round it by D and B.\n",
         after=_gaps,
         files=_files,
     )  # fmt: skip
@@ -50,18 +50,11 @@ def _at_the_end(node: int, result: Result) -> Share:
     return of_origin(result, node)[-1]
 
 
-def _intro(groups: Sequence[Group]) -> str:
-    return (
-        f"{counted(len(groups[0].runs))} of {groups[0].steps} steps. The source is beside A; C's data go past it, or "
-        "round it by D and B.\n"
-    )
-
-
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """reliability.csv (over time) and two figures."""
     yield write_csv(out / "reliability.csv", SERIES_COLUMNS, _series(groups))
     y_label = "reliability (1 - lost / created)"
-    note = f"mean of {counted(len(groups[0].runs), 'band')}"
+    note = f"mean of {counted_runs(groups, 'band')}"
     whole = [over_time(group.runs, reliability) for group in groups]
     yield draw(
         out / "reliability.png",
@@ -88,9 +81,8 @@ def _series(groups: Sequence[Group]) -> Iterator[list[object]]:
 
 
 def _curve(group: Group, node: int) -> Curve:
-    style = policy_style(group.case["policy"])
     rows = [of_origin(run, node) for run in group.runs]
-    return mean_curve(style.label, style.color, style.marker, group.runs[0].series.step, rows)
+    return mean_curve(policy_style(group.case["policy"]), group.runs[0].series.step, rows)
 
 
 def _gaps(groups: Sequence[Group]) -> list[str]:

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from rass_mav.lab.experiment.columns import DELIVERED, STANDARD, Column, Group, mean, number, share, share_of_created
-from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, split
+from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, counted_runs, split
 from rass_mav.lab.experiment.factors import HAND_ON
 from rass_mav.lab.experiment.figures import SHARE, Bars, draw_bars
 from rass_mav.lab.experiment.runs import Result
-from rass_mav.lab.experiment.statistics import Share, counted
+from rass_mav.lab.experiment.statistics import Share
 from rass_mav.lab.hostile.kinds import KINDS
 
 #: For comparison: no attacker is present.
@@ -59,7 +59,7 @@ def experiment(leaves: int | None = None) -> Experiment:
         variant="{variant}-{place}",
         measures=("cohorts",),
         keys=partial(_keys, leaves),
-        intro=partial(_intro, leaves),
+        intro=_intro(leaves),
         sections=("variant", "place"),
         section_title=_title,
         files=_files,
@@ -72,6 +72,19 @@ def _keys(leaves: int | None, case: Case, steps: int) -> dict[str, Any]:
         "kind": case["attacker"], "near": PLACES[case["place"]], "begin": ATTACK, "end": leaves, "captured": captured,
     }  # fmt: skip
     return {"keys": keys, "hostile": [] if case["attacker"] == NOBODY else [attacker]}
+
+
+def _intro(leaves: int | None) -> str:
+    return (
+        f"{{runs}} of {{steps}} steps. 25 nodes, one attacker from step {ATTACK} to "
+        f"{'the end' if leaves is None else f'step {leaves}'}.\n"
+        "Unfounded: the share of the data created that were deleted because of a message that no base can confirm.\n"
+        "False: data that no node created, and that a base accepted. Late: data that had not arrived in the last step\n"
+        "and are not lost. Refused: the drones' own measurements, for lack of space; they are among the lost ones.\n"
+        "False losses: recorded by a base, of data that are not lost. Before, during, after: what arrived of the data\n"
+        f"created before the attacker came, from then until {HEALED} steps after it had left, and later. Delay after:\n"
+        "the mean of the last ones, in steps. Alarms: raised by any node in any run.\n"
+    )
 
 
 def _columns(leaves: int | None) -> list[Column]:
@@ -119,19 +132,6 @@ def _alarms(group: Group) -> str:
     return ", ".join(sorted({name for counts in alarms for name, count in counts.items() if count})) or "-"
 
 
-def _intro(leaves: int | None, groups: Sequence[Group]) -> str:
-    return (
-        f"{counted(len(groups[0].runs))} of {groups[0].steps} steps. 25 nodes, one attacker from step {ATTACK} to "
-        f"{'the end' if leaves is None else f'step {leaves}'}.\n"
-        "Unfounded: the share of the data created that were deleted because of a message that no base can confirm.\n"
-        "False: data that no node created, and that a base accepted. Late: data that had not arrived in the last step\n"
-        "and are not lost. Refused: the drones' own measurements, for lack of space; they are among the lost ones.\n"
-        "False losses: recorded by a base, of data that are not lost. Before, during, after: what arrived of the data\n"
-        f"created before the attacker came, from then until {HEALED} steps after it had left, and later. Delay after:\n"
-        "the mean of the last ones, in steps. Alarms: raised by any node in any run.\n"
-    )
-
-
 def _title(groups: Sequence[Group]) -> str:
     case = groups[0].case
     return f"{_TITLES[case['variant']]}, {_WHERE[case['place']]}"
@@ -148,5 +148,5 @@ def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
         yield draw_bars(
             out / f"arrived-{policy}-{place}.png", f"Data that arrive beside an attacker, under {policy}",
             "arrived / created", attackers, bars,
-            bounds=SHARE, note=f"mean of {counted(len(groups[0].runs), 'error bars')}",
+            bounds=SHARE, note=f"mean of {counted_runs(groups, 'error bars')}",
         )  # fmt: skip

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from rass_mav.lab.experiment.columns import STANDARD, Column, Group, mean
-from rass_mav.lab.experiment.declaration import Experiment, split
+from rass_mav.lab.experiment.declaration import Experiment, counted_runs, split
 from rass_mav.lab.experiment.factors import TOPOLOGIES, by_policy, by_topology
 from rass_mav.lab.experiment.figures import Bars, draw_bars, policy_style
 from rass_mav.lab.experiment.runs import Result
-from rass_mav.lab.experiment.statistics import Estimate, counted
+from rass_mav.lab.experiment.statistics import Estimate
 
 
 def _ratio(part: str, whole: str) -> Callable[[Result], float | None]:
@@ -62,17 +62,12 @@ def experiment() -> Experiment:
         scenario="paper-{topology}",
         world="local-maxima",
         measures=("basins",),
-        intro=_intro,
+        intro=(
+            "{runs} of {steps} steps; basins in percent. A basin: a node that knows a route to the\n"
+            "base and has neighbours, none of them the base and none fitter by Eq. 4. Without noise: a basin by the\n"
+            "true risk, which the next reading does not end.\n"
+        ),
         files=_files,
-    )
-
-
-def _intro(groups: Sequence[Group]) -> str:
-    return (
-        f"{counted(len(groups[0].runs))} of {groups[0].steps} steps; basins in percent. A basin: a node that knows a "
-        "route to the\n"
-        "base and has neighbours, none of them the base and none fitter by Eq. 4. Without noise: a basin by the true\n"
-        "risk, which the next reading does not end.\n"
     )
 
 
@@ -93,5 +88,5 @@ def _draw(path: Path, groups: Sequence[Group], title: str, y_label: str, shares:
             heights = [_percent(share)(group) for group in found]
             series.append(Bars("" if hatch else style.label, style.color, heights, hatch))
     names = [TOPOLOGIES[topology] for (topology,) in split(groups, "topology")]
-    note = f"mean of {counted(len(groups[0].runs), 'error bars')}; hatched: in nodes that are basins without noise"
+    note = f"mean of {counted_runs(groups, 'error bars')}; hatched: in nodes that are basins without noise"
     return draw_bars(path, f"{title} (world paper)", y_label, names, series, bounds=(0, 100), note=note)

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from rass_mav.lab.experiment.columns import STANDARD, Group, kept
 from rass_mav.lab.experiment.curves import mean_curve, over_time, reliability
-from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, choose, split
+from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, choose, counted_runs, split
 from rass_mav.lab.experiment.factors import POLICIES, TOPOLOGIES, by_policy
 from rass_mav.lab.experiment.figures import SHARE, Panel, draw, policy_style
-from rass_mav.lab.experiment.statistics import counted
 
 _Y_LABEL = "reliability (1 - lost / created)"
 
@@ -30,28 +29,20 @@ def experiment(drift: Sequence[float] = (), topology: str = "grid") -> Experimen
         scenario=f"paper-{topology}",
         world="moving-sources",
         variant="drift-{drift_m}",
-        intro=_intro,
+        intro="{runs} of {steps} steps. Each source does a random walk of so many metres a step.\n",
         files=_files,
-    )
-
-
-def _intro(groups: Sequence[Group]) -> str:
-    return (
-        f"{counted(len(groups[0].runs))} of {groups[0].steps} steps. Each source does a random walk of so many metres "
-        "a step.\n"
     )
 
 
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """Reliability by drift, and over time."""
-    note = f"mean of {counted(len(groups[0].runs), 'band')}"
+    note = f"mean of {counted_runs(groups, 'band')}"
     topology = groups[0].runs[0].topology
     curves = []
     for (policy,), found in split(groups, "policy").items():
-        style = policy_style(policy)
         x = [float(group.case["drift_m"]) for group in found]
         rows = zip(*([kept(run) for run in group.runs] for group in found), strict=True)
-        curves.append(mean_curve(style.label, style.color, style.marker, x, list(rows)))
+        curves.append(mean_curve(policy_style(policy), x, list(rows)))
     panel = Panel(f"Moving sources: {topology}", "drift of each source (m a step)", _Y_LABEL, curves, bounds=SHARE)
     yield draw(out / "reliability-by-drift.png", [panel], note=note)
     panels = [

@@ -11,26 +11,18 @@ from pathlib import Path
 from rass_mav.lab.experiment import distances
 from rass_mav.lab.experiment.columns import DELAY, MEMORY, STANDARD, Column, Group, number
 from rass_mav.lab.experiment.curves import over_time, reliability, total_stored
-from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, split
+from rass_mav.lab.experiment.declaration import Experiment, Factor, Level, counted_runs, split
 from rass_mav.lab.experiment.factors import TOPOLOGIES, by_policy, by_topology
 from rass_mav.lab.experiment.figures import SHARE, Curve, Panel, draw, policy_style
 from rass_mav.lab.experiment.published import TABLE_1, AuthorsCurve, Published, default_directory, load_published
-from rass_mav.lab.experiment.statistics import counted
-from rass_mav.lab.experiment.tables import write_csv
 
 WORLDS = ("paper", "reference")
 #: The policies compared by default.
 POLICIES = ("rass", "hop-count", "stigmergy")
 #: It is a reading of the text, so it runs in the world `paper` only.
 LITERAL = "rass-literal"
-DISTANCE_COLUMNS = ("world", "topology", "policy", *distances.COLUMNS)
 #: Figures cut distributions off at a delay that at most this share of the data exceeds.
 _TAIL = 0.02
-_INTRO = (
-    'The paper prints the mean delay as "transfer speed (hops)". Memory: items in a drone, mean over drones and\n'
-    "steps, in percent of 50 items. Reliability: 1 - lost / created at the end; the paper has it in figures only,\n"
-    "the numbers are those of the authors' logs.\n"
-)
 
 
 def experiment(world: str = "both", reference_data: str | None = None) -> Experiment:
@@ -58,14 +50,20 @@ def experiment(world: str = "both", reference_data: str | None = None) -> Experi
         world="{world}",
         includes=lambda case: case["policy"] != LITERAL or case["world"] == "paper",
         if_empty="rass-literal belongs to the world paper",
-        intro=lambda groups: _INTRO,
-        sections=("world",),
-        section_title=lambda groups: (
-            f"World {groups[0].case['world']}: {len(groups[0].runs)} runs of {groups[0].steps} steps"
+        intro=(
+            'The paper prints the mean delay as "transfer speed (hops)". Memory: items in a drone, mean over drones\n'
+            "and steps, in percent of 50 items. Reliability: 1 - lost / created at the end; the paper has it in\n"
+            "figures only, the numbers are those of the authors' logs.\n"
         ),
+        sections=("world",),
+        section_title=_title,
         table="table1",
         files=partial(_files, published),
     )
+
+
+def _title(groups: Sequence[Group]) -> str:
+    return f"World {groups[0].case['world']}: {counted_runs(groups)} of {groups[0].steps} steps"
 
 
 def _where(group: Group) -> tuple[str, str]:
@@ -88,19 +86,17 @@ def _authors_reliability(published: Published, group: Group) -> float | None:
 
 def _files(published: Published, groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """delay-by-distance.csv and the figures of each topology."""
-    rows = ([*group.case.values(), *row] for group in groups for row in distances.rows(group.runs))
-    yield write_csv(out / "delay-by-distance.csv", DISTANCE_COLUMNS, rows)
+    yield distances.write(out / "delay-by-distance.csv", groups)
     for (world, topology), found in split(groups, "world", "topology").items():
         where = f"{world}-{topology}"
         title = f"{TOPOLOGIES[topology]}, world {world}"
-        runs = len(found[0].runs)
-        count = counted(runs, "band")
+        count = counted_runs(found, "band")
         dashed = "; dashed: the authors' runs" if any(_where(group) in published.curves for group in found) else ""
         note = f"solid: mean of {count}{dashed}"
         yield draw(out / f"reliability-{where}.png", [_reliability(title, found, published)], note=note)
         yield draw(
             out / f"delays-{where}.png", [_delays(title, found, published)], legend_columns=2,
-            note=f"solid: the data of {counted(runs)} together{dashed}; the longest {_TAIL:.0%} are cut off",
+            note=f"solid: the data of {counted_runs(found)} together{dashed}; the longest {_TAIL:.0%} are cut off",
         )  # fmt: skip
         yield draw(out / f"stored-{where}.png", [_stored(title, found, published)], note=note)
         yield draw(

@@ -6,7 +6,6 @@ compared run by run. The ceiling is what an oracle would keep with one copy (`or
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,12 +31,21 @@ from rass_mav.lab.experiment.columns import (
     ratio_of_means,
     transmissions,
 )
-from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, split
+from rass_mav.lab.experiment.declaration import Case, Experiment, Factor, Level, counted_runs, split
 from rass_mav.lab.experiment.factors import HAND_ON, POLICIES, TOPOLOGIES, by_policy, by_topology
-from rass_mav.lab.experiment.figures import LEVEL, SHARE, Panel, Point, Scatter, Style, draw, draw_scatter, policy_style
+from rass_mav.lab.experiment.figures import (
+    LEVEL,
+    SHARE,
+    Panel,
+    Point,
+    Scatter,
+    Style,
+    around,
+    draw,
+    draw_scatter,
+    policy_style,
+)
 from rass_mav.lab.experiment.runs import Result, Run
-from rass_mav.lab.experiment.statistics import counted
-from rass_mav.lab.experiment.tables import write_csv
 
 PLACES = {
     **{name: Level(title) for name, title in TOPOLOGIES.items()},
@@ -105,7 +113,6 @@ EVERYWHERE = Look("copies everywhere", "X")
 REFERENCE = {"policy": "rass", "variant": "plain"}
 #: `Run.world` of runs without and with failures.
 WORLD, FAILING = "paper", "paper-failures"
-DISTANCE_COLUMNS = ("world", "topology", "policy", "variant", *distances.COLUMNS)
 
 
 def _kept_by(oracle: str) -> Callable[[Result], float | None]:
@@ -172,7 +179,13 @@ def experiment(failures: float | None = None) -> Experiment:
         if_empty="the policy stigmergy has the variant plain only",
         check=_check,
         reference=REFERENCE,
-        intro=_intro,
+        intro=(
+            "{runs} of {steps} steps. "
+            f"The reference is {policy_style(REFERENCE['policy']).label}, {_look(REFERENCE).title}, in the same runs.\n"
+            "Ceiling: what an oracle keeps that knows everything beforehand, with one copy and one hop a step. It is\n"
+            "no bound for the other variants. An oracle with all contacts is one: it copies each datum to all nodes\n"
+            "that it can reach over any number of hops, in each step.\n"
+        ),
         sections=("world", "topology"),
         section_title=_title,
         section_notes=_ceilings,
@@ -186,16 +199,6 @@ def _check(run: Run) -> None:
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------
-
-
-def _intro(groups: Sequence[Group]) -> str:
-    reference = f"{policy_style(REFERENCE['policy']).label}, {_look(REFERENCE).title}"
-    return (
-        f"{counted(len(groups[0].runs))} of {groups[0].steps} steps. The reference is {reference}, in the same runs.\n"
-        "Ceiling: what an oracle keeps that knows everything beforehand, with one copy and one hop a step. It is no\n"
-        "bound for the other variants. An oracle with all contacts is one: it copies each datum to all nodes that it\n"
-        "can reach over any number of hops, in each step.\n"
-    )
 
 
 def _title(groups: Sequence[Group]) -> str:
@@ -225,16 +228,14 @@ def _look(case: Case) -> Look:
 
 def _files(groups: Sequence[Group], out: Path) -> Iterator[Path]:
     """delay-by-distance.csv and each topology's figures."""
-    rows = ([*group.case.values(), *row] for group in groups for row in distances.rows(group.runs))
-    yield write_csv(out / "delay-by-distance.csv", DISTANCE_COLUMNS, rows)
-    runs = len(groups[0].runs)
+    yield distances.write(out / "delay-by-distance.csv", groups)
     for (topology,), here in split(groups, "topology").items():
         yield _draw_costs(out / f"reliability-by-transmissions-{topology}.png", here)
         for (world,), found in split(here, "world").items():
             panels = _delays(found)
             if panels:
                 path = out / f"delay-by-distance-{topology}{'-failures' if world == FAILING else ''}.png"
-                note = f"each point: mean over the means of {counted(runs, 'band')}"
+                note = f"each point: mean over the means of {counted_runs(groups, 'band')}"
                 yield draw(path, panels, columns=min(2, len(panels)), note=note)
 
 
@@ -242,16 +243,15 @@ def _draw_costs(path: Path, groups: Sequence[Group]) -> Path:
     """Reliability against data sent: a panel a world."""
     # Stigmergy keeps a fiftieth of the data: it would squeeze all others into a corner.
     framing = [group for group in groups if group.case["policy"] != "stigmergy"] or groups
-    widest = max(group.certain(TRANSMISSIONS).reach[1] for group in framing)
-    lowest = min(group.certain(RELIABILITY).reach[0] for group in framing)
+    ranges = around([*map(_point, framing)])
     panels = []
     for here in split(groups, "world").values():
         ceiling = here[0].estimate(CEILING)
         panels.append(
             Scatter(
                 f"What safety costs: {_title(here)}", "data and copies sent per datum created",
-                "reliability (1 - lost / created)", [*map(_point, here)], (0.0, 1.08 * widest or 1.0),
-                (max(0.0, math.floor(10 * lowest) / 10), 1.01), SHARE, None if ceiling is None else ceiling.mean,
+                "reliability (1 - lost / created)", [*map(_point, here)], *ranges, SHARE,
+                None if ceiling is None else ceiling.mean,
             )
         )  # fmt: skip
     looks = dict.fromkeys(_look(group.case) for group in groups)
@@ -259,7 +259,7 @@ def _draw_costs(path: Path, groups: Sequence[Group]) -> Path:
     keys += [Style(look.title, LEVEL.color, look.marker) for look in looks]
     keys.append(replace(LEVEL, label="ceiling: an oracle with one copy,\none hop a step"))
     note = (
-        f"mean of {counted(len(groups[0].runs), 'error bars')}; in brackets: points outside the axes\n"
+        f"mean of {counted_runs(groups, 'error bars')}; in brackets: points outside the axes\n"
         "the ceiling bounds one copy with one hop a step; spare copies and immediate forwarding can be above it"
     )
     return draw_scatter(path, panels, keys, note=note)

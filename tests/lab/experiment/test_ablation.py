@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.cli import main
 from rass_mav.lab.experiment import ablation
 from rass_mav.lab.experiment.declaration import Extent
 from rass_mav.lab.experiment.runs import Run
 from rass_mav.lab.swarm.catalogue import load_scenario
 
-from .test_commands import SMALL, asked, check_files, table
+from .test_commands import SMALL, asked, check_files, promised, table
 
 
 def plan(extent: Extent, air: str, topology: str, *off: str) -> list[Run]:
@@ -53,7 +52,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (summary["done"], summary["reused"]) == (6, 0)
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == ablation.experiment().csv_columns
+    assert columns == promised("ablation")
     assert [(row["air"], row["topology"], row["off"]) for row in rows] == [
         ("none", "grid", name) for name in ("nothing", "policy", "everything")
     ]
@@ -70,24 +69,3 @@ def test_each_air_is_that_of_its_preset(air: str) -> None:
     (run,) = plan(Extent(1, 9), air, "random-walk", "policy")
     radio = run.scenario.radio
     assert (run.world, radio.preset, radio.takes_time) == (air, None if air == "none" else air, air != "none")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["--off", "radio"],
-            "--off: expected some of nothing, policy, immediate, mirror, receipts, copies, everything",
-        ),
-        (["--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m, sik-250k, sik-64k, lora"),
-        (["--set", "topology=line"], "chosen by --topology"),
-    ],
-)
-def test_bad_usage_is_one_line(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["experiment", "ablation", "--air", "none", *arguments, "--out", str(tmp_path / "out")]
-    assert main(command) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1

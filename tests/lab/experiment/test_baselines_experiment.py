@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from rass_mav.cli import main
 from rass_mav.lab.baselines import OURS, PROTOCOLS
 from rass_mav.lab.experiment import baselines as experiment
 from rass_mav.lab.experiment.columns import Group
@@ -16,7 +15,7 @@ from rass_mav.lab.experiment.factors import AIRS
 from rass_mav.lab.experiment.runs import Result, Run, execute
 from rass_mav.lab.swarm.catalogue import load_scenario
 
-from .test_commands import SMALL, asked, check_files, table
+from .test_commands import SMALL, asked, check_files, promised, table
 from .test_policies import result
 
 
@@ -73,7 +72,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (second["done"], second["reused"]) == (3, 4)
     check_files(tmp_path, second)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == experiment.experiment().csv_columns
+    assert columns == promised("baselines")
     assert [(row["place"], row["air"], row["protocol"], row["runs"]) for row in rows] == [
         ("grid", "none", OURS, "3"), ("grid", "none", "spray-and-wait", "2"), ("grid", "none", "backpressure", "2"),
     ]  # fmt: skip
@@ -104,21 +103,3 @@ def test_the_table_begins_with_the_places_where_another_protocol_loses_less(tmp_
     told = text(default=ours, rapid=worse, epidemic=better)
     assert "- random walk, air wifi-6m: epidemic with receipts, +0.0500 " in told
     assert "RAPID" not in told[: told.index("##")]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--baseline", "maxprop"], "--baseline: expected some of default, hop-count, epidemic, spray-and-wait, "),
-        (["--place", "moon"], "--place: expected some of grid, walk, field, dying"),
-        (["--own-runs", "0"], "--own-runs: expected 1 or more, got 0"),
-        (["--set", "policy.name=rass"], "chosen by --baseline"),
-    ],
-)
-def test_bad_usage_is_one_line(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["experiment", "baselines", *arguments, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1

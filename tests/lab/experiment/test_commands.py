@@ -14,10 +14,43 @@ import pytest
 
 from rass_mav.cli import main
 from rass_mav.commands.experiment import EXPERIMENTS
-from rass_mav.lab.experiment import five_drones, local_maxima, moving_sources, paper
+from rass_mav.lab.experiment import five_drones, paper
 from rass_mav.lab.experiment.tables import RUN_COLUMNS
 
 SMALL = ["--set", "nodes=16", "--set", "arena_m=8", "--runs", "2", "--steps", "30", "--jobs", "1"]
+#: Columns of the tables, which scripts rely on; ~ stands for the mean and its interval.
+STANDARD = "reliability~ delivered~ lost_per_million~ delay~ delay_p50 delay_p95 transmissions~ bytes_per_node_s~"
+COLUMNS = {
+    "paper": f"world topology policy runs steps delay_paper memory_paper reliability_authors memory~ {STANDARD}",
+    "five-drones": f"policy runs steps {STANDARD} from_A~ from_B~ from_C~ from_D~",
+    "moving-sources": f"drift_m policy runs steps {STANDARD}",
+    "local-maxima": (
+        f"topology policy runs steps {STANDARD} nodes_in_basins~ nodes_lasting~ stored_in_basins~ "
+        "stored_in_lasting~ corrupted_in_basins~ corrupted_in_lasting~"
+    ),
+    "policies": (
+        f"world topology policy variant runs steps {STANDARD} over_reference~ delivered_over_reference~ "
+        "losses_in_references ceiling~ share_of_ceiling bound~ transmissions_in_references memory~ copies~ loops "
+        "lost_corrupted~ lost_overflow~ lost_expired~ lost_died~ lost_vanished~ lost_unfounded~"
+    ),
+    "ablation": (
+        f"air topology off runs steps {STANDARD} reliability_over_defaults~ delivered_over_defaults~ "
+        "losses_in_defaults transmissions_in_defaults loops"
+    ),
+    "baselines": (
+        f"place air protocol runs steps {STANDARD} reliability_over_ours~ delivered_over_ours~ losses_in_ours "
+        "memory~ loops lost_corrupted~ lost_overflow~ lost_expired~ lost_died~ lost_vanished~ lost_unfounded~"
+    ),
+    "hostile": (
+        f"attacker policy variant place runs steps {STANDARD} unfounded~ false_delivered~ late~ lost~ refused~ "
+        "false_losses~ before~ during~ after~ delay_after~"
+    ),
+}
+#: Columns of delay-by-distance.csv after those of the case.
+BY_DISTANCE = (
+    "distance_hops", "created", "arrived", "lost", "delay_mean", "runs_with_arrivals", "delay_of_runs_mean",
+    "delay_of_runs_low", "delay_of_runs_high",
+)  # fmt: skip
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -48,6 +81,12 @@ def check_files(out: Path, summary: dict[str, Any]) -> None:
             assert len(content) > 10_000
 
 
+def promised(experiment: str) -> list[str]:
+    """The columns of its table."""
+    ends = {False: ("",), True: ("_mean", "_low", "_high")}
+    return [word.rstrip("~") + end for word in COLUMNS[experiment].split() for end in ends[word.endswith("~")]]
+
+
 @pytest.fixture
 def authors(tmp_path: Path) -> Path:
     """Files of the authors' form."""
@@ -61,9 +100,10 @@ def authors(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_a_row_of_the_command_has_the_options_of_its_declaration(name: str) -> None:
+def test_the_options_are_those_of_the_declaration_and_the_columns_those_that_scripts_know(name: str) -> None:
     experiment = import_module(f"rass_mav.lab.experiment.{name.replace('-', '_')}").experiment
     row = EXPERIMENTS[name]
+    assert list(experiment().csv_columns) == promised(name)
     assert {factor.option for factor in experiment().factors} - {""} == row.choices.keys()
     assert [own.option[2:].replace("-", "_") for own in row.own] == list(signature(experiment).parameters)
 
@@ -83,7 +123,7 @@ def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]
         (policy, seed) for policy in paper.POLICIES for seed in ("0", "1")
     ]
     columns, rows = table(out / "table1.csv")
-    assert tuple(columns) == paper.experiment().csv_columns
+    assert columns == promised("paper")
     by_policy = {row["policy"]: row for row in rows}
     rass = by_policy["rass"]
     assert (rass["delay_paper"], rass["memory_paper"], rass["reliability_authors"]) == ("11.45", "1.35", "0.8125")
@@ -103,7 +143,7 @@ def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]
     assert int(rass["delay_p50"]) <= int(rass["delay_p95"]) <= 30
 
     columns, rows = table(out / "delay-by-distance.csv")
-    assert tuple(columns) == paper.DISTANCE_COLUMNS
+    assert tuple(columns) == ("world", "topology", "policy", *BY_DISTANCE)
     assert {row["distance_hops"] for row in rows} == {"1", "2", "3"}
     assert "| grid | RASS | 11.45 |" in (out / "table1.md").read_text(encoding="utf-8")
 
@@ -117,16 +157,6 @@ def test_paper(tmp_path: Path, authors: Path, capsys: pytest.CaptureFixture[str]
     later = asked(capsys, *command, *SMALL, "--first-seed", "2", "--policy", "rass")
     assert (later["done"], later["reused"]) == (1, 1)
     assert [row["seed"] for row in table(out / "runs.csv")[1]] == ["2", "3"]
-
-
-def test_two_processes_write_the_same_tables_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    written = []
-    for jobs in ("1", "2"):
-        out = tmp_path / jobs
-        command = ["paper", "--out", str(out), "--world", "paper", "--topology", "random-walk", "--policy", "rass"]
-        assert asked(capsys, *command, *SMALL, "--jobs", jobs)["done"] == 2
-        written.append([(out / name).read_bytes() for name in ("runs.csv", "table1.csv", "delay-by-distance.csv")])
-    assert written[0] == written[1]
 
 
 @pytest.mark.parametrize("world", ["reference", "both"])
@@ -147,7 +177,7 @@ def test_five_drones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert summary["done"] == 6
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == five_drones.experiment().csv_columns
+    assert columns == promised("five-drones")
     kept = {row["policy"]: float(row["from_C_mean"]) for row in rows}
     # C's data go round the source under `rass`, and past it under the others.
     assert kept["rass"] > kept["hop-count"] + 0.5
@@ -163,7 +193,7 @@ def test_moving_sources(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert summary["done"] == 4
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == moving_sources.experiment().csv_columns
+    assert columns == promised("moving-sources")
     assert [(row["drift_m"], row["policy"]) for row in rows] == [
         ("0.05", "rass"), ("0.05", "hop-count"), ("0.5", "rass"), ("0.5", "hop-count"),
     ]  # fmt: skip
@@ -178,7 +208,7 @@ def test_local_maxima(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert summary["done"] == 6
     check_files(tmp_path, summary)
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == local_maxima.experiment().csv_columns
+    assert columns == promised("local-maxima")
     on_grid = {row["policy"]: float(row["nodes_in_basins_mean"]) for row in rows if row["topology"] == "grid"}
     # With hops alone there is always a neighbour nearer to the base.
     assert on_grid["hop-count"] < 0.01 < on_grid["rass"]
@@ -204,6 +234,25 @@ def test_people_read_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["moving-sources", "--drift", "-1"], "radiation.drift"),
         (["moving-sources", "--topology", "moon"], "--topology: expected some of grid, scale-free, "),
         (["five-drones", "--set", "policy.name=rass"], "--set: policy.name is chosen by --policy here"),
+        (
+            ["ablation", "--off", "radio"],
+            "--off: expected some of nothing, policy, immediate, mirror, receipts, copies, everything",
+        ),
+        (["ablation", "--air", "water"], "--air: expected some of none, wifi-6m, wifi-1m, sik-250k, sik-64k, lora"),
+        (["ablation", "--set", "topology=line"], "chosen by --topology"),
+        (
+            ["baselines", "--baseline", "maxprop"],
+            "--baseline: expected some of default, hop-count, epidemic, ",
+        ),
+        (["baselines", "--place", "moon"], "--place: expected some of grid, walk, field, dying"),
+        (["baselines", "--own-runs", "0"], "--own-runs: expected 1 or more, got 0"),
+        (["baselines", "--set", "policy.name=rass"], "chosen by --baseline"),
+        (["policies", "--policy", "stigmergy", "--variant", "mirror"], "stigmergy has the variant plain only"),
+        (["policies", "--set", "radiation.rule=threshold"], "radiation.rule: expected probability"),
+        (["policies", "--set", "topology=line"], "topology is chosen by --topology"),
+        (["policies", "--set", "policy.name=rass"], "policy.name is chosen by --policy"),
+        (["policies", "--failures", "1.5"], "failures.die_fraction"),
+        (["hostile", "--attacker", "friend"], "--attacker: expected some of nobody, sinkhole"),
         (["counting-to-infinity", "--steps", "60"], "--steps: expected more than 60"),
     ],
 )
@@ -214,6 +263,7 @@ def test_bad_usage_is_one_line(
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_authors_files_of_another_form_are_refused(authors: Path, capsys: pytest.CaptureFixture[str]) -> None:

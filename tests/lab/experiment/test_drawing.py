@@ -41,7 +41,7 @@ def panel(curves: Sequence[Curve], **keys: tuple[float, float]) -> Panel:
 
 
 def runs(count: int) -> Curve:
-    return mean_curve("RASS", "blue", "o", X, [[1.0, 0.9 + 0.02 * run, 0.1 * run] for run in range(count)])
+    return mean_curve(Style("RASS", "blue", "o"), X, [[1.0, 0.9 + 0.02 * run, 0.1 * run] for run in range(count)])
 
 
 def bands(axes: Axes) -> list[PolyCollection]:
@@ -71,14 +71,14 @@ def test_a_band_of_shares_is_theirs_and_reaches_below_where_nothing_was_lost(
     tmp_path: Path, drawn: list[Figure]
 ) -> None:
     rows = [[Share(10, 10), Share(10 - run, 10)] for run in range(5)]
-    figures.draw(tmp_path / "a.png", [panel([mean_curve("RASS", "blue", "o", [0, 1], rows)], bounds=SHARE)])
+    figures.draw(tmp_path / "a.png", [panel([mean_curve(Style("RASS", "blue", "o"), [0, 1], rows)], bounds=SHARE)])
     [axes] = drawn[0].axes
     [band] = bands(axes)
     [lowest] = {float(y) for x, y in np.asarray(band.get_paths()[0].vertices) if x == 0 and y < 1}
     sure = estimate_share([Share(10, 10)] * 5).interval
     assert sure is not None
     assert lowest == pytest.approx(sure[0])
-    figures.draw(tmp_path / "a.png", [panel([mean_curve("RASS", "blue", "o", [0, 1], rows[:2])], bounds=SHARE)])
+    figures.draw(tmp_path / "a.png", [panel([mean_curve(Style("RASS", "blue", "o"), [0, 1], rows[:2])], bounds=SHARE)])
     assert [heights(line) for line in drawn[1].axes[0].lines[1:]] == [[1.0, 1.0], [1.0, 0.9]]
 
 

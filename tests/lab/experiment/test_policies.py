@@ -41,7 +41,7 @@ from rass_mav.lab.experiment.policies import (
 from rass_mav.lab.experiment.runs import Result, Run
 from tests.extent import extents
 
-from .test_commands import SMALL, asked, check_files, table
+from .test_commands import BY_DISTANCE, SMALL, asked, check_files, promised, table
 
 
 def plan(*, runs: int = 2, failures: float | None = None, **chosen: list[str]) -> list[Run]:
@@ -95,26 +95,6 @@ def test_islands_are_the_papers_grid_but_for_the_split() -> None:
     assert (a.topology, a.mobility.split_step, a.mobility.rejoin_step, a.mobility.gap_m) == ("islands", 100, None, 2.0)
     assert (a.data.interval_steps, a.nodes, a.arena) == (40, 100, 20.0)
     assert (a.radio, a.radiation, a.store, a.custody, a.risk) == (b.radio, b.radiation, b.store, b.custody, b.risk)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--policy", "stigmergy", "--variant", "mirror"], "stigmergy has the variant plain only"),
-        (["--set", "radiation.rule=threshold"], "radiation.rule: expected probability"),
-        (["--set", "topology=line"], "topology is chosen by --topology"),
-        (["--set", "policy.name=rass"], "policy.name is chosen by --policy"),
-        (["--failures", "1.5"], "failures.die_fraction"),
-    ],
-)
-def test_bad_usage_is_one_line(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["experiment", "policies", *arguments, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "out").exists()
 
 
 # -- how they are compared ---------------------------------------------------------------------------------------------
@@ -210,7 +190,7 @@ def test_the_command_from_end_to_end(seeds: int, tmp_path: Path, capsys: pytest.
     assert {r["failures.died"] for r in runs if r["world"] == FAILING} == {"3"}
     assert {r["routing.loops"] for r in runs} == {"0"}
     columns, rows = table(tmp_path / "table.csv")
-    assert tuple(columns) == policies.experiment().csv_columns
+    assert columns == promised("policies")
     assert len(rows) == 2 * 2 * (2 * 2 + 1)
     for row in rows:
         if row.items() >= REFERENCE.items():
@@ -224,7 +204,7 @@ def test_the_command_from_end_to_end(seeds: int, tmp_path: Path, capsys: pytest.
     assert grid["stigmergy", "plain"]["delay_mean"] == ""
 
     columns, rows = table(tmp_path / "delay-by-distance.csv")
-    assert tuple(columns) == policies.DISTANCE_COLUMNS
+    assert tuple(columns) == ("world", "topology", "policy", "variant", *BY_DISTANCE)
     assert {r["variant"] for r in rows} == {"plain", "mirror"}
     text = (tmp_path / "table.md").read_text(encoding="utf-8")
     assert "## grid, 3 of 15 drones die\n\nCeiling: " in text
